@@ -1,0 +1,99 @@
+//! A fit as a client asks for it (`POST /v1/rigs/{rig}/fits`, and in a rig's `fit_policy`).
+
+use serde::{Deserialize, Serialize};
+
+use crate::engine::frf::Estimator;
+use crate::engine::model::{LstmOptions, ModelKind, Preprocess, Preset};
+
+/// Runs by id, or by what they are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum RunSelection {
+    /// Exactly these.
+    Ids(Vec<uuid::Uuid>),
+    /// All that match.
+    Match(RunFilter),
+}
+
+/// A selection by kind, tag and split; an empty list matches all.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RunFilter {
+    /// Run kinds; empty: any. Left out of a request: `["noise"]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kinds: Option<Vec<String>>,
+    /// The run has every one of these tags.
+    pub tags: Vec<String>,
+    /// Split; left out: training (validation under `validation_runs`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split: Option<String>,
+}
+
+/// FRF part of a fit request.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FrfOptions {
+    /// Runs of the FRF part; left out: those of the fit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub runs: Option<RunSelection>,
+    /// See [`crate::engine::frf::FrfSettings`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub segment_len: Option<usize>,
+    /// See [`crate::engine::frf::FrfSettings`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overlap: Option<f64>,
+    /// See [`crate::engine::frf::FrfSettings`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimator: Option<Estimator>,
+    /// See [`crate::engine::frf::FrfSettings`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ridge: Option<f64>,
+}
+
+/// When a new model becomes the active one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activate {
+    /// If none was active, or if it is at least 1 % better on data neither was trained on.
+    #[default]
+    IfBetter,
+    /// Not by the fit.
+    Never,
+    /// In any case.
+    Always,
+}
+
+/// The request; every field but `kind` has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FitRequest {
+    /// Kind of model.
+    pub kind: ModelKind,
+    /// Input channels; left out: all drives.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<Vec<String>>,
+    /// Output channels; left out: all responses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outputs: Option<Vec<String>>,
+    /// Training runs; left out: noise runs of the training split.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub runs: Option<RunSelection>,
+    /// Validation runs; left out: all of the validation split, if any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validation_runs: Option<RunSelection>,
+    /// Filter.
+    #[serde(default)]
+    pub preprocess: Preprocess,
+    /// FRF part.
+    #[serde(default)]
+    pub frf: FrfOptions,
+    /// LSTM part.
+    #[serde(default)]
+    pub lstm: LstmOptions,
+    /// Source of what is left open.
+    #[serde(default)]
+    pub preset: Preset,
+    /// When the model becomes the active one.
+    #[serde(default)]
+    pub activate: Activate,
+}

@@ -1,0 +1,120 @@
+//! The one error type of the engine; fields carry what was expected and what was found.
+
+/// Why a computation was refused.
+///
+/// Channels are indices into the signal that was passed; callers that know names map them.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EngineError {
+    /// Channels of one signal, or two signals that belong together, differ in length.
+    #[error("{what}: channel {channel} has {found} samples, expected {expected}")]
+    UnequalLength {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+        /// Samples expected.
+        expected: usize,
+        /// Samples found.
+        found: usize,
+    },
+    /// Another number of channels than the model or settings need.
+    #[error("{what}: expected {expected} channels, found {found}")]
+    ChannelCount {
+        /// Which argument.
+        what: &'static str,
+        /// Channels expected.
+        expected: usize,
+        /// Channels found.
+        found: usize,
+    },
+    /// NaN or infinity.
+    #[error("{what}: channel {channel} is not finite at sample {sample}")]
+    NonFinite {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+        /// Sample index.
+        sample: usize,
+    },
+    /// Sample rates that should agree do not (1e-6 relative).
+    #[error("{what}: sample rate {found_hz} Hz, expected {expected_hz} Hz")]
+    SampleRate {
+        /// Which argument.
+        what: &'static str,
+        /// Rate expected.
+        expected_hz: f64,
+        /// Rate found.
+        found_hz: f64,
+    },
+    /// Too few samples for the settings.
+    #[error("{what}: {found} samples, at least {needed} are needed")]
+    TooShort {
+        /// Which argument, and why it must be longer.
+        what: &'static str,
+        /// Samples needed.
+        needed: usize,
+        /// Samples found.
+        found: usize,
+    },
+    /// A channel without power where a fit needs power.
+    #[error("{what}: channel {channel} is constant, a fit needs a channel that moves")]
+    DeadChannel {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+    },
+    /// A setting outside its limits.
+    #[error("{setting} = {found}: {limit}")]
+    Setting {
+        /// The setting's name as in the contract (`frf.segment_len`).
+        setting: &'static str,
+        /// The value, as the client wrote it.
+        found: String,
+        /// The limit, in words.
+        limit: String,
+    },
+    /// As many averages as drives make every coherence 1 by construction.
+    #[error(
+        "{averages} averages for {drives} drives: more averages than drives are needed; shorten frf.segment_len or add runs"
+    )]
+    TooFewAverages {
+        /// Averages that the runs give.
+        averages: usize,
+        /// Drives.
+        drives: usize,
+    },
+    /// A weight tensor of the wrong shape.
+    #[error("tensor {tensor}: shape {found:?}, expected {expected:?}")]
+    TensorShape {
+        /// Its name in the file.
+        tensor: String,
+        /// Shape expected.
+        expected: Vec<usize>,
+        /// Shape found.
+        found: Vec<usize>,
+    },
+    /// A weight file that cannot be read, or lacks something.
+    #[error("weights: {0}")]
+    Weights(String),
+    /// Training ran away: the loss is no longer finite.
+    #[error("training diverged in epoch {epoch}: lower lstm.learning_rate")]
+    Diverged {
+        /// Epoch, from 1.
+        epoch: usize,
+    },
+    /// A computation produced NaN or infinity from finite input.
+    #[error("{what} is not finite at sample {sample} of channel {channel}")]
+    NonFiniteResult {
+        /// What was computed.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+        /// Sample index.
+        sample: usize,
+    },
+    /// The caller cancelled.
+    #[error("cancelled")]
+    Cancelled,
+}

@@ -1,0 +1,14 @@
+//! Pure numerics: arrays in, values out. No async, SQL, HTTP, clock or global randomness.
+//!
+//! Arrays are `[channel, sample]`; spectra and damage are `f64`, the LSTM is `f32`.
+
+pub mod error;
+pub mod frf;
+pub mod lstm;
+pub mod model;
+pub mod progress;
+pub mod signal;
+
+pub use error::EngineError;
+pub use progress::{Progress, Watch};
+pub use signal::Signal;

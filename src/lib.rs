@@ -1,0 +1,7 @@
+//! Rigcast: FRF, LSTM and hybrid models of fatigue test rigs behind an HTTP contract.
+//!
+//! Dependencies point one way: `engine <- domain <- formats, storage <- compute, models <- jobs
+//! <- http <- app`. `tests/layout.rs` reads the imports and holds it.
+
+pub mod domain;
+pub mod engine;

@@ -1,0 +1,3 @@
+//! The `rigcast` program.
+
+fn main() {}
