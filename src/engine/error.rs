@@ -118,3 +118,15 @@ pub enum EngineError {
     #[error("cancelled")]
     Cancelled,
 }
+
+impl EngineError {
+    /// A value that is not finite in something computed, not in something given.
+    pub(super) fn of_result(self) -> Self {
+        match self {
+            Self::NonFinite { channel, sample, .. } => {
+                Self::NonFiniteResult { what: "predicted response", channel, sample }
+            }
+            other => other,
+        }
+    }
+}
