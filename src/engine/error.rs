@@ -114,6 +114,14 @@ pub enum EngineError {
         /// Sample index.
         sample: usize,
     },
+    /// An input that is a linear combination of the others.
+    #[error(
+        "input channel {channel} is a linear combination of the other inputs: leave it out or set frf.ridge above 0"
+    )]
+    DependentInputs {
+        /// Channel index among the inputs.
+        channel: usize,
+    },
     /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,

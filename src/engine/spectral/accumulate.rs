@@ -136,12 +136,7 @@ impl Job<'_> {
                         if a == b {
                             add_power(sum_re, &re[at(a)], &im[at(a)]);
                         } else {
-                            add_product(
-                                sum_re,
-                                sum_im,
-                                (&re[at(a)], &im[at(a)]),
-                                (&re[at(b)], &im[at(b)]),
-                            );
+                            add_product(sum_re, sum_im, (&re[at(a)], &im[at(a)]), (&re[at(b)], &im[at(b)]));
                         }
                     }
                 }

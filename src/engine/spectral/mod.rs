@@ -16,7 +16,7 @@ use super::{EngineError, Signal};
 use accumulate::{Source, accumulate};
 
 pub use cross::CrossSpectra;
-pub(crate) use cross::cross_spectra;
+pub(crate) use cross::{Means, Stretch, cross_spectra};
 
 /// What is subtracted from each segment before its transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

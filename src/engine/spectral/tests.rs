@@ -16,8 +16,7 @@ fn noise(seed: u64, n: usize) -> Vec<f64> {
 /// The definition, term by term: `S_ab` of one channel pair over runs.
 fn naive(runs: &[(&[f64], &[f64])], welch: &Welch, fs: f64) -> Vec<Complex64> {
     let n = welch.segment_len;
-    let w: Vec<f64> =
-        (0..n).map(|i| (std::f64::consts::PI * i as f64 / n as f64).sin().powi(2)).collect();
+    let w: Vec<f64> = (0..n).map(|i| (std::f64::consts::PI * i as f64 / n as f64).sin().powi(2)).collect();
     let dft = |segment: &[f64], line: usize| -> Complex64 {
         let mean = match welch.detrend {
             Detrend::None => 0.0,
@@ -60,10 +59,7 @@ fn assert_close(found: &[Complex64], expected: &[Complex64]) {
 fn the_fast_path_equals_a_naive_dft_for_even_and_odd_segments() {
     let fs = 250.0;
     let (long, short) = (noise(1, 700), noise(2, 333));
-    let runs = [
-        Signal::new(fs, vec![long.clone()]).unwrap(),
-        Signal::new(fs, vec![short.clone()]).unwrap(),
-    ];
+    let runs = [Signal::new(fs, vec![long.clone()]).unwrap(), Signal::new(fs, vec![short.clone()]).unwrap()];
     for segment_len in [1, 2, 3, 16, 45, 64, 333] {
         for overlap in [0.0, 0.5, 0.75] {
             for detrend in [Detrend::None, Detrend::Constant] {
@@ -130,9 +126,7 @@ fn cross_spectra_equal_a_naive_dft_in_every_pair() {
 fn a_sine_has_its_power_at_its_line() {
     // Amplitude 3 at line 20 of 256: power 4.5, spread by the Hann window over lines 19, 20, 21.
     let (fs, n) = (512.0, 256);
-    let x = (0..4096)
-        .map(|t| 3.0 * (std::f64::consts::TAU * 40.0 * t as f64 / fs + 0.4).cos())
-        .collect();
+    let x = (0..4096).map(|t| 3.0 * (std::f64::consts::TAU * 40.0 * t as f64 / fs + 0.4).cos()).collect();
     let welch = Welch { segment_len: n, overlap: 0.5, detrend: Detrend::None };
     let found = psd(&[&Signal::new(fs, vec![x]).unwrap()], &welch).unwrap();
     let (df, density) = (found.df_hz, &found.density[0]);
