@@ -9,6 +9,7 @@ pub mod lstm;
 pub mod model;
 pub mod progress;
 pub mod signal;
+pub mod spectral;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
