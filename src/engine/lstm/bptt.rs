@@ -4,6 +4,8 @@
 //! The way back writes the errors of the gate pre-activations per step; the gradient of the weights
 //! is then one product of errors and step vectors over all steps and lanes.
 
+use std::ops::Range;
+
 use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
@@ -156,18 +158,24 @@ impl Group {
         }
         self.used = Lanes::ZERO;
         self.used.0[..count].fill(1.0);
-        for (lane, (x, y, start)) in windows.enumerate() {
-            gather(x, start, self.steps, lane, columns, &mut self.blocks[0].z);
-            gather(y, start, self.steps, lane, outputs, &mut self.target);
+        let windows: Vec<_> = windows.collect();
+        // A few steps of all lanes at a time: their cache lines are then written whole.
+        for first in (0..self.steps).step_by(STEPS_PER_PASS) {
+            let steps = first..self.steps.min(first + STEPS_PER_PASS);
+            for (lane, &(x, y, start)) in windows.iter().enumerate() {
+                let from = start + first..start + steps.end;
+                gather(x, from.clone(), lane, columns, &mut self.blocks[0].z[first * columns..]);
+                gather(y, from, lane, outputs, &mut self.target[first * outputs..]);
+            }
         }
     }
 }
 
-/// Copies one window of `x` into lane `lane` of `to`, which is `[step][stride]`.
-fn gather(x: &[Vec<f32>], start: usize, steps: usize, lane: usize, stride: usize, to: &mut [Lanes]) {
+/// Copies samples `from` of `x` into lane `lane` of `to`, which is `[step][stride]`.
+fn gather(x: &[Vec<f32>], from: Range<usize>, lane: usize, stride: usize, to: &mut [Lanes]) {
     for (channel, x) in x.iter().enumerate() {
         let places = to[channel..].iter_mut().step_by(stride);
-        places.zip(&x[start..start + steps]).for_each(|(to, &x)| to.0[lane] = x);
+        places.zip(&x[from.clone()]).for_each(|(to, &x)| to.0[lane] = x);
     }
 }
 
@@ -328,6 +336,8 @@ fn step_back<S: Simd, const R: usize>(
     let errors = now[t * width..][..block.rows()].as_chunks_mut::<GATES>().0;
     let cells = &kept.cells[t * block.cells..][..block.cells];
     let before = if t > 0 { &kept.cells[(t - 1) * block.cells..][..block.cells] } else { &[] };
+    // Memory is walked backwards, which the machine does not foresee.
+    let soon = if t > 1 { &kept.cells[(t - 2) * block.cells..][..block.cells] } else { &[] };
     let above = if kept.above.is_empty() { &[][..] } else { &kept.above[t * block.cells..][..block.cells] };
     let one = s.splat(1.0);
     let groups = weights.hidden.chunks_exact(width).zip(errors.chunks_mut(R));
@@ -335,6 +345,11 @@ fn step_back<S: Simd, const R: usize>(
         let a = product::<S, R, 1>(s, w, after);
         for (k, (error, a)) in errors.iter_mut().zip(a).enumerate() {
             let cell = n * R + k;
+            if let Some(soon) = soon.get(cell) {
+                for kept in soon {
+                    s.prefetch(kept);
+                }
+            }
             let [i, f, g, o, _, tc] = &cells[cell];
             let (i, f, g) = (s.load(i), s.load(f), s.load(g));
             let (o, tc) = (s.load(o), s.load(tc));

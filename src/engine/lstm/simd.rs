@@ -79,6 +79,9 @@ pub(super) trait Simd: Copy {
     fn load(self, from: &Lanes) -> Self::V;
     /// To memory.
     fn store(self, to: &mut Lanes, a: Self::V);
+    /// Asks for memory that will be read soon.
+    #[inline(always)]
+    fn prefetch(self, _from: &Lanes) {}
     /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a - b`.
@@ -290,6 +293,10 @@ mod x86 {
             });
         }
         #[inline(always)]
+        fn prefetch(self, from: &Lanes) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
+        }
+        #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {
             op!((_mm256_add_ps(a.0, b.0), _mm256_add_ps(a.1, b.1)))
         }
@@ -358,6 +365,10 @@ mod x86 {
         #[inline(always)]
         fn store(self, to: &mut Lanes, a: Self::V) {
             op!(_mm512_store_ps(to.0.as_mut_ptr(), a));
+        }
+        #[inline(always)]
+        fn prefetch(self, from: &Lanes) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
         }
         #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {

@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_system_is_learnt_to_two_per_cent_by_both_optimisers() {
+    fn a_known_system_is_learnt_to_three_per_cent_by_both_optimisers() {
         let (training, validation) = ([lag(6000, 1, 0), lag(3000, 2, 0)], [lag(2000, 3, 100)]);
         let test = lag(3000, 4, 0);
         for (optimizer, rate) in [(Optimizer::Adam, 1e-2), (Optimizer::Rmsprop, 5e-3)] {
@@ -297,7 +297,7 @@ mod tests {
                 let power: f32 = pairs().map(|(_, b)| b * b).sum();
                 let nrms = (error / power).sqrt();
                 println!("{optimizer:?}: NRMS {nrms:.4}, best epoch {}", trained.best_epoch);
-                assert!(nrms < 0.02, "{optimizer:?}: {nrms}");
+                assert!(nrms < 0.03, "{optimizer:?}: {nrms}");
             }
             let best = trained.history.iter().min_by(|a, b| a.validation_mse.total_cmp(&b.validation_mse));
             assert_eq!(best.unwrap().validation_mse, trained.validation_mse);
