@@ -10,6 +10,7 @@ pub mod model;
 pub mod progress;
 pub mod signal;
 pub mod spectral;
+pub mod windowing;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
