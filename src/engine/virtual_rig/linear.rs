@@ -50,7 +50,9 @@ impl VirtualRig {
                 let excited = Mat::from_fn(ORDER, 3, |i, drive| z * to[drive][i] + from[drive][i]);
                 let states = resolvent.partial_piv_lu().solve(&excited);
                 std::array::from_fn(|response| {
-                    std::array::from_fn(|drive| (0..ORDER).map(|j| states[(j, drive)] * seen[j][response]).sum())
+                    std::array::from_fn(|drive| {
+                        (0..ORDER).map(|j| states[(j, drive)] * seen[j][response]).sum()
+                    })
                 })
             })
             .collect()

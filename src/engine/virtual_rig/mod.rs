@@ -2,7 +2,7 @@
 //!
 //! It stands for the bench of Heindel et al. (arXiv 2107.03645, sec. 3.1): force controlled, 1 kHz, one
 //! drive (force command, kN) per axis, three displacements (mm) and three forces (kN) as responses. It
-//! is deterministic: a rig seed draws the physical parameters ([`parameters`]), a run seed the drive
+//! is deterministic: a rig seed draws the physical parameters ([`VirtualRig::parameters`]), a run seed the drive
 //! ([`drives`]), a sensor seed the sensor noise. Parameters are set by data sheets and textbooks, never by
 //! what a model makes of the data.
 //!
@@ -59,10 +59,12 @@ mod integrate;
 mod linear;
 mod parameters;
 mod plant;
+mod programme;
 
 pub use channels::{CHANNELS, RigChannel};
 pub use effects::{Effects, MAX_STRENGTH};
 pub use parameters::{AXES, AxisParameters, BenchParameters, Parameter};
+pub use programme::{ProgrammeRun, ProgrammeSettings, RunKind, RunSplit, programme};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -206,8 +208,11 @@ impl VirtualRig {
         }
         for (channel, samples) in responses.iter_mut().enumerate() {
             let axis = &self.axes[channel % 3];
-            let in_channel_units =
-                if channel < 3 { axis.displacement_noise_um * 1e-3 } else { axis.force_noise_n / NEWTON_PER_KN };
+            let in_channel_units = if channel < 3 {
+                axis.displacement_noise_um * 1e-3
+            } else {
+                axis.force_noise_n / NEWTON_PER_KN
+            };
             let deviation = self.effects.sensor_noise * in_channel_units;
             let mut rng = ChaCha8Rng::seed_from_u64(sensor_seed);
             rng.set_stream(channel as u64);

@@ -11,6 +11,7 @@ pub use noise::{
     BOUNDARY_MEAN_KN, MixedNoise, NOISE_AMPLITUDE_KN, NOISE_CORNER_HZ, NOISE_END_HZ, NOISE_MEAN_KN, Noise,
     NoiseRegion, linear_noise, mixed_noise, noise,
 };
+pub(super) use noise::{draw_stretches, stitched};
 pub use service::{SERVICE_OFFSET_KN, SERVICE_PEAK_KN, ServiceLoad, ServiceShape, service_load};
 pub use tones::{Sine, Sweep, sine, sweep};
 
@@ -38,7 +39,7 @@ fn samples(duration_s: f64) -> Result<usize, EngineError> {
 }
 
 /// Refuses a level or mean that is not a finite number from `low` to `high`.
-fn check(setting: &'static str, value: f64, low: f64, high: f64) -> Result<(), EngineError> {
+pub(super) fn check(setting: &'static str, value: f64, low: f64, high: f64) -> Result<(), EngineError> {
     if (low..=high).contains(&value) {
         return Ok(());
     }

@@ -20,8 +20,8 @@ pub const NOISE_AMPLITUDE_KN: [f64; 2] = [0.5, 2.0];
 /// Boundary noise draws the size of its mean from here, kN; its sign is drawn per axis.
 pub const BOUNDARY_MEAN_KN: [f64; 2] = [4.0, 5.5];
 
-/// Amplitude of linear noise on every axis, kN.
-const LINEAR_AMPLITUDE_KN: f64 = 0.5;
+/// Amplitude of linear noise on every axis, kN; its peaks stay below the load at which any stop engages.
+const LINEAR_AMPLITUDE_KN: f64 = 1.0;
 /// Time in which noise grows from its mean, or passes from one mean to the next.
 const RAMP_S: f64 = 1.0;
 
@@ -88,7 +88,11 @@ pub fn mixed_noise(settings: &MixedNoise, seed: u64) -> Result<Signal, EngineErr
 pub(in crate::engine::virtual_rig) type Stretch = ([f64; 3], [f64; 3]);
 
 /// `n` stretches that cover a region evenly per axis.
-pub(in crate::engine::virtual_rig) fn draw_stretches(n: usize, region: NoiseRegion, seed: u64) -> Vec<Stretch> {
+pub(in crate::engine::virtual_rig) fn draw_stretches(
+    n: usize,
+    region: NoiseRegion,
+    seed: u64,
+) -> Vec<Stretch> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(1);
     let mut stretches = vec![([0.0; 3], [0.0; 3]); n];

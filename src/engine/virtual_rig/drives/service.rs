@@ -193,10 +193,16 @@ fn add_manoeuvres(axes: &mut [Vec<f64>; 3], character: &Character, rng: &mut Cha
         let rise_s = rng.random_range(0.3..0.7);
         let size = rng.random_range(1.0..2.2);
         let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
-        let weights = if rng.random_bool(0.5) { [sign, 0.1 * sign, 0.5 * sign] } else { [0.1 * sign, sign, 0.6 * sign] };
+        let weights = if rng.random_bool(0.5) {
+            [sign, 0.1 * sign, 0.5 * sign]
+        } else {
+            [0.1 * sign, sign, 0.6 * sign]
+        };
         let length_s = hold_s + 2.0 * rise_s;
         for (axis, weight) in axes.iter_mut().zip(weights) {
-            for (k, value) in axis.iter_mut().enumerate().skip(start).take((length_s * SAMPLE_RATE_HZ) as usize) {
+            for (k, value) in
+                axis.iter_mut().enumerate().skip(start).take((length_s * SAMPLE_RATE_HZ) as usize)
+            {
                 let t = (k - start) as f64 / SAMPLE_RATE_HZ;
                 *value += weight * size * smooth_step(t, rise_s) * smooth_step(length_s - t, rise_s);
             }

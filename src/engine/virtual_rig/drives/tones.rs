@@ -85,8 +85,7 @@ pub fn sweep(settings: &Sweep) -> Result<Signal, EngineError> {
             } else {
                 settings.from_hz * length_s / octaves * ((octaves * t / length_s).exp() - 1.0)
             };
-            channel[axis * third + k] +=
-                settings.amplitude_kn * ramps(k, third) * (2.0 * PI * cycles).sin();
+            channel[axis * third + k] += settings.amplitude_kn * ramps(k, third) * (2.0 * PI * cycles).sin();
         }
         channels.push(channel);
     }
