@@ -19,7 +19,7 @@ impl Plant {
             let load: Vec3 = std::array::from_fn(|j| {
                 (0..3).map(|i| command[i] * struts[i][j]).sum::<f64>() + self.preload[j]
             });
-            let along_mount = self.into_mount(&load);
+            let along_mount = self.mount_components(&load);
             let mut d = [0.0; 3];
             for k in 0..3 {
                 d[k] = self.static_travel(k, along_mount[k])?;
@@ -36,7 +36,7 @@ impl Plant {
             return None;
         }
         let mut state = State::ZERO;
-        let d = self.into_mount(&q);
+        let d = self.mount_components(&q);
         for i in 0..3 {
             let pressure = command[i] / self.area[i];
             let drop = 1.0 - self.pressure_sensitivity * pressure.abs();

@@ -16,10 +16,10 @@
 //! `n_i = (e_i + c_i q) / |e_i + c_i q|`, stroke `s_i = (|e_i + c_i q| - 1) / c_i`, `c_i = [pendulum] / l_i`.
 //! Centripetal forces of the struts (a few newtons) are left out.
 //!
-//! **Actuator** (Merritt 1967, eq. 6-7 ff.): `V/(4 beta) dp_i/dt = Q_i - A n_i.v - C_l p_i`, strut force
+//! **Actuator** (Merritt 1967, ch. 6): `V/(4 beta) dp_i/dt = Q_i - A n_i.v - C_l p_i`, strut force
 //! `S_i = A p_i - B n_i.v`.
 //!
-//! **Servo-valve** (Merritt sec. 5-3; Jelali & Kroll sec. 4): critical-centre spool,
+//! **Servo-valve** (Merritt ch. 5; Jelali & Kroll 2003, ch. 4): critical-centre spool,
 //! `Q = Q_0 u sqrt(1 - [valve] sgn(u) p/p_s)` with `Q_0 = Q_rated sqrt(p_s / 7 MPa)`, and
 //! `u'' = w_v^2 (u_c - u) - 2 zeta_v w_v u'`, |u_c| and |u| limited to `1 / [valve]`.
 //!

@@ -133,13 +133,13 @@ parameters! {
             "piston area times 100 mm stroke plus a close-mounted manifold";
         /// Effective bulk modulus of oil, entrained air and walls.
         bulk_modulus_mpa ["MPa"] = all_axes(800.0, 1000.0, 1200.0),
-            "Merritt sec. 2-4: 700 MPa in practice, up to 1400 MPa for clean oil in rigid cylinders";
+            "Merritt ch. 2: about 700 MPa in practice, twice that for oil without air in rigid cylinders";
         /// Leakage across the piston with its damping orifice, flow per load pressure.
         leakage_cm3_per_s_mpa ["cm^3/(s MPa)"] = all_axes(5.0, 7.0, 9.0),
-            "Merritt sec. 6-3: cross-port leakage added to damp the oil column; 2 to 3 l/min at 5 MPa";
+            "Merritt ch. 6: cross-port leakage added to damp the oil column, here 1.5 to 3 l/min at 5 MPa";
         /// Viscous friction of piston and rod seals.
         seal_damping_n_s_per_m ["N s/m"] = all_axes(300.0, 600.0, 900.0),
-            "Jelali & Kroll sec. 4: low-friction seals or hydrostatic bearings, 10^2 to 10^3 N s/m";
+            "Jelali & Kroll ch. 4: low-friction seals or hydrostatic bearings, 10^2 to 10^3 N s/m";
         /// Mass that moves on this axis: piston, rod, swivels, fixture.
         moving_mass_kg ["kg"] = all_axes(8.0, 11.0, 14.0),
             "piston rod of 5 kg class plus a light fixture plate";
@@ -151,7 +151,7 @@ parameters! {
             "high-response two-stage servo-valve, 90 degrees lag between 120 and 180 Hz";
         /// Damping ratio of the spool loop.
         valve_damping ["1"] = all_axes(0.75, 0.85, 0.95),
-            "Jelali & Kroll sec. 4: second-order valve models, 0.7 to 1";
+            "Jelali & Kroll ch. 4: second-order valve models, 0.7 to 1";
         /// Crossover of the open force loop, for which the gain is set at the mount's central stiffness.
         crossover_hz ["Hz"] = all_axes(28.0, 31.0, 34.0),
             "a fifth of the valve's frequency, so that the loop stays stable where the mount is 2 to 4 times as stiff";
@@ -178,22 +178,22 @@ parameters! {
             "contoured rubber stops of 5 to 10 mm height, fully in contact within a third of it";
         /// Viscous damping of the rubber.
         rubber_damping_n_s_per_m ["N s/m"] = all_axes(250.0, 400.0, 550.0),
-            "Singh 1992: damping of the top rubber, loss factor about 0.1 at 15 Hz";
+            "filled natural rubber: loss factor about 0.1 at 15 Hz";
         /// Friction force of the filled rubber when fully slipping.
         friction_force_n ["N"] = all_axes(50.0, 80.0, 110.0),
-            "Berg 1998: friction share of a filled-rubber spring, 1 to 3 % of its load range";
+            "Berg 1998: friction share of a filled-rubber spring, here 1 to 2 % of its load range";
         /// Travel in which the friction force builds up.
         friction_travel_mm ["mm"] = all_axes(0.7, 1.0, 1.3),
             "Berg 1998: travel to half the friction force, some tenths of a millimetre to 1 mm";
         /// Area with which the mount pumps oil in this direction.
         pumping_area_cm2 ["cm^2"] = [range(30.0, 35.0, 40.0), range(15.0, 18.5, 22.0), range(36.0, 41.0, 46.0)],
-            "Singh 1992: effective piston area, 25 to 50 cm^2; less across the damped directions";
+            "order of engine mounts (Singh 1992), some 25 to 50 cm^2; less across the damped directions";
         /// Volumetric compliance of the working chamber.
         chamber_compliance_cm3_per_mpa ["cm^3/MPa"] = all_axes(50.0, 65.0, 80.0),
-            "Singh 1992: upper chamber 3e-11 m^5/N, here a larger mount";
+            "order of Singh 1992, 3e-11 m^5/N for an engine mount; here a larger mount";
         /// Volumetric compliance of the compensating chamber.
         bellows_compliance_cm3_per_mpa ["cm^3/MPa"] = all_axes(1800.0, 2400.0, 3000.0),
-            "Singh 1992: lower chamber 2.6e-9 m^5/N";
+            "order of Singh 1992: some 1e-9 m^5/N, a bellows that hardly resists";
         /// Length of the inertia track.
         track_length_mm ["mm"] = all_axes(160.0, 200.0, 240.0),
             "Kim & Singh 1993 and cut-open mounts: one turn around the insert";
@@ -202,10 +202,10 @@ parameters! {
             "Kim & Singh 1993 and cut-open mounts";
         /// Linear flow resistance of the inertia track.
         track_resistance_kpa_s_per_l ["kPa s/l"] = all_axes(70.0, 100.0, 130.0),
-            "Singh 1992: about 1e8 N s/m^5, measured";
+            "order of Singh 1992: 1e8 N s/m^5, far above laminar theory";
         /// Loss coefficient of the track for dynamic pressure: entry, exit, bends, turbulent wall friction.
         track_loss ["1"] = all_axes(2.0, 2.5, 3.0),
-            "Merritt sec. 3-4: entry 0.5, exit 1, wall friction 0.04 length / diameter; Kim & Singh 1993 for the quadratic law";
+            "Merritt ch. 3: entry 0.5, exit 1, wall friction 0.04 length / diameter; Kim & Singh 1993 for the quadratic law";
         /// Static load on the mount at zero drive: clamping, and in z the fixture's weight.
         preload_n ["N"] = [range(-60.0, 20.0, 60.0), range(-60.0, -20.0, 60.0), range(80.0, 130.0, 180.0)],
             "weight of fixture and rod, and clamping without load control";

@@ -189,7 +189,7 @@ impl Plant {
     fn forces(&self, s: &State) -> Forces {
         let [q, v, p] = [&s.0[row::Q], &s.0[row::V], &s.0[row::P]];
         let struts = self.struts(q);
-        let (d, w) = (self.into_mount(q), self.into_mount(v));
+        let (d, w) = (self.mount_components(q), self.mount_components(v));
         let stroke_rate: Vec3 = std::array::from_fn(|i| dot(&struts[i], v));
         let strut_force: Vec3 =
             std::array::from_fn(|i| self.area[i] * p[i] - self.seal_damping[i] * stroke_rate[i]);
@@ -211,7 +211,7 @@ impl Plant {
 
     /// Vector along the rig axes -> along the mount's directions.
     #[inline]
-    pub fn into_mount(&self, v: &Vec3) -> Vec3 {
+    pub fn mount_components(&self, v: &Vec3) -> Vec3 {
         std::array::from_fn(|k| (0..3).map(|i| self.rotation[i][k] * v[i]).sum())
     }
 
@@ -220,8 +220,8 @@ impl Plant {
     pub fn derivative(&self, s: &State, command: &Vec3) -> State {
         let mut rate = State::ZERO;
         let at = self.forces(s);
-        for i in 0..3 {
-            let error = command[i] - at.measured[i];
+        for (i, &commanded) in command.iter().enumerate() {
+            let error = commanded - at.measured[i];
             let wanted = self.proportional[i] * error + s.0[row::INTEGRAL][i];
             let opening = s.0[row::SPOOL][i].clamp(-self.opening_limit, self.opening_limit);
             let pressure = s.0[row::P][i];

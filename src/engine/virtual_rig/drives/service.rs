@@ -4,7 +4,7 @@
 //! the road's quality), single events (potholes: short, decaying bursts on all axes) and manoeuvres
 //! (braking, cornering: plateaus of seconds with load transfer), the classes of load that durability
 //! tracks combine (Johannesson & Speckert, Guide to Load Analysis for Durability in Vehicle Engineering,
-//! 2014, ch. 2). Which of these leads makes the three shapes differ.
+//! 2014). Which of these leads makes the three shapes differ.
 
 use std::f64::consts::PI;
 
@@ -121,9 +121,9 @@ pub fn service_load(settings: &ServiceLoad, seed: u64) -> Result<Signal, EngineE
     add_manoeuvres(&mut axes, &character, &mut rng);
     for axis in &mut axes {
         band_limit(axis);
-        for k in 0..n {
+        for (k, value) in axis.iter_mut().enumerate() {
             let nearest_end = k.min(n - 1 - k) as f64 / SAMPLE_RATE_HZ;
-            axis[k] *= smooth_step(nearest_end, RAMP_S);
+            *value *= smooth_step(nearest_end, RAMP_S);
         }
         let peak = axis.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
         let factor = settings.scale * SERVICE_PEAK_KN / peak;
