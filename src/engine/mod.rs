@@ -11,6 +11,7 @@ pub mod progress;
 pub mod signal;
 pub mod spectral;
 pub mod windowing;
+pub mod virtual_rig;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
