@@ -90,6 +90,8 @@ pub const MAX_CELLS: usize = 512;
 pub const MAX_WINDOW_LEN: usize = 16_384;
 /// Epochs at most.
 pub const MAX_EPOCHS: usize = 1_000_000;
+/// Networks of one fit at most.
+pub const MAX_SEEDS: usize = 32;
 /// Windows per mini-batch at most.
 pub const MAX_BATCH: usize = 4_096;
 
@@ -155,7 +157,8 @@ impl LstmSettings {
             self.forget_bias.to_string(),
             "within +-100".into(),
         )?;
-        within("lstm.seeds", !self.seeds.is_empty(), "[]".into(), "at least one seed".into())
+        let seeds = self.seeds.len();
+        within("lstm.seeds", (1..=MAX_SEEDS).contains(&seeds), seeds.to_string(), format!("1 to {MAX_SEEDS} seeds"))
     }
 }
 

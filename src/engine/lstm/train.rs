@@ -33,7 +33,7 @@ pub struct Stretch {
 pub struct Trained {
     /// The network of the best epoch.
     pub net: LstmNet,
-    /// Its epoch, from 1.
+    /// Its epoch, from 1; 0 is the start itself.
     pub best_epoch: usize,
     /// Its mean squared error on validation data, standardised.
     pub validation_mse: f64,
@@ -58,7 +58,7 @@ const VALIDATIONS: usize = 100;
 /// Memory that one training may take for its mini-batch.
 const MEMORY_LIMIT: usize = 4 << 30;
 
-/// Trains one network from `seed` (Heindel et al., section 2.2): windows of `window_len` every `hop`
+/// Trains a network from `start` (Heindel et al., section 2.2); `seed` draws the order of windows: windows of `window_len` every `hop`
 /// samples, reshuffled each epoch and shifted by a drawn offset below one hop, the mean squared error
 /// after the burn-in, the optimiser and schedule of the settings; keeps the weights of the epoch with
 /// the lowest validation error.
@@ -73,33 +73,31 @@ const MEMORY_LIMIT: usize = 4 << 30;
 pub fn train(
     training: &[Stretch],
     validation: &[Stretch],
-    inputs: usize,
-    outputs: usize,
+    start: &LstmNet,
     settings: &LstmSettings,
     seed: u64,
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
-    train_on(Isa::of_process()?, training, validation, inputs, outputs, settings, seed, watch)
+    train_on(Isa::of_process()?, training, validation, start, settings, seed, watch)
 }
 
 /// [`train`] on a given instruction set.
 ///
 /// # Errors
 /// As [`train`].
-#[expect(clippy::too_many_arguments, reason = "those of `train` and the instruction set")]
 pub(super) fn train_on(
     isa: Isa,
     training: &[Stretch],
     validation: &[Stretch],
-    inputs: usize,
-    outputs: usize,
+    start: &LstmNet,
     settings: &LstmSettings,
     seed: u64,
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
     settings.check()?;
-    check_stretches(training, inputs, outputs)?;
-    check_stretches(validation, inputs, outputs)?;
+    start.check()?;
+    check_stretches(training, start.inputs(), start.outputs)?;
+    check_stretches(validation, start.inputs(), start.outputs)?;
     let needed = settings.window_len;
     let shortest = training.iter().map(|s| s.x[0].len()).min().unwrap_or(0);
     if shortest < needed {
@@ -109,7 +107,7 @@ pub(super) fn train_on(
             found: shortest,
         });
     }
-    let shape = Shape::new(inputs, &settings.blocks, outputs);
+    let shape = Shape::of(start);
     let groups = settings.batch_size.div_ceil(LANES);
     if groups * Group::bytes(&shape, needed) > MEMORY_LIMIT {
         return Err(EngineError::Setting {
@@ -122,7 +120,8 @@ pub(super) fn train_on(
         });
     }
     let job = Job { isa, shape, training, scored: Scored::new(validation, settings)?, settings, watch };
-    if isa == Isa::Avx512 { job.run::<16, true>(seed) } else { job.run::<4, false>(seed) }
+    let row = flatten(start);
+    if isa == Isa::Avx512 { job.run::<16, true>(row, seed) } else { job.run::<4, false>(row, seed) }
 }
 
 /// Channels, lengths and finiteness of all stretches.
@@ -153,17 +152,9 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run<const R: usize, const WIDE: bool>(&self, seed: u64) -> Result<Trained, EngineError> {
+    fn run<const R: usize, const WIDE: bool>(&self, mut row: Vec<f32>, seed: u64) -> Result<Trained, EngineError> {
         let settings = self.settings;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let net = LstmNet::init(
-            self.shape.blocks[0].inputs,
-            &settings.blocks,
-            self.shape.outputs,
-            settings.forget_bias,
-            &mut rng,
-        );
-        let mut row = flatten(&net);
         let mut weights = TrainWeights::<R>::new(&self.shape, &row);
         let burn_in = settings.burn_in_samples();
         let mut groups: Vec<Group> = (0..settings.batch_size.div_ceil(LANES))
@@ -173,7 +164,12 @@ impl Job<'_> {
         let mut gradient = vec![0.0; row.len()];
         let per_window = ((settings.window_len - burn_in) * self.shape.outputs) as f64;
         let validate_every = (settings.epochs / VALIDATIONS).max(1);
-        let mut best: Option<(EpochRecord, Vec<f32>)> = None;
+        // A start may be good already (a hybrid starts as its FRF): it is the one to beat.
+        let start_mse = self.scored.mse(self.isa, &weights.forward);
+        if !start_mse.is_finite() {
+            return Err(EngineError::Diverged { epoch: 0 });
+        }
+        let mut best = (0, start_mse, row.clone());
         let mut history = Vec::new();
         let mut step = 0;
 
@@ -222,23 +218,14 @@ impl Job<'_> {
                 return Err(EngineError::Diverged { epoch });
             }
             history.push(record);
-            match &mut best {
-                Some((best, _)) if best.validation_mse <= record.validation_mse => {}
-                Some((best, kept)) => {
-                    *best = record;
-                    kept.copy_from_slice(&row);
-                }
-                None => best = Some((record, row.clone())),
+            if record.validation_mse < best.1 {
+                (best.0, best.1) = (epoch, record.validation_mse);
+                best.2.copy_from_slice(&row);
             }
         }
         report(self.watch, "LSTM", 1.0)?;
-        let (best, kept) = best.expect("the last epoch is always validated");
-        Ok(Trained {
-            net: unflatten(&self.shape, &kept),
-            best_epoch: best.epoch,
-            validation_mse: best.validation_mse,
-            history,
-        })
+        let (best_epoch, validation_mse, kept) = best;
+        Ok(Trained { net: unflatten(&self.shape, &kept), best_epoch, validation_mse, history })
     }
 
     /// The windows of an epoch, `(stretch, first sample)`, in the order in which they are used.
@@ -289,7 +276,7 @@ mod tests {
             let mut settings = settings();
             (settings.optimizer, settings.learning_rate) = (optimizer, rate);
             (settings.epochs, settings.batch_size) = (80, 16);
-            let trained = train(&training, &validation, 1, 2, &settings, 1, &unwatched).unwrap();
+            let trained = train(&training, &validation, &begin(1, 2), &settings, 1, &unwatched).unwrap();
             let y = predict(&trained.net, &test.x);
             for (y, wanted) in y.iter().zip(&test.y) {
                 let pairs = || y.iter().zip(wanted).skip(200);
@@ -303,6 +290,11 @@ mod tests {
             assert_eq!(best.unwrap().validation_mse, trained.validation_mse);
             assert!(trained.history[0].training_mse > 10.0 * trained.history.last().unwrap().training_mse);
         }
+    }
+
+    /// A net of the test settings' shape.
+    fn begin(inputs: usize, outputs: usize) -> LstmNet {
+        LstmNet::init(inputs, &settings().blocks, outputs, 1.0, &mut ChaCha8Rng::seed_from_u64(1))
     }
 
     fn predict(net: &LstmNet, x: &[Vec<f32>]) -> Vec<Vec<f32>> {
@@ -320,7 +312,7 @@ mod tests {
             let on = |threads, seed| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 pool.install(|| {
-                    train_on(isa, &training, &validation, 1, 2, &settings(), seed, &unwatched).unwrap()
+                    train_on(isa, &training, &validation, &begin(1, 2), &settings(), seed, &unwatched).unwrap()
                 })
             };
             let one = on(1, 7);
@@ -335,7 +327,7 @@ mod tests {
         let (training, validation) = ([lag(600, 1, 0)], [lag(500, 2, 137), lag(40, 3, 0), lag(90, 4, 0)]);
         let settings = settings();
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-            let trained = train_on(isa, &training, &validation, 1, 2, &settings, 3, &unwatched).unwrap();
+            let trained = train_on(isa, &training, &validation, &begin(1, 2), &settings, 3, &unwatched).unwrap();
             // Window by window: 16 samples of context, 48 scored; a stretch scored from its start
             // loses its first 16.
             let (mut sum, mut count) = (0.0, 0);
@@ -370,7 +362,7 @@ mod tests {
                 ControlFlow::Continue(())
             }
         };
-        let error = train(&[lag(2000, 1, 0)], &[lag(300, 2, 0)], 1, 2, &settings(), 1, &watch).unwrap_err();
+        let error = train(&[lag(2000, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &watch).unwrap_err();
         assert_eq!(error, EngineError::Cancelled);
         assert_eq!(calls.load(Ordering::Relaxed), 5);
     }
@@ -382,7 +374,7 @@ mod tests {
             seen.lock().unwrap().push(p.fraction);
             ControlFlow::Continue(())
         };
-        train(&[lag(700, 1, 0)], &[lag(300, 2, 0)], 1, 2, &settings(), 1, &watch).unwrap();
+        train(&[lag(700, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &watch).unwrap();
         let seen = seen.into_inner().unwrap();
         assert!(seen.windows(2).all(|w| w[0] <= w[1]), "{seen:?}");
         assert_eq!(seen.last(), Some(&1.0));
@@ -395,7 +387,7 @@ mod tests {
         settings.schedule = Schedule::Constant;
         settings.warmup_steps = 0;
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-            let error = train_on(isa, &[lag(700, 1, 0)], &[lag(300, 2, 0)], 1, 2, &settings, 1, &unwatched)
+            let error = train_on(isa, &[lag(700, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings, 1, &unwatched)
                 .unwrap_err();
             assert!(matches!(error, EngineError::Diverged { epoch: 1.. }), "{}: {error}", isa.name());
         }
@@ -405,7 +397,7 @@ mod tests {
     fn data_and_settings_that_cannot_be_trained_on_are_refused_by_name() {
         let settings = settings();
         let go = |training: &[Stretch], validation: &[Stretch]| {
-            train(training, validation, 1, 2, &settings, 1, &unwatched).unwrap_err()
+            train(training, validation, &begin(1, 2), &settings, 1, &unwatched).unwrap_err()
         };
         let good = lag(200, 1, 0);
         assert!(matches!(
@@ -431,14 +423,14 @@ mod tests {
         (large.blocks, large.batch_size, large.window_len) = (vec![512; 8], 4096, 16_000);
         let long = lag(16_000, 1, 0);
         assert!(matches!(
-            train(&[long], &[good], 1, 2, &large, 1, &unwatched),
+            train(&[long], &[good], &begin(1, 2), &large, 1, &unwatched),
             Err(EngineError::Setting { setting: "lstm.batch_size", .. })
         ));
     }
 
     #[test]
     fn a_network_that_was_trained_predicts_the_same_on_every_instruction_set() {
-        let trained = train(&[lag(900, 1, 0)], &[lag(300, 2, 0)], 1, 2, &settings(), 1, &unwatched).unwrap();
+        let trained = train(&[lag(900, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &unwatched).unwrap();
         let x = noise(1, 500, 5);
         let expected = predict_on(Isa::Portable, &trained.net, &x, 64, 32, Recombine::Welch).unwrap();
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
@@ -465,9 +457,10 @@ mod tests {
                 epochs: 4,
                 ..settings()
             };
-            let begin = std::time::Instant::now();
-            train(&training, &validation, 9, 6, &settings, 1, &unwatched).unwrap();
-            let s = begin.elapsed().as_secs_f64();
+            let net = begin(9, 6);
+            let started = std::time::Instant::now();
+            train(&training, &validation, &net, &settings, 1, &unwatched).unwrap();
+            let s = started.elapsed().as_secs_f64();
             println!("batch {batch_size}: {:.0} windows/s", (settings.epochs * 2342) as f64 / s);
         }
     }

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::{
     FitSettings, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs,
 };
-use crate::engine::frf::{self, Frf, FrfSettings};
+use super::start::start;
+use crate::engine::frf::{self, FrfSettings};
 use crate::engine::lstm::{self, LstmSettings, Recombine, RecombineChoice, Stretch, Trained};
 use crate::engine::progress::report;
 use crate::engine::{EngineError, Progress, Signal, Watch, metrics};
@@ -107,12 +108,12 @@ pub struct FitReport {
 pub struct SeedReport {
     /// Seed.
     pub seed: u64,
-    /// Epoch whose weights were kept, from 1.
+    /// Epoch whose weights were kept, from 1; 0 is the start itself.
     pub best_epoch: usize,
     /// Its mean squared error on validation windows, standardised.
     pub validation_mse: f64,
     /// Learning curve: `[epoch, training MSE, validation MSE]`, at most a few hundred points.
-    pub curve: Vec<(usize, f64, Option<f64>)>,
+    pub curve: Vec<(usize, f64, f64)>,
 }
 
 /// A fit's result.
@@ -316,7 +317,7 @@ fn fit_lstm(
         .collect();
     let (training, validation) = stretches.split_at(n);
 
-    let trained = train_seeds(training, validation, (&x_scaler, &y_scaler), settings, from, watch)?;
+    let trained = train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, watch)?;
     let reports: Vec<SeedReport> =
         trained.iter().zip(&settings.seeds).map(|(t, &seed)| seed_report(seed, t)).collect();
     let best = best(&reports).and_then(|b| reports.iter().position(|r| r.seed == b.seed)).unwrap_or(0);
@@ -350,7 +351,7 @@ fn target(kind: ModelKind, y: &Signal, linear: Option<&Signal>) -> Result<Signal
 fn train_seeds(
     training: &[Stretch],
     validation: &[Stretch],
-    (x, y): (&Scaler, &Scaler),
+    (kind, x, y): (ModelKind, &Scaler, &Scaler),
     settings: &LstmSettings,
     from: f64,
     watch: Watch<'_>,
@@ -369,7 +370,7 @@ fn train_seeds(
                 let mean = sum as f64 / (1e6 * n as f64);
                 watch(Progress { stage: &stage, fraction: from + (0.98 - from) * mean })
             };
-            lstm::train(training, validation, x.mean.len(), y.mean.len(), settings, seed, &tell)
+            lstm::train(training, validation, &start(kind, x, y, settings, seed), settings, seed, &tell)
         })
         .collect()
 }
@@ -427,7 +428,7 @@ fn validation_rms(model: &RigModel, validation: &[Validation]) -> Result<Vec<Opt
             };
             let p = scored(&|i| predicted[i].channel(channel).to_vec());
             let m = scored(&|i| validation[i].pair.y.channel(channel).to_vec());
-            metrics::rms(&p, &m)
+            metrics::rms(&m, &p)
         })
         .collect())
 }

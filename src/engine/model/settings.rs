@@ -110,7 +110,7 @@ impl LstmOptions {
             recombine: self.recombine.unwrap_or(base.recombine),
             seeds: self.seeds.clone().unwrap_or(base.seeds),
         };
-        check(&settings)?;
+        settings.check()?;
         settings.epochs = match (self.epochs, preset) {
             (Some(epochs), _) => epochs,
             (None, Preset::Paper) => settings.epochs,
@@ -124,9 +124,7 @@ impl LstmOptions {
                 (DEFAULT_STEPS / steps_per_epoch).clamp(10, 1000)
             }
         };
-        if !(1..=100_000).contains(&settings.epochs) {
-            return Err(refused("lstm.epochs", settings.epochs, "1 to 100000"));
-        }
+        settings.check()?;
         Ok(settings)
     }
 
@@ -149,7 +147,8 @@ fn ours() -> LstmSettings {
         learning_rate: 5e-3,
         schedule: Schedule::Cosine,
         warmup_steps: 100,
-        epochs: 0,
+        // Set by `resolve`.
+        epochs: 1,
         batch_size: 32,
         burn_in: 0.25,
         clip_norm: Some(1.0),
@@ -179,46 +178,6 @@ fn papers(kind: ModelKind) -> LstmSettings {
         recombine: RecombineChoice::Welch,
         ..ours()
     }
-}
-
-fn refused(setting: &'static str, found: impl ToString, limit: &str) -> EngineError {
-    EngineError::Setting { setting, found: found.to_string(), limit: limit.into() }
-}
-
-fn check(s: &LstmSettings) -> Result<(), EngineError> {
-    if !(1..=8).contains(&s.blocks.len()) || s.blocks.iter().any(|c| !(1..=512).contains(c)) {
-        return Err(refused("lstm.blocks", format!("{:?}", s.blocks), "1 to 8 blocks of 1 to 512 cells"));
-    }
-    if !(2..=65_536).contains(&s.window_len) {
-        return Err(refused("lstm.window_len", s.window_len, "2 to 65536 samples"));
-    }
-    if s.hop == 0 || s.hop > s.window_len / 2 {
-        return Err(refused("lstm.hop", s.hop, &format!("1 to window_len / 2 = {}", s.window_len / 2)));
-    }
-    if !(s.learning_rate > 0.0 && s.learning_rate <= 1.0) {
-        return Err(refused("lstm.learning_rate", s.learning_rate, "above 0, at most 1"));
-    }
-    if !(1..=65_536).contains(&s.batch_size) {
-        return Err(refused("lstm.batch_size", s.batch_size, "1 to 65536 windows"));
-    }
-    if !(0.0..=0.9).contains(&s.burn_in) {
-        return Err(refused("lstm.burn_in", s.burn_in, "0 to 0.9 of a window"));
-    }
-    if let Some(norm) = s.clip_norm
-        && !(norm > 0.0 && norm.is_finite())
-    {
-        return Err(refused("lstm.clip_norm", norm, "above 0"));
-    }
-    if !(-10.0..=10.0).contains(&s.forget_bias) {
-        return Err(refused("lstm.forget_bias", s.forget_bias, "-10 to 10"));
-    }
-    if s.warmup_steps > 1_000_000 {
-        return Err(refused("lstm.warmup_steps", s.warmup_steps, "at most 1000000"));
-    }
-    if !(1..=32).contains(&s.seeds.len()) {
-        return Err(refused("lstm.seeds", s.seeds.len(), "1 to 32 seeds"));
-    }
-    Ok(())
 }
 
 #[cfg(test)]
