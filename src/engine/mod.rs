@@ -5,8 +5,10 @@
 pub mod error;
 pub mod frf;
 pub mod lstm;
+pub mod metrics;
 pub mod model;
 pub mod progress;
+pub mod resample;
 pub mod signal;
 pub mod spectral;
 
