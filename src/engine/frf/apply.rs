@@ -134,12 +134,13 @@ impl FrfFilter {
             || self.scratch(),
             |scratch, (b, outputs)| self.block(x, b * step, outputs, scratch),
         );
-        for (channel, samples) in y.iter().enumerate() {
-            if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
-                return Err(EngineError::NonFiniteResult { what: "response of the FRF", channel, sample });
+        drop(blocks);
+        Signal::new(x.sample_rate_hz(), y).map_err(|error| match error {
+            EngineError::NonFinite { channel, sample, .. } => {
+                EngineError::NonFiniteResult { what: "response of the FRF", channel, sample }
             }
-        }
-        Signal::new(x.sample_rate_hz(), y)
+            other => other,
+        })
     }
 
     /// Response to all inputs from sample `from` on, as long as the parts of `outputs`.

@@ -1,17 +1,17 @@
 //! Segment length and ridge by how well a held-out stretch is predicted.
 
-use rayon::prelude::*;
+use std::ops::Range;
 
 use super::data::{Data, means};
 use super::estimate::{Means, solve};
 use super::lines::Lines;
-use super::{Estimator, FrfSettings};
+use super::{Estimator, FrfFilter, FrfSettings};
 use crate::engine::progress::{Watch, report};
 use crate::engine::spectral::cross_spectra;
 use crate::engine::{EngineError, Signal};
 
 /// Ridges tried when none is given.
-const RIDGES: [f64; 4] = [0.0, 1e-6, 1e-4, 1e-2];
+const RIDGES: [f64; 6] = [0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2];
 /// Ridge when there is too little data to hold any out.
 const CAUTIOUS_RIDGE: f64 = 1e-4;
 /// Averages per input below which coherence and confidence mean little.
@@ -20,8 +20,11 @@ pub(super) const ENOUGH_AVERAGES: usize = 4;
 const SHORTEST: usize = 32;
 /// Spectral matrices of one estimate may take this much when the length is ours to choose.
 const MAX_BYTES: usize = 1 << 29;
-/// The last eighth of each run is held out.
-const HELD_OUT_SHARE: usize = 8;
+/// Held out is one part in so many of each run: the last one, or
+const FOLDS: usize = 8;
+/// each in turn when all runs together have no more samples than this. One eighth of two seconds
+/// says little, and short data cost little.
+const SHORT_DATA: usize = 100_000;
 
 /// Settings without gaps.
 pub(super) struct Choice {
@@ -30,9 +33,9 @@ pub(super) struct Choice {
     pub warnings: Vec<String>,
 }
 
-/// Samples of a run that stay in the estimate while settings are compared.
-fn kept(n_samples: usize) -> usize {
-    n_samples - n_samples / HELD_OUT_SHARE
+/// One part of a run.
+fn fold_range(fold: usize, n_samples: usize) -> Range<usize> {
+    fold * n_samples / FOLDS..(fold + 1) * n_samples / FOLDS
 }
 
 /// Fills what `settings` leave open.
@@ -44,8 +47,7 @@ pub(super) fn choose(
     settings: &FrfSettings,
     watch: Watch<'_>,
 ) -> Result<Choice, EngineError> {
-    let all = |n: usize| n;
-    let averages = |len: usize| data.n_averages(&settings.welch(len), all);
+    let averages = |len: usize| data.n_averages(&settings.welch(len));
     let lengths: Vec<usize> = match settings.segment_len {
         Some(len) => vec![len],
         None => candidates(data, settings),
@@ -55,8 +57,14 @@ pub(super) fn choose(
         None if settings.estimator == Estimator::Ratio => &RIDGES[..1],
         None => &RIDGES,
     };
-    let open = |len: usize| data.n_averages(&settings.welch(len), kept) > data.n_inputs;
-    let comparable: Vec<usize> = lengths.iter().copied().filter(|&len| open(len)).collect();
+    let n_samples: usize = data.runs.iter().map(|(x, _)| x.n_samples()).sum();
+    let folds = if n_samples <= SHORT_DATA { 0..FOLDS } else { FOLDS - 1..FOLDS };
+    let held_out: Vec<HeldOut<'_>> = folds.map(|fold| HeldOut::new(data, fold)).collect();
+    let comparable: Vec<usize> = lengths
+        .iter()
+        .copied()
+        .filter(|&len| held_out.iter().all(|h| h.leaves_enough(settings, len)))
+        .collect();
     let comparisons = comparable.len() * ridges.len();
     if comparisons == 0 {
         let segment_len = match settings.segment_len {
@@ -81,11 +89,17 @@ pub(super) fn choose(
         return Ok(Choice { segment_len: comparable[0], ridge: ridges[0], warnings: Vec::new() });
     }
 
-    let held_out = HeldOut::new(data, comparable[comparable.len() - 1]);
+    let (longest, n_folds) = (comparable[comparable.len() - 1], held_out.len() as f64);
     let mut best: Option<(f64, usize, f64)> = None;
     for (done, &len) in comparable.iter().enumerate() {
-        report(watch, "FRF", 0.9 * done as f64 / comparable.len() as f64)?;
-        for (ridge, error) in held_out.errors(settings, len, ridges)? {
+        let mut scores = vec![Some(Score::new(data.n_outputs)); ridges.len()];
+        for (fold, held_out) in held_out.iter().enumerate() {
+            let part = done as f64 + fold as f64 / n_folds;
+            report(watch, "FRF", 0.9 * part / comparable.len() as f64)?;
+            held_out.score(settings, len, longest, ridges, &mut scores)?;
+        }
+        for (score, &ridge) in scores.iter().zip(ridges) {
+            let Some(error) = score.as_ref().map(Score::error) else { continue };
             // Ties go to the shorter segment and the smaller ridge.
             if best.is_none_or(|(least, ..)| error < least) {
                 best = Some((error, len, ridge));
@@ -104,7 +118,7 @@ fn candidates(data: &Data<'_>, settings: &FrfSettings) -> Vec<usize> {
         .map(|bit| 1_usize << bit)
         .skip_while(|&len| len < SHORTEST)
         .take_while(|&len| {
-            data.n_averages(&settings.welch(len), |n| n) >= ENOUGH_AVERAGES * data.n_inputs
+            data.n_averages(&settings.welch(len)) >= ENOUGH_AVERAGES * data.n_inputs
                 && (len / 2 + 1).saturating_mul(16 * per_line) <= MAX_BYTES
         })
         .collect()
@@ -115,96 +129,109 @@ fn longest(data: &Data<'_>, settings: &FrfSettings) -> Option<usize> {
     (0..usize::BITS - 1)
         .map(|bit| 1_usize << bit)
         .skip_while(|&len| len < FrfSettings::MIN_SEGMENT_LEN)
-        .take_while(|&len| data.n_averages(&settings.welch(len), |n| n) > data.n_inputs)
+        .take_while(|&len| data.n_averages(&settings.welch(len)) > data.n_inputs)
         .last()
 }
 
-/// The stretch that settings are compared on.
+/// Sums of squares per output over the held-out stretches of all runs.
+#[derive(Clone)]
+struct Score {
+    error: Vec<f64>,
+    /// About the working point.
+    power: Vec<f64>,
+}
+
+impl Score {
+    fn new(n_outputs: usize) -> Self {
+        Self { error: vec![0.0; n_outputs], power: vec![0.0; n_outputs] }
+    }
+
+    /// Mean logarithm of the relative error: a percent less counts the same at each output.
+    fn error(&self) -> f64 {
+        let relative = |(error, power): (&f64, &f64)| (error / power).max(f64::MIN_POSITIVE).ln();
+        let moving = self.error.iter().zip(&self.power).filter(|(_, power)| **power > 0.0);
+        let (sum, n) = moving.fold((0.0, 0_usize), |(sum, n), pair| (sum + relative(pair), n + 1));
+        sum / n.max(1) as f64
+    }
+}
+
+/// One part of each run, and the working point of the rest.
 struct HeldOut<'a> {
     data: &'a Data<'a>,
-    /// The kept part's working point.
+    fold: usize,
     means: Means,
-    /// Samples at each run's end that are not scored: there the longest candidate would be
-    /// judged by the values held after the end.
-    tail: Vec<usize>,
 }
 
 impl<'a> HeldOut<'a> {
-    fn new(data: &'a Data<'a>, longest: usize) -> Self {
-        let means = means(&data.stretches(kept));
-        let tail = data
-            .runs
-            .iter()
-            .map(|(x, _)| (longest / 2).min((x.n_samples() - kept(x.n_samples())) / 4))
-            .collect();
-        Self { data, means, tail }
+    fn new(data: &'a Data<'a>, fold: usize) -> Self {
+        Self { data, fold, means: means(&data.without(|n| fold_range(fold, n))) }
     }
 
-    /// Mean over the outputs of error / deviation on the held-out stretch, for each ridge. The
-    /// spectra of one segment length serve all ridges.
-    fn errors(
+    /// Whether the rest gives more averages than inputs.
+    fn leaves_enough(&self, settings: &FrfSettings, len: usize) -> bool {
+        let (welch, rest) = (settings.welch(len), self.data.without(|n| fold_range(self.fold, n)));
+        let averages: usize = rest.iter().map(|s| welch.n_segments(s.x[0].len())).sum();
+        averages > self.data.n_inputs
+    }
+
+    /// Estimates on the rest, predicts this part, and adds to the score of each ridge; `None` where
+    /// a ridge cannot separate the inputs. The spectra of one segment length serve all ridges.
+    fn score(
         &self,
         settings: &FrfSettings,
         len: usize,
+        longest: usize,
         ridges: &[f64],
-    ) -> Result<Vec<(f64, f64)>, EngineError> {
+        scores: &mut [Option<Score>],
+    ) -> Result<(), EngineError> {
         let data = self.data;
-        let spectra =
-            cross_spectra(&data.stretches(kept), &self.means, &settings.welch(len), data.sample_rate_hz)?;
+        let rest = data.without(|n| fold_range(self.fold, n));
+        let spectra = cross_spectra(&rest, &self.means, &settings.welch(len), data.sample_rate_hz)?;
         let lines = Lines::new(&spectra, &data.x_scale)?;
-        let mut errors = Vec::with_capacity(ridges.len());
-        for &ridge in ridges {
+        for (&ridge, score) in ridges.iter().zip(scores) {
             let frf = match solve(data, &lines, &self.means, settings.estimator, ridge, len) {
                 Ok((frf, _)) => frf,
                 // A larger ridge may tell them apart.
-                Err(EngineError::DependentInputs { .. }) => continue,
+                Err(EngineError::DependentInputs { .. }) => {
+                    *score = None;
+                    continue;
+                }
                 Err(error) => return Err(error),
             };
+            let Some(score) = score else { continue };
             let filter = frf.filter()?;
-            let per_run: Vec<Vec<(f64, f64)>> = data
-                .runs
-                .par_iter()
-                .zip(&self.tail)
-                .map(|((x, y), tail)| {
-                    let (n, from) = (x.n_samples(), kept(x.n_samples()));
-                    if from == n {
-                        return Ok(vec![(0.0, 0.0); data.n_outputs]);
-                    }
-                    let context = from.saturating_sub(len);
-                    let predicted = filter.apply(&x.slice(context..n))?;
-                    Ok(self.score(y, &predicted, context, from..n - tail))
-                })
-                .collect::<Result<_, EngineError>>()?;
-            let (mut total, mut counted) = (0.0, 0_usize);
-            for output in 0..data.n_outputs {
-                let error: f64 = per_run.iter().map(|run| run[output].0).sum();
-                let power: f64 = per_run.iter().map(|run| run[output].1).sum();
-                if power > 0.0 {
-                    total += (error / power).sqrt();
-                    counted += 1;
-                }
+            for run in data.runs {
+                self.add(&filter, run, longest, score)?;
             }
-            errors.push((ridge, total / counted.max(1) as f64));
         }
-        Ok(errors)
+        Ok(())
     }
 
-    /// Sums of squares per output: error, and deviation from the working point.
-    fn score(
+    /// Adds one run. Where the part begins or ends with the run, half of the longest candidate is
+    /// not scored (but no more than a quarter of the part): there a prediction is judged by the
+    /// values held beyond the ends, a long segment more than a short one.
+    fn add(
         &self,
-        y: &Signal,
-        predicted: &Signal,
-        context: usize,
-        scored: std::ops::Range<usize>,
-    ) -> Vec<(f64, f64)> {
-        (0..self.data.n_outputs)
-            .map(|output| {
-                let measured = &y.channel(output)[scored.clone()];
-                let found = &predicted.channel(output)[scored.start - context..scored.end - context];
-                let error = measured.iter().zip(found).map(|(m, f)| (m - f).powi(2)).sum();
-                let mean = self.means.y[output];
-                (error, measured.iter().map(|m| (m - mean).powi(2)).sum())
-            })
-            .collect()
+        filter: &FrfFilter,
+        (x, y): &(&Signal, &Signal),
+        longest: usize,
+        score: &mut Score,
+    ) -> Result<(), EngineError> {
+        let n = x.n_samples();
+        let Range { start, end } = fold_range(self.fold, n);
+        let margin = (longest / 2).min((end - start) / 4);
+        let scored = start + if start == 0 { margin } else { 0 }..end - if end == n { margin } else { 0 };
+        if scored.is_empty() {
+            return Ok(());
+        }
+        let known = start.saturating_sub(longest)..n.min(end + longest);
+        let predicted = filter.apply(&x.slice(known.clone()))?;
+        for (o, mean) in self.means.y.iter().enumerate() {
+            let measured = &y.channel(o)[scored.clone()];
+            let found = &predicted.channel(o)[scored.start - known.start..scored.end - known.start];
+            score.error[o] += measured.iter().zip(found).map(|(m, f)| (m - f).powi(2)).sum::<f64>();
+            score.power[o] += measured.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
+        }
+        Ok(())
     }
 }

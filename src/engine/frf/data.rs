@@ -1,5 +1,7 @@
 //! The runs of an estimate, checked once.
 
+use std::ops::Range;
+
 use crate::engine::spectral::{Means, Stretch, Welch, same_shape};
 use crate::engine::{EngineError, Signal};
 
@@ -45,16 +47,30 @@ impl<'a> Data<'a> {
         })
     }
 
-    /// The first `len(n_samples)` samples of each run.
-    pub fn stretches(&self, len: impl Fn(usize) -> usize) -> Vec<Stretch<'a>> {
-        let part = |s: &'a Signal| s.channels().iter().map(|c| &c[..len(c.len())]).collect();
-        self.runs.iter().map(|&(x, y)| Stretch { x: part(x), y: part(y) }).collect()
+    /// All samples of all runs.
+    pub fn all(&self) -> Vec<Stretch<'a>> {
+        self.runs.iter().map(|run| part(run, 0..run.0.n_samples())).collect()
     }
 
-    /// Segments that the first `len(n_samples)` samples of each run give.
-    pub fn n_averages(&self, welch: &Welch, len: impl Fn(usize) -> usize) -> usize {
-        self.runs.iter().map(|(x, _)| welch.n_segments(len(x.n_samples()))).sum()
+    /// What is left of all runs before and after a range, `range(n_samples)`, of each.
+    pub fn without(&self, range: impl Fn(usize) -> Range<usize>) -> Vec<Stretch<'a>> {
+        let around = |run: &(&'a Signal, &'a Signal)| {
+            let n = run.0.n_samples();
+            let Range { start, end } = range(n);
+            [part(run, 0..start), part(run, end..n)]
+        };
+        self.runs.iter().flat_map(around).collect()
     }
+
+    /// Segments that all runs give.
+    pub fn n_averages(&self, welch: &Welch) -> usize {
+        self.runs.iter().map(|(x, _)| welch.n_segments(x.n_samples())).sum()
+    }
+}
+
+fn part<'a>((x, y): &(&'a Signal, &'a Signal), range: Range<usize>) -> Stretch<'a> {
+    let cut = |s: &'a Signal| s.channels().iter().map(|c| &c[range.clone()]).collect();
+    Stretch { x: cut(x), y: cut(y) }
 }
 
 /// Working point: mean of each channel over all samples of all stretches.

@@ -91,12 +91,12 @@ pub fn estimate(
     let data = Data::check(runs)?;
     let choice = choose(&data, settings, watch)?;
     let welch = settings.welch(choice.segment_len);
-    let averages = data.n_averages(&welch, |n| n);
+    let averages = data.n_averages(&welch);
     if averages <= data.n_inputs {
         return Err(EngineError::TooFewAverages { averages, drives: data.n_inputs });
     }
     report(watch, "FRF", 0.9)?;
-    let stretches = data.stretches(|n| n);
+    let stretches = data.all();
     let means = means(&stretches);
     let spectra = cross_spectra(&stretches, &means, &welch, data.sample_rate_hz)?;
     let lines = Lines::new(&spectra, &data.x_scale)?;

@@ -1,6 +1,9 @@
 //! Measured systems, where the shared data folder is present.
 
 use super::*;
+use crate::engine::metrics::nrmse;
+use crate::engine::model::Preprocess;
+use crate::engine::resample::resample;
 
 fn folder(name: &str) -> Option<std::path::PathBuf> {
     let shared = std::env::var_os("RIGCAST_SHARED").map_or_else(
@@ -58,5 +61,33 @@ fn silverbox_is_predicted_as_well_as_a_linear_model_can() {
 fn the_wiener_hammerstein_circuit_is_predicted_as_well_as_a_linear_model_can() {
     if let Some(error) = siso_error_mv("wiener_hammerstein", 51_200.0, "test.csv") {
         assert!(error <= 44.0, "{error}");
+    }
+}
+
+/// The client's part of the shaker data: 4096 Hz, 12 to 1250 Hz; 9 inputs, 3 outputs.
+fn shaker(folder: &std::path::Path, file: &str) -> (Signal, Signal) {
+    let bytes = std::fs::read(folder.join(file)).unwrap();
+    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
+    let columns = usize::try_from(npy.shape()[1]).unwrap();
+    let values: Vec<f32> = npy.into_vec().unwrap();
+    let channels =
+        (0..columns).map(|c| values.iter().skip(c).step_by(columns).map(|&v| v.into()).collect()).collect();
+    let filter = Preprocess { band_pass_hz: Some([12.0, 1250.0]), ..Preprocess::default() };
+    let slow = resample(&signal(50_000.0, channels), 4096.0).unwrap();
+    let slow = filter.apply(&slow).unwrap();
+    (slow.select(&(0..9).collect::<Vec<_>>()), slow.select(&[9, 10, 11]))
+}
+
+#[test]
+fn the_multiaxis_shaker_is_predicted_from_two_seconds() {
+    let Some(folder) = folder("multiaxis_shaker") else { return };
+    let (x, y) = shaker(&folder, "run1.npy");
+    let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
+    let (x, y) = shaker(&folder, "run2.npy");
+    let predicted = found.frf.apply(&x).unwrap();
+    let errors: Vec<f64> = (0..3).map(|o| nrmse(y.channel(o), predicted.channel(o)).unwrap()).collect();
+    println!("multiaxis_shaker run2: {errors:.3?} with {:?}, {:?}", found.settings, found.warnings);
+    for (error, bound) in errors.iter().zip([0.125, 0.095, 0.21]) {
+        assert!(*error <= bound, "{errors:?}");
     }
 }
