@@ -12,8 +12,8 @@ pub mod progress;
 pub mod resample;
 pub mod signal;
 pub mod spectral;
-pub mod windowing;
 pub mod virtual_rig;
+pub mod windowing;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};

@@ -158,7 +158,12 @@ impl LstmSettings {
             "within +-100".into(),
         )?;
         let seeds = self.seeds.len();
-        within("lstm.seeds", (1..=MAX_SEEDS).contains(&seeds), seeds.to_string(), format!("1 to {MAX_SEEDS} seeds"))
+        within(
+            "lstm.seeds",
+            (1..=MAX_SEEDS).contains(&seeds),
+            seeds.to_string(),
+            format!("1 to {MAX_SEEDS} seeds"),
+        )
     }
 }
 

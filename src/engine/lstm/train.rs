@@ -152,7 +152,11 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run<const R: usize, const WIDE: bool>(&self, mut row: Vec<f32>, seed: u64) -> Result<Trained, EngineError> {
+    fn run<const R: usize, const WIDE: bool>(
+        &self,
+        mut row: Vec<f32>,
+        seed: u64,
+    ) -> Result<Trained, EngineError> {
         let settings = self.settings;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut weights = TrainWeights::<R>::new(&self.shape, &row);
@@ -312,7 +316,8 @@ mod tests {
             let on = |threads, seed| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 pool.install(|| {
-                    train_on(isa, &training, &validation, &begin(1, 2), &settings(), seed, &unwatched).unwrap()
+                    train_on(isa, &training, &validation, &begin(1, 2), &settings(), seed, &unwatched)
+                        .unwrap()
                 })
             };
             let one = on(1, 7);
@@ -327,7 +332,8 @@ mod tests {
         let (training, validation) = ([lag(600, 1, 0)], [lag(500, 2, 137), lag(40, 3, 0), lag(90, 4, 0)]);
         let settings = settings();
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-            let trained = train_on(isa, &training, &validation, &begin(1, 2), &settings, 3, &unwatched).unwrap();
+            let trained =
+                train_on(isa, &training, &validation, &begin(1, 2), &settings, 3, &unwatched).unwrap();
             // Window by window: 16 samples of context, 48 scored; a stretch scored from its start
             // loses its first 16.
             let (mut sum, mut count) = (0.0, 0);
@@ -362,7 +368,8 @@ mod tests {
                 ControlFlow::Continue(())
             }
         };
-        let error = train(&[lag(2000, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &watch).unwrap_err();
+        let error =
+            train(&[lag(2000, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &watch).unwrap_err();
         assert_eq!(error, EngineError::Cancelled);
         assert_eq!(calls.load(Ordering::Relaxed), 5);
     }
@@ -387,8 +394,9 @@ mod tests {
         settings.schedule = Schedule::Constant;
         settings.warmup_steps = 0;
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-            let error = train_on(isa, &[lag(700, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings, 1, &unwatched)
-                .unwrap_err();
+            let error =
+                train_on(isa, &[lag(700, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings, 1, &unwatched)
+                    .unwrap_err();
             assert!(matches!(error, EngineError::Diverged { epoch: 1.. }), "{}: {error}", isa.name());
         }
     }
@@ -430,7 +438,8 @@ mod tests {
 
     #[test]
     fn a_network_that_was_trained_predicts_the_same_on_every_instruction_set() {
-        let trained = train(&[lag(900, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &unwatched).unwrap();
+        let trained =
+            train(&[lag(900, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &unwatched).unwrap();
         let x = noise(1, 500, 5);
         let expected = predict_on(Isa::Portable, &trained.net, &x, 64, 32, Recombine::Welch).unwrap();
         for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {

@@ -6,10 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    FitSettings, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs,
-};
 use super::start::start;
+use super::{FitSettings, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
 use crate::engine::frf::{self, FrfSettings};
 use crate::engine::lstm::{self, LstmSettings, Recombine, RecombineChoice, Stretch, Trained};
 use crate::engine::progress::report;
@@ -144,10 +142,8 @@ pub fn fit(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<F
     let (frf, frf_settings, frf_averages) = if kind == ModelKind::Lstm {
         (None, None, None)
     } else {
-        let runs: Vec<_> =
-            data.frf.as_ref().unwrap_or(&data.training).iter().map(|p| (&p.x, &p.y)).collect();
-        let scaled =
-            |p: Progress<'_>| watch(Progress { stage: p.stage, fraction: p.fraction * frf_share });
+        let runs: Vec<_> = data.frf.as_ref().unwrap_or(&data.training).iter().map(|p| (&p.x, &p.y)).collect();
+        let scaled = |p: Progress<'_>| watch(Progress { stage: p.stage, fraction: p.fraction * frf_share });
         let estimate = frf::estimate(&runs, &settings.frf, &scaled)?;
         warnings.extend(estimate.warnings);
         (Some(estimate.frf), Some(estimate.settings), Some(estimate.n_averages))
@@ -398,11 +394,7 @@ fn best(seeds: &[SeedReport]) -> Option<&SeedReport> {
     seeds.iter().reduce(|a, b| if b.validation_mse < a.validation_mse { b } else { a })
 }
 
-fn better_recombination(
-    data: &FitData,
-    model: &RigModel,
-    part: &LstmPart,
-) -> Result<Recombine, EngineError> {
+fn better_recombination(data: &FitData, model: &RigModel, part: &LstmPart) -> Result<Recombine, EngineError> {
     let error = |recombine| -> Result<f64, EngineError> {
         let lstm = Some(LstmPart { recombine, ..part.clone() });
         let rms = validation_rms(&RigModel { lstm, ..model.clone() }, &data.validation)?;

@@ -195,9 +195,8 @@ mod tests {
 
     #[test]
     fn default_epochs_fall_as_data_grow_and_stay_within_bounds() {
-        let epochs = |n: usize| {
-            LstmOptions::default().resolve(Preset::Default, ModelKind::Lstm, &[n]).unwrap().epochs
-        };
+        let epochs =
+            |n: usize| LstmOptions::default().resolve(Preset::Default, ModelKind::Lstm, &[n]).unwrap().epochs;
         assert_eq!(epochs(1_000), 1000);
         assert!(epochs(60_000) > epochs(600_000));
         assert_eq!(epochs(100_000_000), 10);

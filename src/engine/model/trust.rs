@@ -115,7 +115,12 @@ pub(super) fn trust(names: &[String], range: &[InputRange], x: &Signal) -> Trust
                 Way::Below => format!("value below the training minimum {}", r.min),
                 Way::Fast => format!("rate above the training maximum {} per second", r.max_rate),
             };
-            TrustSpan { from_s: from as f64 / fs, to_s: to as f64 / fs, channel: names[channel].clone(), reason }
+            TrustSpan {
+                from_s: from as f64 / fs,
+                to_s: to as f64 / fs,
+                channel: names[channel].clone(),
+                reason,
+            }
         })
         .collect();
     let inside = outside.iter().filter(|&&o| !o).count();

@@ -14,9 +14,9 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use super::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use crate::engine::EngineError;
 use crate::engine::frf::Frf;
 use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
-use crate::engine::EngineError;
 
 /// Version of names and meanings in the file.
 const SCHEMA: u32 = 1;
@@ -235,7 +235,8 @@ impl File<'_> {
         }
         let segment_len = 2 * (lines - 1);
         let df_hz = meta.sample_rate_hz / segment_len as f64;
-        if let Some(l) = (0..lines).find(|&l| (freq_hz[l] - l as f64 * df_hz).abs() > 1e-6 * df_hz * lines as f64)
+        if let Some(l) =
+            (0..lines).find(|&l| (freq_hz[l] - l as f64 * df_hz).abs() > 1e-6 * df_hz * lines as f64)
         {
             return Err(wrong(format!(
                 "tensor frf.freq_hz: line {l} is {} Hz; lines must run evenly from 0 to sample_rate_hz / 2, here {} Hz apart",
@@ -266,8 +267,7 @@ impl File<'_> {
             )));
         }
         let n_outputs = meta.outputs.len();
-        let n_inputs =
-            meta.inputs.len() + if meta.kind == ModelKind::Hybrid2 { n_outputs } else { 0 };
+        let n_inputs = meta.inputs.len() + if meta.kind == ModelKind::Hybrid2 { n_outputs } else { 0 };
         let mut blocks: Vec<LstmBlock> = Vec::new();
         loop {
             let i = blocks.len();
