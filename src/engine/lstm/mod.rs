@@ -25,6 +25,8 @@ mod samples;
 mod settings;
 mod simd;
 mod stream;
+#[cfg(test)]
+mod torch_vectors;
 mod train;
 mod validate;
 
