@@ -118,4 +118,33 @@ mod tests {
             assert_eq!(code(run), "run.sample_rate");
         }
     }
+
+    /// Files that programs of others wrote.
+    #[test]
+    fn measured_files_read_whole() {
+        let root = std::env::var("RIGCAST_SHARED")
+            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+        let load = |name: &str| {
+            let path = std::path::Path::new(&root).join("data").join(name);
+            let file = std::fs::read(&path).ok();
+            if file.is_none() {
+                println!("skipped: there is no {}", path.display());
+            }
+            file
+        };
+        if let Some(file) = load("silverbox/train.csv") {
+            let run = csv::read(&file).unwrap();
+            assert_eq!(run.names.unwrap(), ["drive", "response"]);
+            assert_eq!(run.sample_rate_hz, None);
+            // One line a sample under the header.
+            assert_eq!(run.channels[0].len(), file.iter().filter(|&&b| b == b'\n').count() - 1);
+            assert_eq!((run.channels[0][0], run.channels[1][0]), (-0.0145043307, 0.0364508525));
+        }
+        if let Some(file) = load("multiaxis_shaker/run1.npy") {
+            let run = npy::read(&file).unwrap();
+            assert_eq!((run.channels.len(), run.channels[0].len()), (12, 102_000));
+            let again = npy::write(&run.channels, npy::Dtype::F4, npy::Order::C).unwrap();
+            assert_eq!(again[again.len() - 4 * 12 * 102_000..], file[file.len() - 4 * 12 * 102_000..]);
+        }
+    }
 }
