@@ -49,7 +49,9 @@ pub(super) fn choose(
     settings: &FrfSettings,
     watch: Watch<'_>,
 ) -> Result<Choice, EngineError> {
-    let averages = |len: usize| data.n_averages(&settings.welch(len));
+    if let (Some(segment_len), Some(ridge)) = (settings.segment_len, settings.ridge) {
+        return Ok(Choice { segment_len, ridge, warnings: Vec::new() });
+    }
     let lengths: Vec<usize> = match settings.segment_len {
         Some(len) => vec![len],
         None => candidates(data, settings),
@@ -73,28 +75,8 @@ pub(super) fn choose(
         .copied()
         .filter(|&len| held_out.iter().all(|h| h.leaves_enough(comparing, len)))
         .collect();
-    let comparisons = comparable.len() * ridges.len();
-    if comparisons == 0 {
-        let segment_len = match settings.segment_len {
-            Some(len) => len,
-            None => longest(data, settings).unwrap_or(FrfSettings::MIN_SEGMENT_LEN),
-        };
-        if averages(segment_len) <= data.n_inputs {
-            let (averages, drives) = (averages(segment_len), data.n_inputs);
-            return Err(EngineError::TooFewAverages { averages, drives });
-        }
-        let (ridge, warnings) = match (settings.ridge, settings.estimator) {
-            (Some(ridge), _) => (ridge, Vec::new()),
-            (None, Estimator::Ratio) => (0.0, Vec::new()),
-            (None, Estimator::H1) => (
-                CAUTIOUS_RIDGE,
-                vec![format!("too few samples to hold a stretch out: frf.ridge set to {CAUTIOUS_RIDGE:e}")],
-            ),
-        };
-        return Ok(Choice { segment_len, ridge, warnings });
-    }
-    if comparisons == 1 {
-        return Ok(Choice { segment_len: comparable[0], ridge: ridges[0], warnings: Vec::new() });
+    if comparable.is_empty() {
+        return cautious(data, settings);
     }
 
     let longest = comparable[comparable.len() - 1];
@@ -112,6 +94,30 @@ pub(super) fn choose(
     // Nothing to compare when no ridge is allowed that dependent inputs need: the estimate says so.
     let (_, segment_len, ridge) = search.best.unwrap_or((0.0, comparable[0], ridges[0]));
     Ok(Choice { segment_len, ridge, warnings: Vec::new() })
+}
+
+/// What is left when no stretch can be held out: the longest segment that gives more averages than
+/// inputs, and a ridge.
+fn cautious(data: &Data<'_>, settings: &FrfSettings) -> Result<Choice, EngineError> {
+    let averages = |len: usize| data.n_averages(&settings.welch(len));
+    let longest = (0..usize::BITS - 1)
+        .map(|bit| 1_usize << bit)
+        .skip_while(|&len| len < FrfSettings::MIN_SEGMENT_LEN)
+        .take_while(|&len| averages(len) > data.n_inputs)
+        .last();
+    let segment_len = settings.segment_len.or(longest).unwrap_or(FrfSettings::MIN_SEGMENT_LEN);
+    if averages(segment_len) <= data.n_inputs {
+        let (averages, drives) = (averages(segment_len), data.n_inputs);
+        return Err(EngineError::TooFewAverages { averages, drives });
+    }
+    let ridge = settings.ridge.unwrap_or(match settings.estimator {
+        Estimator::H1 => CAUTIOUS_RIDGE,
+        Estimator::Ratio => 0.0,
+    });
+    let chosen = format!(
+        "too few samples to compare settings on a held-out stretch: frf.segment_len {segment_len}, frf.ridge {ridge:e}"
+    );
+    Ok(Choice { segment_len, ridge, warnings: vec![chosen] })
 }
 
 /// The comparison as far as it has come.
@@ -160,15 +166,6 @@ fn candidates(data: &Data<'_>, settings: &FrfSettings) -> Vec<usize> {
                 && (len / 2 + 1).saturating_mul(16 * per_line) <= MAX_BYTES
         })
         .collect()
-}
-
-/// Longest power of two that leaves more averages than drives.
-fn longest(data: &Data<'_>, settings: &FrfSettings) -> Option<usize> {
-    (0..usize::BITS - 1)
-        .map(|bit| 1_usize << bit)
-        .skip_while(|&len| len < FrfSettings::MIN_SEGMENT_LEN)
-        .take_while(|&len| data.n_averages(&settings.welch(len)) > data.n_inputs)
-        .last()
 }
 
 /// Sums of squares per output over the held-out stretches of all runs.
