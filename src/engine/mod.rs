@@ -8,6 +8,7 @@ pub mod lstm;
 pub mod model;
 pub mod progress;
 pub mod signal;
+pub mod windowing;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
