@@ -6,6 +6,7 @@
 pub mod compute;
 pub mod domain;
 pub mod engine;
+pub mod formats;
 pub mod jobs;
 pub mod models;
 pub mod storage;

@@ -114,7 +114,51 @@ pub enum EngineError {
         /// Sample index.
         sample: usize,
     },
+    /// A damage, or a ratio of two, beyond the largest number.
+    #[error(
+        "{what}: the damage of channel {channel} is too large for a number; lower damage.slope or raise damage.constant"
+    )]
+    DamageOverflow {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index; of a group its first channel's.
+        channel: usize,
+    },
+    /// An input that is a linear combination of the others.
+    #[error(
+        "input channel {channel} is a linear combination of the other inputs: leave it out or set frf.ridge above 0"
+    )]
+    DependentInputs {
+        /// Channel index among the inputs.
+        channel: usize,
+    },
+    /// A value outside what a channel can carry.
+    #[error("{what}: channel {channel} is {found} at sample {sample}, the limit is {limit}")]
+    OutOfRange {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+        /// Sample index.
+        sample: usize,
+        /// Value found.
+        found: f64,
+        /// Largest magnitude allowed.
+        limit: f64,
+    },
     /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,
+}
+
+impl EngineError {
+    /// A value that is not finite in something computed, not in something given.
+    pub(super) fn of_result(self) -> Self {
+        match self {
+            Self::NonFinite { channel, sample, .. } => {
+                Self::NonFiniteResult { what: "predicted response", channel, sample }
+            }
+            other => other,
+        }
+    }
 }

@@ -3,11 +3,16 @@
 //! Arrays are `[channel, sample]`; spectra and damage are `f64`, the LSTM is `f32`.
 
 pub mod error;
+pub mod fatigue;
 pub mod frf;
 pub mod lstm;
+pub mod metrics;
 pub mod model;
 pub mod progress;
+pub mod resample;
 pub mod signal;
+pub mod spectral;
+pub mod virtual_rig;
 pub mod windowing;
 
 pub use error::EngineError;
