@@ -1,0 +1,157 @@
+//! Long work: claim, heartbeat, finish; one file a kind of job.
+//!
+//! A job is claimed in one short transaction, done outside of any, and published in one more that
+//! holds only while the lease does.
+
+mod activate;
+mod control;
+mod events;
+pub mod fit;
+mod fit_plan;
+pub mod problem;
+mod runner;
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use futures::Stream;
+use jiff::Timestamp;
+use tokio::task::JoinHandle;
+
+use crate::compute::Compute;
+use crate::domain::fits::FitRequest;
+use crate::domain::{Clock, Job, JobId, Rig};
+use crate::storage::{CancelOutcome, Store, StoreError};
+
+use control::Stop;
+use fit::FitFunction;
+use runner::Runner;
+
+pub use fit::{FitPlan, FitProblem};
+
+/// How the runner behaves.
+#[derive(Debug, Clone)]
+pub struct JobSettings {
+    /// Jobs at once in this process.
+    pub workers: usize,
+    /// How long a lease lasts without a heartbeat.
+    pub lease: Duration,
+    /// How often an idle worker looks for jobs that it was not told of.
+    pub poll: Duration,
+    /// Least time between two progress writes of a job.
+    pub progress_every: Duration,
+}
+
+impl Default for JobSettings {
+    fn default() -> Self {
+        Self {
+            workers: 1,
+            lease: Duration::from_secs(30),
+            poll: Duration::from_secs(2),
+            progress_every: Duration::from_millis(500),
+        }
+    }
+}
+
+/// The runner of jobs, and the way to them. Clones share it.
+#[derive(Debug, Clone)]
+pub struct Jobs {
+    runner: Arc<Runner>,
+    workers: Arc<Mutex<Vec<JoinHandle<()>>>>,
+}
+
+impl Jobs {
+    /// Puts jobs that a former process left running back into the queue, and starts the workers.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn start(
+        store: Store,
+        compute: Compute,
+        clock: Clock,
+        settings: JobSettings,
+    ) -> Result<Self, StoreError> {
+        Self::start_with(store, compute, clock, settings, crate::engine::model::fit).await
+    }
+
+    async fn start_with(
+        store: Store,
+        compute: Compute,
+        clock: Clock,
+        settings: JobSettings,
+        fit: FitFunction,
+    ) -> Result<Self, StoreError> {
+        // The data directory is locked: whoever had these jobs is gone.
+        for id in store.requeue_expired(Timestamp::MAX, clock()).await? {
+            tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
+        }
+        let count = settings.workers;
+        let runner = Arc::new(Runner::new(store, compute, clock, settings, fit));
+        let workers =
+            (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
+        Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
+    }
+
+    /// Checks a fit and queues it.
+    ///
+    /// # Errors
+    /// [`FitProblem`]: what is wrong with it, or the store's failure.
+    pub async fn submit_fit(&self, rig: &Rig, request: &FitRequest) -> Result<Job, FitProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        fit::check(store, rig, request).await?;
+        let job = store.insert_fit_job(&rig.id, request, clock()).await?.ok_or(FitProblem::RigGone)?;
+        self.wake();
+        Ok(job)
+    }
+
+    /// Notes the wish to cancel and stops the work if it is done here. Idempotent.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn cancel(&self, id: JobId) -> Result<CancelOutcome, StoreError> {
+        let outcome = self.runner.store.request_cancel(id, (self.runner.clock)()).await?;
+        self.runner.stop(id, Stop::Cancelled);
+        self.runner.hub.changed(id);
+        Ok(outcome)
+    }
+
+    /// Tells idle workers that jobs were queued (by an accepted run).
+    pub fn wake(&self) {
+        self.runner.queued.notify_one();
+    }
+
+    /// The job's snapshots from now on, each with a greater [`Job::event`], ending after a
+    /// terminal state; `None` when there is no such job. The first is the job as it is now,
+    /// unless `last_event` (the client's `Last-Event-ID`) says that it was seen. The stream also
+    /// ends when the job is deleted, the store fails or the service stops.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn subscribe(
+        &self,
+        id: JobId,
+        last_event: Option<u64>,
+    ) -> Result<Option<impl Stream<Item = Job> + Send + 'static + use<>>, StoreError> {
+        self.runner.hub.subscribe(self.runner.store.clone(), id, last_event).await
+    }
+
+    /// Stops claiming, cancels the work at hand, puts its jobs back into the queue, and returns
+    /// when that is done, or when work has not stopped within 25 seconds: its jobs are queued
+    /// again at the next start.
+    pub async fn shutdown(&self) {
+        self.runner.shut_down();
+        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        let all = futures::future::join_all(workers);
+        match tokio::time::timeout(runner::SHUTDOWN_PATIENCE, all).await {
+            Err(_) => tracing::error!("work did not stop in time; its jobs start again with the service"),
+            Ok(ends) => {
+                for error in ends.into_iter().filter_map(Result::err) {
+                    tracing::error!(%error, "a worker ended badly");
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
