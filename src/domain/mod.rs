@@ -1,3 +1,25 @@
 //! The service's nouns and their legal moves: rigs, runs, fits, jobs, models.
 
+mod fit_check;
 pub mod fits;
+pub mod ids;
+pub mod job;
+pub mod model;
+pub mod page;
+pub mod problem;
+pub mod quality;
+pub mod rig;
+pub mod run;
+
+pub use fit_check::FitChannels;
+pub use ids::{JobId, RigId, RunId, new_id};
+pub use job::{Job, JobKind, JobResult, JobState};
+pub use model::{ActiveModel, Lineage, Model, Origin, Span};
+pub use page::{Cursor, Page, PageRequest};
+pub use problem::{FieldError, Problem};
+pub use quality::{ChannelQuality, Quality};
+pub use rig::{Channel, FitPolicy, Quantity, Rig, RigDraft, Role};
+pub use run::{InsertedRun, Run, RunKind, RunMeta, RunPatch, Split};
+
+/// Where the time comes from; `app` passes the one real clock in, tests pass their own.
+pub type Clock = fn() -> jiff::Timestamp;

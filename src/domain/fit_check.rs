@@ -1,0 +1,145 @@
+//! What can be said about a fit request with nothing but the rig at hand.
+
+use std::collections::HashSet;
+
+use super::fits::{FitRequest, RunFilter, RunSelection};
+use super::problem::FieldError;
+use super::rig::{Channel, Role};
+use super::run::{RunKind, Split};
+
+/// Most runs that a selection may list by id.
+const MAX_IDS: usize = 10_000;
+
+/// Channels of a fit, none left open.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FitChannels {
+    /// Input channels, in order.
+    pub inputs: Vec<String>,
+    /// Output channels, in order.
+    pub outputs: Vec<String>,
+}
+
+impl FitRequest {
+    /// Names the channels of the fit and checks the selections of runs.
+    ///
+    /// # Errors
+    /// Channels that the rig does not have, that come twice, or that are input and output at
+    /// once; kinds and splits that do not exist; the test split, which never enters a fit.
+    pub fn check(&self, channels: &[Channel]) -> Result<FitChannels, Vec<FieldError>> {
+        let mut errors = Vec::new();
+        let inputs = resolve(&mut errors, channels, "/inputs", self.inputs.as_deref(), Role::Drive);
+        let outputs = resolve(&mut errors, channels, "/outputs", self.outputs.as_deref(), Role::Response);
+        for (i, output) in outputs.iter().enumerate().filter(|(_, output)| inputs.contains(output)) {
+            let error = FieldError::new(format!("/outputs/{i}"), "a channel that is no input of the fit");
+            errors.push(error.on_channel(output));
+        }
+        check_runs(&mut errors, "/runs", self.runs.as_ref());
+        check_runs(&mut errors, "/validation_runs", self.validation_runs.as_ref());
+        check_runs(&mut errors, "/frf/runs", self.frf.runs.as_ref());
+        if errors.is_empty() { Ok(FitChannels { inputs, outputs }) } else { Err(errors) }
+    }
+}
+
+fn resolve(
+    errors: &mut Vec<FieldError>,
+    channels: &[Channel],
+    pointer: &str,
+    asked: Option<&[String]>,
+    role: Role,
+) -> Vec<String> {
+    let Some(asked) = asked else {
+        let all: Vec<String> = channels.iter().filter(|c| c.role == role).map(|c| c.name.clone()).collect();
+        if all.is_empty() {
+            errors.push(FieldError::new(pointer, "name the channels: the rig has none of this role"));
+        }
+        return all;
+    };
+    if asked.is_empty() {
+        errors.push(FieldError::new(pointer, "at least one channel"));
+    }
+    let mut seen = HashSet::new();
+    for (i, name) in asked.iter().enumerate() {
+        let at = format!("{pointer}/{i}");
+        if !channels.iter().any(|channel| channel.name == *name) {
+            errors.push(FieldError::new(at, "a channel of the rig").on_channel(name));
+        } else if !seen.insert(name) {
+            errors.push(FieldError::new(at, "each channel once").on_channel(name));
+        }
+    }
+    asked.to_vec()
+}
+
+fn check_runs(errors: &mut Vec<FieldError>, pointer: &str, selection: Option<&RunSelection>) {
+    match selection {
+        None => {}
+        Some(RunSelection::Ids(ids)) => {
+            if ids.is_empty() || ids.len() > MAX_IDS {
+                errors.push(FieldError::new(pointer, format!("1 to {MAX_IDS} runs")));
+            }
+        }
+        Some(RunSelection::Match(RunFilter { kinds, tags: _, split })) => {
+            for (i, kind) in kinds.iter().flatten().enumerate() {
+                if !RunKind::ALL.iter().any(|known| known.as_str() == kind) {
+                    let limit = "noise, service, sine, sweep or other";
+                    errors.push(FieldError::new(format!("{pointer}/kinds/{i}"), limit));
+                }
+            }
+            if let Some(split) = split
+                && split != Split::Training.as_str()
+                && split != Split::Validation.as_str()
+            {
+                let limit = "training or validation: the test split never enters a fit";
+                errors.push(FieldError::new(format!("{pointer}/split"), limit));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channels() -> Vec<Channel> {
+        let channel = |name: &str, role| Channel {
+            name: name.into(),
+            unit: String::new(),
+            role,
+            quantity: Default::default(),
+            axis: None,
+            group: None,
+        };
+        vec![channel("u", Role::Drive), channel("y", Role::Response), channel("z", Role::Response)]
+    }
+
+    fn request(json: &str) -> FitRequest {
+        serde_json::from_str(json).unwrap()
+    }
+
+    #[test]
+    fn channels_left_open_are_all_drives_and_all_responses() {
+        let found = request(r#"{"kind": "frf"}"#).check(&channels()).unwrap();
+        assert_eq!(found, FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into(), "z".into()] });
+    }
+
+    #[test]
+    fn unknown_repeated_and_shared_channels_are_named() {
+        let errors = request(r#"{"kind": "frf", "inputs": ["u", "q", "u", "y"], "outputs": ["y"]}"#)
+            .check(&channels())
+            .unwrap_err();
+        let named: Vec<_> =
+            errors.iter().map(|e| (e.pointer.as_str(), e.channel.as_deref().unwrap())).collect();
+        assert_eq!(named, [("/inputs/1", "q"), ("/inputs/2", "u"), ("/outputs/0", "y")]);
+    }
+
+    #[test]
+    fn the_test_split_and_unknown_kinds_are_refused_wherever_runs_are_named() {
+        let errors = request(
+            r#"{"kind": "frf", "runs": {"split": "test"}, "validation_runs": {"kinds": ["nose"]},
+                "frf": {"runs": []}}"#,
+        )
+        .check(&channels())
+        .unwrap_err();
+        let pointers: Vec<_> = errors.iter().map(|e| e.pointer.as_str()).collect();
+        assert_eq!(pointers, ["/runs/split", "/validation_runs/kinds/0", "/frf/runs"]);
+    }
+}

@@ -1,0 +1,288 @@
+//! Rigs: a sample rate, named channels, and what is fitted when runs arrive.
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::fits::FitRequest;
+use super::ids::RigId;
+use super::problem::FieldError;
+use super::run::RunKind;
+
+/// Most channels of a rig.
+pub const MAX_CHANNELS: usize = 128;
+
+/// Highest sample rate.
+pub const MAX_SAMPLE_RATE_HZ: f64 = 1e6;
+
+/// Most characters of a name, unit, axis, group or tag.
+pub const MAX_NAME_CHARS: usize = 100;
+
+/// Most fits of a fit policy.
+pub const MAX_POLICY_FITS: usize = 16;
+
+/// What a channel is to the rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Commanded signal.
+    Drive,
+    /// Measured signal.
+    Response,
+}
+
+/// Physical quantity of a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the words say it")]
+pub enum Quantity {
+    Displacement,
+    Velocity,
+    Acceleration,
+    Force,
+    #[default]
+    Other,
+}
+
+/// One channel of a rig.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Channel {
+    /// Name, unique within the rig.
+    pub name: String,
+    /// Unit of its values, as people write it (`kN`).
+    pub unit: String,
+    /// Drive or response.
+    pub role: Role,
+    /// Physical quantity.
+    #[serde(default)]
+    pub quantity: Quantity,
+    /// Axis, any label.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<String>,
+    /// Three channels of one group are, in order, x, y and z for Multi-Rain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
+}
+
+/// Which fits are queued when runs arrive.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FitPolicy {
+    /// Kinds of training run that count.
+    #[serde(default = "noise_only")]
+    pub kinds: Vec<RunKind>,
+    /// Seconds of such runs before anything is fitted.
+    #[serde(default)]
+    pub min_total_s: f64,
+    /// The fits, in the order in which they are queued.
+    pub fits: Vec<FitRequest>,
+}
+
+fn noise_only() -> Vec<RunKind> {
+    vec![RunKind::Noise]
+}
+
+/// A rig as a client describes it: the body of `POST /v1/rigs`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigDraft {
+    /// Id.
+    pub id: RigId,
+    /// Name for people; left out: the id.
+    #[serde(default)]
+    pub name: String,
+    /// Samples per second of its runs.
+    pub sample_rate_hz: f64,
+    /// Channels, in order.
+    pub channels: Vec<Channel>,
+    /// What is fitted when runs arrive.
+    #[serde(default)]
+    pub fit_policy: Option<FitPolicy>,
+}
+
+/// A rig as the contract shows it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rig {
+    /// Id.
+    pub id: RigId,
+    /// Name for people.
+    pub name: String,
+    /// Samples per second of its runs.
+    pub sample_rate_hz: f64,
+    /// Channels, in order.
+    pub channels: Vec<Channel>,
+    /// What is fitted when runs arrive.
+    pub fit_policy: Option<FitPolicy>,
+    /// When it was created.
+    pub created_at: Timestamp,
+    /// When it was last changed.
+    pub updated_at: Timestamp,
+    /// Rises with every change.
+    #[serde(skip)]
+    pub revision: u64,
+}
+
+impl Rig {
+    /// The `ETag` that a change must name.
+    pub fn etag(&self) -> String {
+        format!("\"r{}\"", self.revision)
+    }
+
+    /// Names of the drives, in order.
+    pub fn drives(&self) -> impl Iterator<Item = &str> {
+        names(&self.channels, Role::Drive)
+    }
+
+    /// Names of the responses, in order.
+    pub fn responses(&self) -> impl Iterator<Item = &str> {
+        names(&self.channels, Role::Response)
+    }
+
+    /// The channel of this name.
+    pub fn channel(&self, name: &str) -> Option<&Channel> {
+        self.channels.iter().find(|channel| channel.name == name)
+    }
+
+    /// What a client would send to create it.
+    pub fn draft(&self) -> RigDraft {
+        RigDraft {
+            id: self.id.clone(),
+            name: self.name.clone(),
+            sample_rate_hz: self.sample_rate_hz,
+            channels: self.channels.clone(),
+            fit_policy: self.fit_policy.clone(),
+        }
+    }
+
+    /// The rig after a merge patch (RFC 7396), checked. The id cannot be patched.
+    ///
+    /// # Errors
+    /// Fields that are unknown, of the wrong type, or outside their limits.
+    pub fn patched(&self, patch: &Value) -> Result<RigDraft, Vec<FieldError>> {
+        let mut whole = serde_json::to_value(self.draft())
+            .map_err(|error| vec![FieldError::new("", error.to_string())])?;
+        merge(&mut whole, patch);
+        let draft: RigDraft = serde_path_to_error::deserialize(whole).map_err(|error| {
+            vec![FieldError::new(super::problem::pointer(error.path()), error.inner().to_string())]
+        })?;
+        if draft.id != self.id {
+            return Err(vec![FieldError::new("/id", "a rig keeps its id")]);
+        }
+        draft.check()?;
+        Ok(draft)
+    }
+}
+
+fn names(channels: &[Channel], role: Role) -> impl Iterator<Item = &str> {
+    channels.iter().filter(move |channel| channel.role == role).map(|channel| channel.name.as_str())
+}
+
+impl RigDraft {
+    /// Checks everything that can be said without the registry.
+    ///
+    /// # Errors
+    /// Every field that leaves its limit.
+    pub fn check(&self) -> Result<(), Vec<FieldError>> {
+        let mut errors = Vec::new();
+        check_text(&mut errors, "/name", &self.name, 0);
+        if !(self.sample_rate_hz > 0.0 && self.sample_rate_hz <= MAX_SAMPLE_RATE_HZ) {
+            errors.push(FieldError::new(
+                "/sample_rate_hz",
+                format!("0 < sample_rate_hz <= {MAX_SAMPLE_RATE_HZ}"),
+            ));
+        }
+        self.check_channels(&mut errors);
+        if let Some(policy) = &self.fit_policy {
+            policy.check(&self.channels, &mut errors);
+        }
+        if errors.is_empty() { Ok(()) } else { Err(errors) }
+    }
+
+    fn check_channels(&self, errors: &mut Vec<FieldError>) {
+        if self.channels.len() > MAX_CHANNELS {
+            errors.push(FieldError::new("/channels", format!("at most {MAX_CHANNELS} channels")));
+        }
+        if !self.channels.iter().any(|channel| channel.role == Role::Drive) {
+            errors.push(FieldError::new("/channels", "at least one channel with the role drive"));
+        }
+        let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut groups: BTreeMap<&str, usize> = BTreeMap::new();
+        for (i, channel) in self.channels.iter().enumerate() {
+            let at = |field: &str| format!("/channels/{i}/{field}");
+            check_text(errors, &at("name"), &channel.name, 1);
+            // Blanks around a name, commas and control characters would not survive a CSV header
+            // or `?channels=a,b`.
+            if channel.name.trim() != channel.name || channel.name.chars().any(|c| c == ',' || c.is_control())
+            {
+                let limit = "no comma, no control character, no blank at either end";
+                errors.push(FieldError::new(at("name"), limit).on_channel(&channel.name));
+            }
+            check_text(errors, &at("unit"), &channel.unit, 0);
+            check_text(errors, &at("axis"), channel.axis.as_deref().unwrap_or_default(), 0);
+            if let Some(first) = seen.insert(&channel.name, i) {
+                let limit = format!("a name of its own: /channels/{first} has this one");
+                errors.push(FieldError::new(at("name"), limit).on_channel(&channel.name));
+            }
+            if let Some(group) = &channel.group {
+                check_text(errors, &at("group"), group, 1);
+                *groups.entry(group).or_default() += 1;
+            }
+        }
+        for (group, count) in groups.into_iter().filter(|(_, count)| *count != 3) {
+            let limit = format!("a group has exactly three channels, {group:?} has {count}");
+            errors.push(FieldError::new("/channels", limit));
+        }
+    }
+}
+
+impl FitPolicy {
+    fn check(&self, channels: &[Channel], errors: &mut Vec<FieldError>) {
+        let at = "/fit_policy";
+        if self.kinds.is_empty() {
+            errors.push(FieldError::new(format!("{at}/kinds"), "at least one kind of run"));
+        }
+        if !(self.min_total_s.is_finite() && self.min_total_s >= 0.0) {
+            errors.push(FieldError::new(format!("{at}/min_total_s"), "0 seconds or more, finite"));
+        }
+        if self.fits.is_empty() || self.fits.len() > MAX_POLICY_FITS {
+            errors.push(FieldError::new(format!("{at}/fits"), format!("1 to {MAX_POLICY_FITS} fits")));
+        }
+        for (i, fit) in self.fits.iter().take(MAX_POLICY_FITS).enumerate() {
+            if let Err(found) = fit.check(channels).map(drop) {
+                errors.extend(found.into_iter().map(|mut error| {
+                    error.pointer = format!("{at}/fits/{i}{}", error.pointer);
+                    error
+                }));
+            }
+        }
+    }
+}
+
+fn check_text(errors: &mut Vec<FieldError>, pointer: &str, text: &str, least: usize) {
+    let chars = text.chars().count();
+    if chars < least || chars > MAX_NAME_CHARS {
+        errors.push(FieldError::new(pointer, format!("{least} to {MAX_NAME_CHARS} characters")));
+    }
+}
+
+/// RFC 7396: objects merge, `null` removes, everything else replaces.
+fn merge(target: &mut Value, patch: &Value) {
+    let Value::Object(changes) = patch else {
+        *target = patch.clone();
+        return;
+    };
+    if !target.is_object() {
+        *target = Value::Object(serde_json::Map::new());
+    }
+    let Value::Object(fields) = target else { return };
+    for (name, change) in changes {
+        if change.is_null() {
+            fields.remove(name);
+        } else {
+            merge(fields.entry(name.clone()).or_insert(Value::Null), change);
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! The workers: tasks that claim jobs and see them through.

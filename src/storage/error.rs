@@ -1,0 +1,80 @@
+//! Why the store failed, as opposed to what it did not find.
+
+/// A failure of the store; never the client's fault.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database.
+    #[error("database: {0}")]
+    Database(#[from] sqlx::Error),
+    /// Migrations do not fit the database (a newer program made it, or it is damaged).
+    #[error("database schema: {0}")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// The object files.
+    #[error("object files: {0}")]
+    Objects(#[from] object_store::Error),
+    /// The data directory.
+    #[error("data directory {path}: {source}")]
+    DataDir {
+        /// Its path.
+        path: std::path::PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Another process has the data directory.
+    #[error("data directory {path} is in use by another process")]
+    Locked {
+        /// Its path.
+        path: std::path::PathBuf,
+    },
+    /// An object that a row names is not there.
+    #[error("object {digest} is missing")]
+    ObjectMissing {
+        /// Its name.
+        digest: String,
+    },
+    /// An object whose bytes are not those that were stored.
+    #[error("object {digest} is damaged: its bytes have the digest {found}")]
+    ObjectDamaged {
+        /// Its name: the digest that its bytes had.
+        digest: String,
+        /// The digest that they have.
+        found: String,
+    },
+    /// A row that this program did not write so.
+    #[error("{table} row {key}: {what}")]
+    Row {
+        /// Table.
+        table: &'static str,
+        /// Key of the row.
+        key: String,
+        /// What does not fit.
+        what: String,
+    },
+}
+
+impl StoreError {
+    /// Whether the disk is full.
+    pub fn is_disk_full(&self) -> bool {
+        /// `SQLITE_FULL`.
+        const FULL: &str = "13";
+        match self {
+            Self::Database(sqlx::Error::Database(error)) => error.code().is_some_and(|c| c == FULL),
+            Self::DataDir { source, .. } => is_storage_full(source),
+            Self::Objects(error) => {
+                let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
+                while let Some(found) = cause {
+                    if found.downcast_ref::<std::io::Error>().is_some_and(is_storage_full) {
+                        return true;
+                    }
+                    cause = found.source();
+                }
+                false
+            }
+            _ => false,
+        }
+    }
+}
+
+fn is_storage_full(error: &std::io::Error) -> bool {
+    matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
+}

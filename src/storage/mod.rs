@@ -1,0 +1,25 @@
+//! The store: rows in SQLite, signals and weights as objects named by their SHA-256.
+//!
+//! Every SQL string of the program is in this folder. A missing row is `None`, a failure is
+//! `Err`; an update says whether it met the row that it was meant for.
+
+mod error;
+mod jobs;
+mod models;
+mod npy;
+mod objects;
+mod policy;
+mod prepare;
+mod rigs;
+mod rows;
+mod runs;
+mod store;
+
+pub use error::StoreError;
+pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};
+pub use models::{Activation, ActiveUpdate, ModelDelete, NewModel};
+pub use objects::{Digest, Objects};
+pub use prepare::PreparedRun;
+pub use rigs::RigUpdate;
+pub use runs::{RunInsert, RunQuery, RunUpdate};
+pub use store::Store;

@@ -1,0 +1,1 @@
+//! Signals as NPY files: `<f8`, Fortran order, shape `[samples, channels]`.

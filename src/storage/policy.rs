@@ -1,0 +1,1 @@
+//! The fit policy: which fits an accepted run sets off.

@@ -1,0 +1,1 @@
+//! From rows to the domain's types and back.
