@@ -114,6 +114,16 @@ pub enum EngineError {
         /// Sample index.
         sample: usize,
     },
+    /// A damage, or a ratio of two, beyond the largest number.
+    #[error(
+        "{what}: the damage of channel {channel} is too large for a number; lower damage.slope or raise damage.constant"
+    )]
+    DamageOverflow {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index; of a group its first channel's.
+        channel: usize,
+    },
     /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,

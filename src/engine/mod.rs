@@ -3,6 +3,7 @@
 //! Arrays are `[channel, sample]`; spectra and damage are `f64`, the LSTM is `f32`.
 
 pub mod error;
+pub mod fatigue;
 pub mod frf;
 pub mod lstm;
 pub mod model;
