@@ -3,7 +3,10 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
+
+use crate::http::Limits;
+use crate::telemetry::LogFormat;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -56,31 +59,6 @@ pub struct ServeArgs {
     /// port may read and delete everything. For closed networks and containers only.
     #[arg(long, env = "RIGCAST_ALLOW_UNAUTHENTICATED")]
     pub allow_unauthenticated: bool,
-}
-
-/// How log lines look.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum LogFormat {
-    /// One readable line an event.
-    Text,
-    /// One JSON object an event.
-    Json,
-}
-
-/// Largest bodies that are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
-    /// JSON bodies and NPY drives, bytes.
-    pub json_bytes: u64,
-    /// Run files and weights, bytes.
-    pub upload_bytes: u64,
-}
-
-impl Default for Limits {
-    /// 64 MiB and 4 GiB.
-    fn default() -> Self {
-        Self { json_bytes: 64 << 20, upload_bytes: 4 << 30 }
-    }
 }
 
 /// Everything that [`crate::app::App::build`] needs to know.

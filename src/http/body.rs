@@ -85,8 +85,7 @@ pub fn unsupported(found: Option<&str>, offered: &[&str]) -> Problem {
     let found = found.map_or_else(|| "is missing".to_owned(), |f| format!("is {f:?}"));
     let offered = offered.join(", ");
     let detail = format!("Content-Type {found}; this operation takes {offered}.");
-    Problem::new(codes::CONTENT_TYPE_UNSUPPORTED, detail)
-        .with(FieldError::new("", offered))
+    Problem::new(codes::CONTENT_TYPE_UNSUPPORTED, detail).with(FieldError::new("", offered))
 }
 
 #[cfg(test)]
@@ -107,7 +106,11 @@ mod tests {
     async fn a_body_of_exactly_the_limit_is_read_and_one_byte_more_is_not() {
         assert_eq!(read("12345", None, 5).await, Ok(Bytes::from_static(b"12345")));
         assert_eq!(read("123456", None, 5).await, Err("body.too_large".to_owned()));
-        assert_eq!(read("", Some("6"), 5).await, Err("body.too_large".to_owned()), "refused on the declared length");
+        assert_eq!(
+            read("", Some("6"), 5).await,
+            Err("body.too_large".to_owned()),
+            "refused on the declared length"
+        );
     }
 
     #[test]

@@ -51,10 +51,62 @@ codes! {
     IF_MATCH_STALE = "if_match.stale", 412, "The resource has changed";
     IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
 
+    // Rigs.
+    RIG_NOT_FOUND = "rig.not_found", 404, "No such rig";
+    RIG_EXISTS = "rig.exists", 409, "The rig exists already";
+    RIG_CHANNELS_FIXED = "rig.channels_fixed", 409, "Channels are fixed once a run exists";
+    RIG_CHANGED = "rig.changed", 409, "The rig changed meanwhile";
+    RIG_INVALID = "rig.invalid", 422, "The rig does not make sense";
+
+    // Runs.
+    RUN_NOT_FOUND = "run.not_found", 404, "No such run";
+    RUN_FITTED_ON = "run.fitted_on", 409, "Models were fitted on the run";
+    RUN_INVALID = "run.invalid", 422, "The run does not suit the rig";
+    RUN_UNKNOWN_CHANNEL = "run.unknown_channel", 422, "The rig has no such channel";
+    RUN_CHANNEL_COUNT = "run.channel_count", 422, "Columns and channel names differ in number";
+    RUN_SAMPLE_RATE = "run.sample_rate", 422, "Another sample rate than the rig's";
+
+    // Fits and jobs.
+    JOB_NOT_FOUND = "job.not_found", 404, "No such job";
+
+    // Models.
+    MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";
+    MODEL_ACTIVE = "model.active", 409, "The model is active";
+    MODEL_NONE_ACTIVE = "model.none_active", 409, "The rig has no active model";
+    MODEL_NOT_FORWARD = "model.not_forward", 422, "The model is no forward model of the rig";
+    MODEL_UNKNOWN_CHANNEL = "model.unknown_channel", 422, "The rig has no such channel";
+    MODEL_SAMPLE_RATE = "model.sample_rate", 422, "Another sample rate than the rig's";
+    MODEL_DAMAGED = "model.damaged", 500, "The stored model cannot be read";
+    WEIGHTS_MALFORMED = "weights.malformed", 422, "The weight file cannot be read";
+    WEIGHTS_SHAPE = "weights.shape", 422, "A tensor has the wrong shape";
+
+    // Predictions and damage.
+    PREDICT_MISSING_CHANNEL = "predict.missing_channel", 422, "A channel is missing";
+    PREDICT_UNKNOWN_CHANNEL = "predict.unknown_channel", 422, "A channel that the model does not have";
+    PREDICT_SAMPLE_RATE = "predict.sample_rate", 422, "Another sample rate than the model's";
+    PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
+    PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
+    DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that was not sent";
+    DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";
+
+    // What the engine finds.
+    SIGNAL_EMPTY = "signal.empty", 422, "No samples";
+    SIGNAL_UNEQUAL_LENGTHS = "signal.unequal_lengths", 422, "Channels differ in length";
+    SIGNAL_CHANNEL_COUNT = "signal.channel_count", 422, "Another number of channels";
+    SIGNAL_NON_FINITE = "signal.non_finite", 422, "NaN or infinity";
+    SIGNAL_SAMPLE_RATE = "signal.sample_rate", 422, "Another sample rate";
+    SIGNAL_TOO_SHORT = "signal.too_short", 422, "Too few samples";
+    SIGNAL_DEAD_CHANNEL = "signal.dead_channel", 422, "A constant channel where power is needed";
+    SETTING_OUT_OF_RANGE = "setting.out_of_range", 422, "A setting outside its limits";
+    FRF_TOO_FEW_AVERAGES = "frf.too_few_averages", 422, "Too few averages";
+    TRAINING_DIVERGED = "training.diverged", 422, "Training diverged";
+    RESULT_NON_FINITE = "result.non_finite", 422, "The result is not finite";
+
     // Our side.
     INTERNAL = "internal", 500, "Internal error";
     BUSY = "busy", 503, "Busy";
     DRAINING = "draining", 503, "Shutting down";
+    STORE_DAMAGED = "store.damaged", 500, "Stored data are damaged";
     STORE_UNAVAILABLE = "store.unavailable", 503, "The store is out of reach";
     STORE_FULL = "store.full", 507, "The disk is full";
 }
@@ -76,8 +128,14 @@ mod tests {
         assert_eq!(names.len(), ALL.len());
         for code in ALL {
             assert!((400..600).contains(&code.status), "{}", code.name);
-            assert!(axum::http::StatusCode::from_u16(code.status).is_ok_and(|s| s.canonical_reason().is_some()));
-            assert!(code.name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'.' || b == b'_'));
+            assert!(
+                axum::http::StatusCode::from_u16(code.status).is_ok_and(|s| s.canonical_reason().is_some())
+            );
+            assert!(
+                code.name
+                    .bytes()
+                    .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'.' || b == b'_')
+            );
         }
     }
 }

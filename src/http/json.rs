@@ -8,12 +8,13 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
-use serde_path_to_error::{Path, Segment};
+use serde_path_to_error::Path;
 
+use super::Shared;
 use super::body::{self, Limited};
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
-use super::{Shared, off_thread};
+use crate::domain::problem::pointer;
 
 /// Media type.
 pub const MEDIA_TYPE: &str = "application/json";
@@ -52,7 +53,11 @@ pub async fn take<T: DeserializeOwned + Send + 'static>(
         return Err(body::unsupported(found.as_deref(), media_types));
     }
     let bytes = Limited::new(headers, body, http.limits.json_bytes)?.collect().await?;
-    if bytes.len() <= PARSE_HERE_BYTES { parse(&bytes) } else { off_thread(move || parse(&bytes)).await? }
+    if bytes.len() <= PARSE_HERE_BYTES {
+        parse(&bytes)
+    } else {
+        http.off_thread(move || parse(&bytes)).await?
+    }
 }
 
 /// Parses a document.
@@ -103,25 +108,8 @@ fn syntax(error: &serde_json::Error) -> Problem {
 
 /// The pointer of a field that is missing or too many, however much of it the path already says.
 fn beside(pointer: String, name: &str) -> String {
-    let last = format!("/{}", escape(name));
+    let last = format!("/{}", name.replace('~', "~0").replace('/', "~1"));
     if pointer.ends_with(&last) { pointer } else { pointer + &last }
-}
-
-fn pointer(path: &Path) -> String {
-    let mut pointer = String::new();
-    for segment in path.iter() {
-        match segment {
-            Segment::Seq { index } => pointer.push_str(&format!("/{index}")),
-            Segment::Map { key } => pointer.push_str(&format!("/{}", escape(key))),
-            Segment::Enum { .. } | Segment::Unknown => {}
-        }
-    }
-    pointer
-}
-
-/// Escapes one token of a JSON pointer (RFC 6901, section 3).
-pub fn escape(token: &str) -> String {
-    token.replace('~', "~0").replace('/', "~1")
 }
 
 /// Refuses nesting beyond the limit before the parser recurses into it.
@@ -137,8 +125,11 @@ fn check_depth(bytes: &[u8]) -> Answer<()> {
                 depth += 1;
                 if depth > MAX_DEPTH {
                     let limit = format!("at most {MAX_DEPTH} levels");
-                    return Err(Problem::new(codes::BODY_TOO_DEEP, format!("The body is nested deeper than {limit}."))
-                        .with(FieldError::new("", limit)));
+                    return Err(Problem::new(
+                        codes::BODY_TOO_DEEP,
+                        format!("The body is nested deeper than {limit}."),
+                    )
+                    .with(FieldError::new("", limit)));
                 }
             }
             b']' | b'}' => depth = depth.saturating_sub(1),
@@ -148,7 +139,7 @@ fn check_depth(bytes: &[u8]) -> Answer<()> {
     Ok(())
 }
 
-/// A small JSON answer; what holds signals goes through [`super::off_thread`] instead.
+/// A small JSON answer; what holds signals goes through [`super::Http::off_thread`] instead.
 pub fn answer(value: &impl Serialize) -> Answer {
     let bytes = serde_json::to_vec(value).map_err(Problem::internal)?;
     Ok(respond(bytes))
@@ -199,7 +190,8 @@ mod tests {
 
     #[test]
     fn what_is_no_json_is_a_syntax_error() {
-        for text in ["", "{", r#"{"list": [{"x": NaN}]}"#, r#"{"list": [{"x": 1e400}]}"#, r#"{"list": []} x"#] {
+        for text in ["", "{", r#"{"list": [{"x": NaN}]}"#, r#"{"list": [{"x": 1e400}]}"#, r#"{"list": []} x"#]
+        {
             assert_eq!(refused(text).0, "body.syntax", "{text}");
         }
         assert_eq!(parse::<Outer>(b"{\"list\": []\xff}").expect_err("bad UTF-8").code(), "body.syntax");
@@ -209,7 +201,11 @@ mod tests {
     fn nesting_beyond_the_limit_is_refused_and_brackets_in_strings_are_not_nesting() {
         assert_eq!(refused(&"[".repeat(65)).0, "body.too_deep");
         assert_eq!(refused(&"[".repeat(250_000)).0, "body.too_deep");
-        assert_eq!(refused(&"[".repeat(64)).0, "body.invalid_value", "an array is no object, but not too deep");
+        assert_eq!(
+            refused(&"[".repeat(64)).0,
+            "body.invalid_value",
+            "an array is no object, but not too deep"
+        );
         let text = format!("\"{}\\\"{}\"", "[".repeat(100), "{".repeat(100));
         assert_eq!(parse::<String>(text.as_bytes()).expect("a string").len(), 201);
     }

@@ -26,8 +26,7 @@ pub fn choose(headers: &HeaderMap, offers: &[&'static str]) -> Answer<&'static s
     best.map(|(offer, _)| offer).ok_or_else(|| {
         let offered = offers.join(", ");
         let detail = format!("Accept takes none of the representations there are: {offered}.");
-        Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail)
-            .with(FieldError::new("", offered))
+        Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", offered))
     })
 }
 

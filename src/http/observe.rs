@@ -42,18 +42,18 @@ pub async fn observe(
         http.status = tracing::field::Empty,
         duration_ms = tracing::field::Empty,
     );
-    let response = AssertUnwindSafe(next.run(request))
-        .catch_unwind()
-        .instrument(span.clone())
-        .await
-        .unwrap_or_else(|panic| Problem::internal(format!("panic: {}", panic_text(&*panic))).into_response());
+    let response =
+        AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await.unwrap_or_else(
+            |panic| Problem::internal(format!("panic: {}", panic_text(&*panic))).into_response(),
+        );
     let response = finish(response, &id, &span);
 
     let status = response.status();
     let elapsed = started.elapsed();
     metrics::counter!(names::REQUESTS, "route" => route.clone(), "method" => method, "status" => status.as_str().to_owned())
         .increment(1);
-    metrics::histogram!(names::REQUEST_SECONDS, "route" => route, "method" => method).record(elapsed.as_secs_f64());
+    metrics::histogram!(names::REQUEST_SECONDS, "route" => route, "method" => method)
+        .record(elapsed.as_secs_f64());
     span.record("http.status", status.as_u16());
     span.record("duration_ms", elapsed.as_secs_f64() * 1e3);
     span.in_scope(|| tracing::info!("answered"));
@@ -133,7 +133,8 @@ mod tests {
 
     #[test]
     fn an_answer_that_the_framework_refused_becomes_a_problem_document() {
-        let response = finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none());
+        let response =
+            finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none());
         assert_eq!(response.headers()[CONTENT_TYPE], problem::MEDIA_TYPE);
         assert_eq!(response.headers()["x-request-id"], "r-1");
     }

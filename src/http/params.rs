@@ -78,8 +78,9 @@ impl Params {
             None => Ok(()),
             Some((name, _)) => {
                 let detail = format!("There is no query parameter {name:?} here.");
-                Err(Problem::new(codes::QUERY_UNKNOWN_PARAMETER, detail)
-                    .with_all(self.0.iter().map(|(name, _)| FieldError::new(format!("?{name}"), "not a parameter of this operation"))))
+                Err(Problem::new(codes::QUERY_UNKNOWN_PARAMETER, detail).with_all(self.0.iter().map(
+                    |(name, _)| FieldError::new(format!("?{name}"), "not a parameter of this operation"),
+                )))
             }
         }
     }
@@ -91,7 +92,7 @@ pub fn invalid(name: &str, found: impl Display, limit: &str) -> Problem {
         .with(FieldError::new(format!("?{name}"), limit))
 }
 
-impl<S: Sync> FromRequestParts<S> for Params {
+impl<S: Send + Sync> FromRequestParts<S> for Params {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
@@ -101,7 +102,7 @@ impl<S: Sync> FromRequestParts<S> for Params {
     }
 }
 
-impl<S: Sync> FromRequestParts<S> for NoParams {
+impl<S: Send + Sync> FromRequestParts<S> for NoParams {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {

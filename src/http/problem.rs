@@ -46,7 +46,8 @@ impl Problem {
 
     /// Our fault: the client learns nothing but the request id, the log has the cause.
     pub fn internal(cause: impl std::fmt::Display) -> Self {
-        let mut problem = Self::new(codes::INTERNAL, "The request failed on our side; the log has the cause.");
+        let mut problem =
+            Self::new(codes::INTERNAL, "The request failed on our side; the log has the cause.");
         problem.cause = Some(cause.to_string());
         problem
     }

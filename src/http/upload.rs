@@ -60,7 +60,11 @@ pub async fn receive(headers: &HeaderMap, body: Body, limit: u64, directory: &Pa
     if let Some(wanted) = wanted
         && wanted != sha256
     {
-        let detail = format!("Content-Digest says sha-256 {}, the body has {}.", STANDARD.encode(wanted), STANDARD.encode(sha256));
+        let detail = format!(
+            "Content-Digest says sha-256 {}, the body has {}.",
+            STANDARD.encode(wanted),
+            STANDARD.encode(sha256)
+        );
         return Err(Problem::new(codes::DIGEST_MISMATCH, detail));
     }
     Ok(Upload { file, sha256 })
