@@ -8,6 +8,7 @@ pub mod frf;
 pub mod lstm;
 pub mod model;
 pub mod progress;
+pub mod resample;
 pub mod signal;
 
 pub use error::EngineError;

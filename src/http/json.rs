@@ -67,6 +67,11 @@ pub async fn take<T: DeserializeOwned + Send + 'static>(
 /// `body.invalid_value` (422) for JSON that says something else than was asked for.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Answer<T> {
     check_depth(bytes)?;
+    // serde would take an array for an object, field by field in their order of declaration.
+    if bytes.trim_ascii_start().first() == Some(&b'[') {
+        return Err(Problem::new(codes::BODY_INVALID_VALUE, "The body is an array, it must be an object.")
+            .with(FieldError::new("", "an object")));
+    }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let path = error.path().clone();
@@ -185,6 +190,7 @@ mod tests {
         case(r#"{"list": [{}]}"#, "body.missing_field", "/list/0/x");
         case("{}", "body.missing_field", "/list");
         case("[1]", "body.invalid_value", "");
+        case("3", "body.invalid_value", "");
         case(r#"{"list": [], "list": []}"#, "body.invalid_value", "/list");
     }
 
