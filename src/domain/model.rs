@@ -47,8 +47,7 @@ impl Span {
     /// Whether both hold a sample of one measurement.
     pub fn overlaps(&self, other: &Self) -> bool {
         (self.run == other.run || self.sha256 == other.sha256)
-            && self.from_sample < other.to_sample
-            && other.from_sample < self.to_sample
+            && self.from_sample.max(other.from_sample) < self.to_sample.min(other.to_sample)
     }
 }
 

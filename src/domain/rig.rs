@@ -286,3 +286,121 @@ fn merge(target: &mut Value, patch: &Value) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn draft(body: Value) -> RigDraft {
+        serde_json::from_value(body).unwrap()
+    }
+
+    fn bench() -> Value {
+        json!({
+            "id": "bench", "name": "Bench", "sample_rate_hz": 1000.0,
+            "channels": [
+                {"name": "drive_x", "unit": "kN", "role": "drive", "quantity": "force", "axis": "x"},
+                {"name": "force_x", "unit": "kN", "role": "response", "group": "force"},
+                {"name": "force_y", "unit": "kN", "role": "response", "group": "force"},
+                {"name": "force_z", "unit": "kN", "role": "response", "group": "force"}
+            ],
+            "fit_policy": {"kinds": ["noise"], "min_total_s": 60.0, "fits": [{"kind": "frf"}]}
+        })
+    }
+
+    fn rig(draft: RigDraft) -> Rig {
+        Rig {
+            id: draft.id,
+            name: draft.name,
+            sample_rate_hz: draft.sample_rate_hz,
+            channels: draft.channels,
+            fit_policy: draft.fit_policy,
+            created_at: Timestamp::UNIX_EPOCH,
+            updated_at: Timestamp::UNIX_EPOCH,
+            revision: 7,
+        }
+    }
+
+    /// Pointers of what is wrong after a merge patch of the good rig.
+    fn wrong_after(patch: Value) -> Vec<String> {
+        let mut body = bench();
+        merge(&mut body, &patch);
+        draft(body).check().unwrap_err().into_iter().map(|error| error.pointer).collect()
+    }
+
+    #[test]
+    fn the_rig_of_the_contract_passes_and_quantity_defaults_to_other() {
+        let draft = draft(bench());
+        draft.check().unwrap();
+        assert_eq!((draft.channels[0].quantity, draft.channels[1].quantity), (Quantity::Force, Quantity::Other));
+    }
+
+    #[test]
+    fn every_field_outside_its_limit_is_named() {
+        for rate in [0.0, -1.0, 1e6 + 1.0] {
+            assert_eq!(wrong_after(json!({"sample_rate_hz": rate})), ["/sample_rate_hz"]);
+        }
+        assert_eq!(wrong_after(json!({"name": "x".repeat(101)})), ["/name"]);
+        let channel = |name: &str, role: &str| json!({"name": name, "unit": "", "role": role});
+        let channels = |list: Vec<Value>| wrong_after(json!({"channels": list}));
+        assert_eq!(channels(vec![channel("u", "drive"), channel("u", "response")]), ["/channels/1/name"]);
+        assert_eq!(channels(vec![channel("y", "response")]), ["/channels", "/fit_policy/fits/0/inputs"]);
+        assert_eq!(
+            channels(vec![channel("", "drive"), channel("a,b", "response"), channel(" c", "response")]),
+            ["/channels/0/name", "/channels/1/name", "/channels/2/name"]
+        );
+        let many = (0..129).map(|i| channel(&i.to_string(), if i == 0 { "drive" } else { "response" }));
+        assert_eq!(channels(many.collect()), ["/channels"]);
+        let mut pair = channel("p", "response");
+        pair["group"] = json!("g");
+        assert_eq!(channels(vec![channel("u", "drive"), pair]), ["/channels"]);
+    }
+
+    #[test]
+    fn a_policy_is_checked_against_the_channels() {
+        let fits = json!([{"kind": "frf", "inputs": ["nope"]}, {"kind": "lstm", "runs": {"split": "test"}}]);
+        assert_eq!(
+            wrong_after(json!({"fit_policy": {"kinds": [], "min_total_s": -1.0, "fits": fits}})),
+            [
+                "/fit_policy/kinds",
+                "/fit_policy/min_total_s",
+                "/fit_policy/fits/0/inputs/0",
+                "/fit_policy/fits/1/runs/split"
+            ]
+        );
+        assert_eq!(wrong_after(json!({"fit_policy": {"fits": []}})), ["/fit_policy/fits"]);
+    }
+
+    #[test]
+    fn a_merge_patch_follows_rfc_7396() {
+        // Cases of its appendix A.
+        for (target, patch, result) in [
+            (json!({"a": "b"}), json!({"a": "c"}), json!({"a": "c"})),
+            (json!({"a": "b", "b": "c"}), json!({"a": null}), json!({"b": "c"})),
+            (json!({"a": ["b"]}), json!({"a": "c"}), json!({"a": "c"})),
+            (json!({"a": {"b": "c"}}), json!({"a": {"b": "d", "c": null}}), json!({"a": {"b": "d"}})),
+            (json!(["a"]), json!({"a": 1}), json!({"a": 1})),
+            (json!({}), json!({"a": {"bb": {"ccc": null}}}), json!({"a": {"bb": {}}})),
+            (json!({"e": null}), json!({"a": 1}), json!({"e": null, "a": 1})),
+        ] {
+            let mut patched = target.clone();
+            merge(&mut patched, &patch);
+            assert_eq!(patched, result, "{target} + {patch}");
+        }
+    }
+
+    #[test]
+    fn a_patched_rig_keeps_its_id_and_names_what_is_unknown() {
+        let rig = rig(draft(bench()));
+        let patched = rig.patched(&json!({"fit_policy": null, "name": "New"})).unwrap();
+        assert_eq!((patched.fit_policy, patched.name.as_str()), (None, "New"));
+        assert_eq!(rig.patched(&json!({"id": "other"})).unwrap_err()[0].pointer, "/id");
+        let unknown = rig.patched(&json!({"fit_policy": {"fitz": 1}})).unwrap_err();
+        assert_eq!(unknown[0].pointer, "/fit_policy/fitz");
+        let wrong = rig.patched(&json!({"channels": [{"name": "u", "unit": "", "role": "boss"}]})).unwrap_err();
+        assert_eq!(wrong[0].pointer, "/channels/0/role");
+        assert!(rig.patched(&json!([1])).is_err());
+    }
+}

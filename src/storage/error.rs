@@ -40,6 +40,9 @@ pub enum StoreError {
         /// The digest that they have.
         found: String,
     },
+    /// The service stops: work was given up before it was done.
+    #[error("the service stops")]
+    Stopped,
     /// A row that this program did not write so.
     #[error("{table} row {key}: {what}")]
     Row {

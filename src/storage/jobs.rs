@@ -1,10 +1,16 @@
 //! Jobs in the store: queue, leases, states.
+//!
+//! Every change of a running job names its lease; a worker whose lease was taken changes nothing.
 
 use jiff::Timestamp;
+use sqlx::SqliteConnection;
 
+use super::rigs::rig_in;
+use super::rows::{JobRow, all, int, json, us};
 use super::{Store, StoreError};
 use crate::domain::fits::FitRequest;
-use crate::domain::{Job, JobId, JobKind, JobState, Page, PageRequest, Problem, RigId};
+use crate::domain::job::{MAX_ATTEMPTS, eta_s};
+use crate::domain::{Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id};
 
 /// Which jobs are wanted; empty: all.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -58,6 +64,8 @@ pub enum Outcome {
     Cancelled,
     /// It goes back into the queue, its attempt not counted: the service stops.
     Released,
+    /// It goes back into the queue, unless its attempts are used up: then it failed.
+    Retry(Problem),
 }
 
 /// What came of a wish to cancel.
@@ -69,6 +77,63 @@ pub enum CancelOutcome {
     Noted(Job),
 }
 
+/// Who asked for a job.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum JobOrigin {
+    /// A client.
+    Request,
+    /// The rig's fit policy.
+    Policy,
+}
+
+/// Queues a fit; the rig exists.
+pub(super) async fn insert_fit(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    request: &FitRequest,
+    origin: JobOrigin,
+    now: Timestamp,
+) -> Result<Job, StoreError> {
+    let row: JobRow = sqlx::query_as(
+        "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us)
+         VALUES (?, ?, 'fit', 'queued', ?, ?, ?) RETURNING *",
+    )
+    .bind(new_id(now).to_string())
+    .bind(rig.as_str())
+    .bind(match origin {
+        JobOrigin::Request => "request",
+        JobOrigin::Policy => "policy",
+    })
+    .bind(json(request))
+    .bind(us(now))
+    .fetch_one(connection)
+    .await?;
+    row.try_into()
+}
+
+/// Ends a job with a result; `false` when the lease is lost.
+pub(super) async fn succeed(
+    connection: &mut SqliteConnection,
+    lease: &Lease,
+    result: &JobResult,
+    stage: &str,
+    now: Timestamp,
+) -> Result<bool, StoreError> {
+    let done = sqlx::query(
+        "UPDATE jobs SET state = 'succeeded', result = ?3, stage = ?4, progress = 1, eta_s = NULL,
+                         finished_us = ?5, lease_until_us = NULL, event = event + 1
+         WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
+    )
+    .bind(lease.job.to_string())
+    .bind(int(lease.token))
+    .bind(json(result))
+    .bind(stage)
+    .bind(us(now))
+    .execute(connection)
+    .await?;
+    Ok(done.rows_affected() == 1)
+}
+
 impl Store {
     /// Queues a fit that was asked for; `None` when there is no such rig.
     ///
@@ -76,43 +141,97 @@ impl Store {
     /// The store's failures.
     pub async fn insert_fit_job(
         &self,
-        _rig: &RigId,
-        _request: &FitRequest,
-        _now: Timestamp,
+        rig: &RigId,
+        request: &FitRequest,
+        now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
-        todo!()
+        let mut tx = self.write().await?;
+        if rig_in(&mut tx, rig).await?.is_none() {
+            return Ok(None);
+        }
+        let job = insert_fit(&mut tx, rig, request, JobOrigin::Request, now).await?;
+        tx.commit().await?;
+        Ok(Some(job))
     }
 
     /// One job.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn job(&self, _id: JobId) -> Result<Option<Job>, StoreError> {
-        todo!()
+    pub async fn job(&self, id: JobId) -> Result<Option<Job>, StoreError> {
+        let row: Option<JobRow> = sqlx::query_as("SELECT * FROM jobs WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(self.reader())
+            .await?;
+        row.map(Job::try_from).transpose()
     }
 
     /// Jobs, newest first.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn jobs(&self, _query: &JobQuery, _page: &PageRequest) -> Result<Page<Job>, StoreError> {
-        todo!()
+    pub async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Page<Job>, StoreError> {
+        let rows: Vec<JobRow> = sqlx::query_as(
+            "SELECT * FROM jobs
+             WHERE (?1 IS NULL OR id < ?1) AND (?2 IS NULL OR rig = ?2)
+               AND (?3 IS NULL OR state = ?3) AND (?4 IS NULL OR kind = ?4)
+             ORDER BY id DESC LIMIT ?5",
+        )
+        .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
+        .bind(query.rig.as_ref().map(RigId::as_str))
+        .bind(query.state.map(JobState::as_str))
+        .bind(query.kind.map(JobKind::as_str))
+        .bind(i64::from(page.limit) + 1)
+        .fetch_all(self.reader())
+        .await?;
+        Ok(Page::cut(all(rows)?, page.limit, |job: &Job| job.id.to_string()))
     }
 
-    /// How many jobs there are in each state.
+    /// How many jobs there are in each state, states without a job included.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn count_jobs(&self) -> Result<Vec<(JobState, u64)>, StoreError> {
-        todo!()
+        let counts: Vec<(String, i64)> = sqlx::query_as("SELECT state, count(*) FROM jobs GROUP BY state")
+            .fetch_all(self.reader())
+            .await?;
+        let count = |state: JobState| {
+            counts.iter().find(|(word, _)| word == state.as_str()).map_or(0, |(_, n)| n.unsigned_abs())
+        };
+        Ok(JobState::ALL.map(|state| (state, count(state))).to_vec())
     }
 
     /// Notes the wish to cancel: a queued job ends at once, a running one when its worker sees it.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn request_cancel(&self, _id: JobId, _now: Timestamp) -> Result<CancelOutcome, StoreError> {
-        todo!()
+    pub async fn request_cancel(&self, id: JobId, now: Timestamp) -> Result<CancelOutcome, StoreError> {
+        let mut tx = self.write().await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'cancelled', cancel_requested = 1, finished_us = ?2, eta_s = NULL,
+                             event = event + 1
+             WHERE id = ?1 AND state = 'queued'",
+        )
+        .bind(id.to_string())
+        .bind(us(now))
+        .execute(&mut *tx)
+        .await?;
+        sqlx::query(
+            "UPDATE jobs SET cancel_requested = 1, stage = 'cancelling', event = event + 1
+             WHERE id = ?1 AND state = 'running' AND cancel_requested = 0",
+        )
+        .bind(id.to_string())
+        .execute(&mut *tx)
+        .await?;
+        let row: Option<JobRow> = sqlx::query_as("SELECT * FROM jobs WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        match row {
+            None => Ok(CancelOutcome::Missing),
+            Some(row) => Ok(CancelOutcome::Noted(row.try_into()?)),
+        }
     }
 
     /// Claims the oldest queued job for `worker`, until `lease_until` unless a heartbeat extends it.
@@ -121,11 +240,26 @@ impl Store {
     /// The store's failures.
     pub async fn claim_job(
         &self,
-        _worker: &str,
-        _lease_until: Timestamp,
-        _now: Timestamp,
+        worker: &str,
+        lease_until: Timestamp,
+        now: Timestamp,
     ) -> Result<Option<Claim>, StoreError> {
-        todo!()
+        let row: Option<JobRow> = sqlx::query_as(
+            "UPDATE jobs SET state = 'running', worker = ?1, lease_until_us = ?2, started_us = ?3,
+                             lease_token = lease_token + 1, attempt = attempt + 1, progress = 0,
+                             stage = NULL, eta_s = NULL, problem = NULL, event = event + 1
+             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' ORDER BY id LIMIT 1)
+             RETURNING *",
+        )
+        .bind(worker)
+        .bind(us(lease_until))
+        .bind(us(now))
+        .fetch_optional(&mut *self.write_one().await?)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        let (request, token) = (row.request()?, row.lease_token.unsigned_abs());
+        let job: Job = row.try_into()?;
+        Ok(Some(Claim { lease: Lease { job: job.id, token }, job, request }))
     }
 
     /// Extends a lease and notes how far the job is.
@@ -134,26 +268,63 @@ impl Store {
     /// The store's failures.
     pub async fn heartbeat(
         &self,
-        _lease: &Lease,
-        _stage: &str,
-        _progress: f64,
-        _lease_until: Timestamp,
-        _now: Timestamp,
+        lease: &Lease,
+        stage: &str,
+        progress: f64,
+        lease_until: Timestamp,
+        now: Timestamp,
     ) -> Result<Beat, StoreError> {
-        todo!()
+        let progress = if progress.is_finite() { progress.clamp(0.0, 1.0) } else { 0.0 };
+        let mut tx = self.write().await?;
+        let held: Option<(i64, bool)> = sqlx::query_as(
+            "UPDATE jobs SET lease_until_us = ?3, progress = max(progress, ?4),
+                             stage = CASE WHEN cancel_requested THEN stage ELSE ?5 END,
+                             event = event + 1
+             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'
+             RETURNING started_us, cancel_requested",
+        )
+        .bind(lease.job.to_string())
+        .bind(int(lease.token))
+        .bind(us(lease_until))
+        .bind(progress)
+        .bind(stage)
+        .fetch_optional(&mut *tx)
+        .await?;
+        let Some((started_us, cancel_requested)) = held else { return Ok(Beat::Lost) };
+        let elapsed_s = (us(now) - started_us) as f64 * 1e-6;
+        sqlx::query("UPDATE jobs SET eta_s = ?2 WHERE id = ?1")
+            .bind(lease.job.to_string())
+            .bind(eta_s(progress, elapsed_s))
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(if cancel_requested { Beat::CancelRequested } else { Beat::Held })
     }
 
     /// Ends a job without a result; `false` when the lease is lost, and nothing was changed.
+    ///
+    /// A job that somebody wished to cancel does not go back into the queue.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn finish_job(
         &self,
-        _lease: &Lease,
-        _outcome: Outcome,
-        _now: Timestamp,
+        lease: &Lease,
+        outcome: Outcome,
+        now: Timestamp,
     ) -> Result<bool, StoreError> {
-        todo!()
+        let mut tx = self.write().await?;
+        let row: Option<JobRow> =
+            sqlx::query_as("SELECT * FROM jobs WHERE id = ? AND lease_token = ? AND state = 'running'")
+                .bind(lease.job.to_string())
+                .bind(int(lease.token))
+                .fetch_optional(&mut *tx)
+                .await?;
+        let Some(row) = row else { return Ok(false) };
+        let job: Job = row.try_into()?;
+        leave_running(&mut tx, &job, outcome, now).await?;
+        tx.commit().await?;
+        Ok(true)
     }
 
     /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them when
@@ -164,9 +335,228 @@ impl Store {
     /// The store's failures.
     pub async fn requeue_expired(
         &self,
-        _expired_at: Timestamp,
-        _now: Timestamp,
+        expired_at: Timestamp,
+        now: Timestamp,
     ) -> Result<Vec<JobId>, StoreError> {
-        todo!()
+        let mut tx = self.write().await?;
+        let rows: Vec<JobRow> =
+            sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us < ? ORDER BY id")
+                .bind(us(expired_at))
+                .fetch_all(&mut *tx)
+                .await?;
+        let jobs: Vec<Job> = all(rows)?;
+        for job in &jobs {
+            let detail = format!("the worker died or was stopped {} times while it had the job", job.attempt);
+            let problem = Problem::new(500, "job.interrupted", "The job was interrupted too often", detail);
+            leave_running(&mut tx, job, Outcome::Retry(problem), now).await?;
+        }
+        tx.commit().await?;
+        Ok(jobs.into_iter().map(|job| job.id).collect())
+    }
+}
+
+/// Moves a running job on. The caller holds the write transaction in which it read the job.
+async fn leave_running(
+    connection: &mut SqliteConnection,
+    job: &Job,
+    outcome: Outcome,
+    now: Timestamp,
+) -> Result<(), StoreError> {
+    let (state, problem, attempt) = match outcome {
+        Outcome::Failed(problem) => (JobState::Failed, Some(problem), job.attempt),
+        Outcome::Cancelled => (JobState::Cancelled, None, job.attempt),
+        _ if job.cancel_requested => (JobState::Cancelled, None, job.attempt),
+        Outcome::Released => (JobState::Queued, None, job.attempt.saturating_sub(1)),
+        Outcome::Retry(problem) if job.attempt >= MAX_ATTEMPTS => {
+            (JobState::Failed, Some(problem), job.attempt)
+        }
+        Outcome::Retry(_) => (JobState::Queued, None, job.attempt),
+    };
+    debug_assert!(JobState::Running.may_become(state));
+    sqlx::query(
+        "UPDATE jobs SET state = ?2, problem = ?3, attempt = ?4, finished_us = ?5, eta_s = NULL,
+                         stage = CASE WHEN ?2 = 'failed' THEN stage ELSE NULL END,
+                         progress = CASE WHEN ?2 = 'queued' THEN 0 ELSE progress END,
+                         worker = NULL, lease_until_us = NULL, event = event + 1
+         WHERE id = ?1",
+    )
+    .bind(job.id.to_string())
+    .bind(state.as_str())
+    .bind(problem.as_ref().map(json))
+    .bind(job.attempt.min(attempt))
+    .bind(state.is_terminal().then(|| us(now)))
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::ToSpan;
+
+    use super::super::testing::{TestStore, draft, now};
+    use super::*;
+
+    async fn queued(store: &TestStore, n: usize) -> Vec<Job> {
+        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let mut jobs = Vec::new();
+        for _ in 0..n {
+            jobs.push(store.queue_fit(&rig).await);
+        }
+        jobs
+    }
+
+    async fn claim(store: &Store, at: Timestamp) -> Option<Claim> {
+        store.claim_job("w", at + 30.seconds(), at).await.unwrap()
+    }
+
+    fn problem() -> Problem {
+        Problem::new(422, "fit.dead_channel", "Dead channel", "u is constant")
+    }
+
+    #[tokio::test]
+    async fn the_database_allows_exactly_the_domains_moves() {
+        let store = TestStore::open().await;
+        let id = queued(&store, 1).await[0].id.to_string();
+        for from in JobState::ALL {
+            for to in JobState::ALL {
+                let mut tx = store.write().await.unwrap();
+                let insert = format!(
+                    "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us)
+                     SELECT 'x', rig, kind, '{}', origin, request, 0 FROM jobs WHERE id = '{id}'",
+                    from.as_str()
+                );
+                sqlx::query(sqlx::AssertSqlSafe(insert)).execute(&mut *tx).await.unwrap();
+                let moved = sqlx::query("UPDATE jobs SET state = ? WHERE id = 'x'")
+                    .bind(to.as_str())
+                    .execute(&mut *tx)
+                    .await;
+                assert_eq!(moved.is_ok(), from.may_become(to), "{from:?} -> {to:?}");
+                let touched = sqlx::query("UPDATE jobs SET event = 9 WHERE id = 'x'").execute(&mut *tx).await;
+                assert_eq!(
+                    touched.is_ok(),
+                    moved.is_ok() && !to.is_terminal() || moved.is_err() && !from.is_terminal()
+                );
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn jobs_are_claimed_oldest_first_and_each_once() {
+        let store = TestStore::open().await;
+        let jobs = queued(&store, 2).await;
+        let first = claim(&store, now()).await.unwrap();
+        assert_eq!((first.job.id, first.job.state, first.job.attempt), (jobs[0].id, JobState::Running, 1));
+        assert_eq!(first.request["kind"], "frf");
+        assert_eq!(claim(&store, now()).await.unwrap().job.id, jobs[1].id);
+        assert_eq!(claim(&store, now()).await, None);
+        let counts = store.count_jobs().await.unwrap();
+        assert!(counts.contains(&(JobState::Running, 2)) && counts.contains(&(JobState::Queued, 0)));
+    }
+
+    #[tokio::test]
+    async fn a_heartbeat_notes_progress_eta_and_the_wish_to_cancel() {
+        let store = TestStore::open().await;
+        let id = queued(&store, 1).await[0].id;
+        let lease = claim(&store, now()).await.unwrap().lease;
+        let later = now() + 10.seconds();
+        let beat =
+            async |stage, progress| store.heartbeat(&lease, stage, progress, later, later).await.unwrap();
+        assert_eq!(beat("FRF", 0.25).await, Beat::Held);
+        let job = store.job(id).await.unwrap().unwrap();
+        assert_eq!((job.stage.as_deref(), job.progress, job.eta_s), (Some("FRF"), 0.25, Some(30.0)));
+        assert_eq!(beat("FRF", f64::NAN).await, Beat::Held);
+        let after = store.job(id).await.unwrap().unwrap();
+        assert_eq!(after.progress, 0.25, "progress never falls");
+        assert!(after.event > job.event);
+        let CancelOutcome::Noted(noted) = store.request_cancel(id, later).await.unwrap() else { panic!() };
+        assert_eq!((noted.state, noted.cancel_requested), (JobState::Running, true));
+        assert_eq!(beat("FRF", 0.5).await, Beat::CancelRequested);
+        assert!(store.finish_job(&lease, Outcome::Cancelled, later).await.unwrap());
+        assert_eq!(beat("FRF", 0.6).await, Beat::Lost);
+        let done = store.job(id).await.unwrap().unwrap();
+        assert_eq!((done.state, done.finished_at, done.eta_s), (JobState::Cancelled, Some(later), None));
+    }
+
+    #[tokio::test]
+    async fn cancelling_is_idempotent_and_leaves_a_finished_job_alone() {
+        let store = TestStore::open().await;
+        let jobs = queued(&store, 2).await;
+        let cancel = async |id| match store.request_cancel(id, now()).await.unwrap() {
+            CancelOutcome::Noted(job) => job,
+            CancelOutcome::Missing => panic!("there is such a job"),
+        };
+        let once = cancel(jobs[0].id).await;
+        assert_eq!(once.state, JobState::Cancelled);
+        assert_eq!(cancel(jobs[0].id).await, once);
+        let lease = claim(&store, now()).await.unwrap().lease;
+        assert_eq!(lease.job, jobs[1].id, "a cancelled job is not claimed");
+        assert!(store.finish_job(&lease, Outcome::Failed(problem()), now()).await.unwrap());
+        let failed = cancel(jobs[1].id).await;
+        assert_eq!((failed.state, failed.problem), (JobState::Failed, Some(problem())));
+        assert_eq!(store.request_cancel(new_id(now()), now()).await.unwrap(), CancelOutcome::Missing);
+    }
+
+    #[tokio::test]
+    async fn an_interrupted_job_is_tried_three_times() {
+        let store = TestStore::open().await;
+        let id = queued(&store, 1).await[0].id;
+        for attempt in 1..=MAX_ATTEMPTS {
+            let claimed = claim(&store, now()).await.unwrap();
+            assert_eq!((claimed.job.attempt, claimed.lease.token), (attempt, u64::from(attempt)));
+            assert_eq!(store.requeue_expired(now(), now()).await.unwrap().len(), 0, "its lease lasts");
+            assert_eq!(store.requeue_expired(Timestamp::MAX, now()).await.unwrap(), [id]);
+        }
+        assert_eq!(claim(&store, now()).await, None);
+        let job = store.job(id).await.unwrap().unwrap();
+        assert_eq!((job.state, job.problem.unwrap().code.as_str()), (JobState::Failed, "job.interrupted"));
+    }
+
+    #[tokio::test]
+    async fn a_released_attempt_does_not_count_and_a_wish_to_cancel_outlives_it() {
+        let store = TestStore::open().await;
+        let id = queued(&store, 1).await[0].id;
+        for _ in 0..5 {
+            let lease = claim(&store, now()).await.unwrap().lease;
+            assert!(store.finish_job(&lease, Outcome::Released, now()).await.unwrap());
+            let job = store.job(id).await.unwrap().unwrap();
+            assert_eq!((job.state, job.attempt, job.finished_at), (JobState::Queued, 0, None));
+        }
+        let lease = claim(&store, now()).await.unwrap().lease;
+        store.request_cancel(id, now()).await.unwrap();
+        assert!(store.finish_job(&lease, Outcome::Released, now()).await.unwrap());
+        assert_eq!(store.job(id).await.unwrap().unwrap().state, JobState::Cancelled);
+    }
+
+    #[tokio::test]
+    async fn a_retry_counts_and_ends_with_its_problem() {
+        let store = TestStore::open().await;
+        let id = queued(&store, 1).await[0].id;
+        for _ in 0..MAX_ATTEMPTS {
+            let lease = claim(&store, now()).await.unwrap().lease;
+            assert!(store.finish_job(&lease, Outcome::Retry(problem()), now()).await.unwrap());
+        }
+        assert_eq!(store.job(id).await.unwrap().unwrap().problem, Some(problem()));
+    }
+
+    #[tokio::test]
+    async fn jobs_are_listed_newest_first_by_rig_state_and_kind() {
+        let store = TestStore::open().await;
+        let jobs = queued(&store, 3).await;
+        claim(&store, now()).await.unwrap();
+        let list = async |query: JobQuery, limit, cursor: Option<&str>| {
+            let cursor = cursor.map(|c| crate::domain::Cursor::parse(c).unwrap());
+            let page = store.jobs(&query, &PageRequest { limit, cursor }).await.unwrap();
+            (page.items.iter().map(|job| job.id).collect::<Vec<_>>(), page.next)
+        };
+        let (ids, next) = list(JobQuery::default(), 2, None).await;
+        assert_eq!((ids, next.clone()), (vec![jobs[2].id, jobs[1].id], Some(jobs[1].id.to_string())));
+        assert_eq!(list(JobQuery::default(), 2, next.as_deref()).await, (vec![jobs[0].id], None));
+        let running = JobQuery { state: Some(JobState::Running), ..JobQuery::default() };
+        assert_eq!(list(running, 9, None).await.0, [jobs[0].id]);
+        let studies = JobQuery { kind: Some(JobKind::Study), ..JobQuery::default() };
+        assert!(list(studies, 9, None).await.0.is_empty());
+        let other = JobQuery { rig: "other".parse().ok(), ..JobQuery::default() };
+        assert!(list(other, 9, None).await.0.is_empty());
     }
 }

@@ -14,6 +14,8 @@ mod rigs;
 mod rows;
 mod runs;
 mod store;
+#[cfg(test)]
+pub(crate) mod testing;
 
 pub use error::StoreError;
 pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};

@@ -2,10 +2,15 @@
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use sqlx::SqliteConnection;
 
-use super::{Lease, Store, StoreError};
+use super::jobs::succeed;
+use super::objects::to_the_end;
+use super::rigs::{if_match, rig_in};
+use super::rows::{ModelRow, all, int, json, us, word};
+use super::{Digest, Lease, Store, StoreError};
 use crate::domain::fits::FitRequest;
-use crate::domain::{ActiveModel, JobId, Lineage, Model, Origin, Page, PageRequest, RigId};
+use crate::domain::{ActiveModel, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId};
 use crate::engine::model::{FitReport, ModelKind};
 
 /// A model on its way into the store.
@@ -72,18 +77,55 @@ pub enum ModelDelete {
     Active,
 }
 
+/// Every column of a model, and whether it is active.
+macro_rules! select_models {
+    ($rest:literal) => {
+        concat!(
+            "SELECT models.*, coalesce(rigs.active_version = models.version, 0) AS active
+             FROM models JOIN rigs ON rigs.id = models.rig ",
+            $rest
+        )
+    };
+}
+
 impl Store {
-    /// Adds an imported model, inactive; `None` when there is no such rig.
+    /// Adds an imported model, inactive; `None` when there is no such rig. Goes on to the end when
+    /// the caller goes away.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn insert_model(
         &self,
-        _rig: &RigId,
-        _model: NewModel,
-        _now: Timestamp,
+        rig: &RigId,
+        model: NewModel,
+        now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        todo!()
+        let (store, rig) = (self.clone(), rig.clone());
+        to_the_end(async move {
+            let digest = Digest::of(&model.weights);
+            let inserted = store.insert_model_gated(&rig, &digest, model, now).await;
+            if !matches!(inserted, Ok(Some(_))) {
+                store.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
+            }
+            inserted
+        })
+        .await
+    }
+
+    async fn insert_model_gated(
+        &self,
+        rig: &RigId,
+        digest: &Digest,
+        model: NewModel,
+        now: Timestamp,
+    ) -> Result<Option<Model>, StoreError> {
+        let _kept = self.objects_gate().read().await;
+        self.objects().put(digest, model.weights.clone()).await?;
+        let mut tx = self.write().await?;
+        let Some(version) = insert_row(&mut tx, rig, digest, &model, now).await? else { return Ok(None) };
+        let inserted = model_in(&mut tx, rig, version).await?;
+        tx.commit().await?;
+        Ok(inserted)
     }
 
     /// Publishes a fitted model and ends its job, in one transaction, if the lease still holds.
@@ -95,53 +137,125 @@ impl Store {
     /// The store's failures.
     pub async fn publish_model(
         &self,
-        _lease: &Lease,
-        _model: NewModel,
-        _activation: Activation,
-        _stage: impl FnOnce(u32, bool) -> String + Send,
-        _now: Timestamp,
+        lease: &Lease,
+        model: NewModel,
+        activation: Activation,
+        stage: impl FnOnce(u32, bool) -> String + Send,
+        now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        todo!()
+        let digest = Digest::of(&model.weights);
+        let published = self.publish_gated(lease, &digest, model, activation, stage, now).await;
+        if !matches!(published, Ok(Some(_))) {
+            self.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
+        }
+        published
+    }
+
+    async fn publish_gated(
+        &self,
+        lease: &Lease,
+        digest: &Digest,
+        model: NewModel,
+        activation: Activation,
+        stage: impl FnOnce(u32, bool) -> String + Send,
+        now: Timestamp,
+    ) -> Result<Option<Model>, StoreError> {
+        let _kept = self.objects_gate().read().await;
+        self.objects().put(digest, model.weights.clone()).await?;
+        let mut tx = self.write().await?;
+        let rig: Option<String> =
+            sqlx::query_scalar("SELECT rig FROM jobs WHERE id = ? AND state = 'running' AND lease_token = ?")
+                .bind(lease.job.to_string())
+                .bind(int(lease.token))
+                .fetch_optional(&mut *tx)
+                .await?;
+        let Some(rig) = rig.and_then(|rig| rig.parse::<RigId>().ok()) else { return Ok(None) };
+        let Some(version) = insert_row(&mut tx, &rig, digest, &model, now).await? else { return Ok(None) };
+        let active = match activation {
+            Activation::Leave => false,
+            Activation::Always => point(&mut tx, &rig, Some(version), now).await?.is_some(),
+            Activation::IfStill(expected) => {
+                let current = active_in(&mut tx, &rig).await?;
+                current.is_some_and(|current| current.version == expected)
+                    && point(&mut tx, &rig, Some(version), now).await?.is_some()
+            }
+        };
+        let result = JobResult {
+            kind: "model".into(),
+            id: version.to_string(),
+            href: format!("/v1/rigs/{rig}/models/{version}"),
+        };
+        if !succeed(&mut tx, lease, &result, &stage(version, active), now).await? {
+            return Ok(None);
+        }
+        let published = model_in(&mut tx, &rig, version).await?;
+        tx.commit().await?;
+        Ok(published)
     }
 
     /// One model version of a rig.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn model(&self, _rig: &RigId, _version: u32) -> Result<Option<Model>, StoreError> {
-        todo!()
+    pub async fn model(&self, rig: &RigId, version: u32) -> Result<Option<Model>, StoreError> {
+        model_in(&mut *self.reader().acquire().await?, rig, version).await
     }
 
     /// Model versions of a rig, oldest first; `None` when there is no such rig.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn models(&self, _rig: &RigId, _page: &PageRequest) -> Result<Option<Page<Model>>, StoreError> {
-        todo!()
+    pub async fn models(&self, rig: &RigId, page: &PageRequest) -> Result<Option<Page<Model>>, StoreError> {
+        let mut tx = self.reader().begin().await?;
+        if rig_in(&mut tx, rig).await?.is_none() {
+            return Ok(None);
+        }
+        // A cursor that is no number is one of another list: nothing comes after it.
+        let after = page.cursor.as_ref().map_or(0, |c| c.as_str().parse().unwrap_or(i64::MAX));
+        let rows: Vec<ModelRow> =
+            sqlx::query_as(select_models!("WHERE rig = ? AND version > ? ORDER BY version LIMIT ?"))
+                .bind(rig.as_str())
+                .bind(after)
+                .bind(i64::from(page.limit) + 1)
+                .fetch_all(&mut *tx)
+                .await?;
+        Ok(Some(Page::cut(all(rows)?, page.limit, |model: &Model| model.version.to_string())))
     }
 
     /// The weight file of a model, verified.
     ///
     /// # Errors
     /// The store's failures, a damaged or missing object among them.
-    pub async fn weights(&self, _model: &Model) -> Result<Bytes, StoreError> {
-        todo!()
+    pub async fn weights(&self, model: &Model) -> Result<Bytes, StoreError> {
+        self.objects().get(&model.sha256).await
     }
 
     /// Removes a model version that is not active. Its number is not given again.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn delete_model(&self, _rig: &RigId, _version: u32) -> Result<ModelDelete, StoreError> {
-        todo!()
+    pub async fn delete_model(&self, rig: &RigId, version: u32) -> Result<ModelDelete, StoreError> {
+        let mut tx = self.write().await?;
+        let Some(model) = model_in(&mut tx, rig, version).await? else { return Ok(ModelDelete::Missing) };
+        if model.active {
+            return Ok(ModelDelete::Active);
+        }
+        sqlx::query("DELETE FROM models WHERE rig = ? AND version = ?")
+            .bind(rig.as_str())
+            .bind(version)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        self.discard_unreferenced(vec![model.sha256]).await;
+        Ok(ModelDelete::Deleted)
     }
 
     /// The active model; `None` when there is no such rig.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn active_model(&self, _rig: &RigId) -> Result<Option<ActiveModel>, StoreError> {
-        todo!()
+    pub async fn active_model(&self, rig: &RigId) -> Result<Option<ActiveModel>, StoreError> {
+        active_in(&mut *self.reader().acquire().await?, rig).await
     }
 
     /// Makes `version` (or none) the active model if the pointer still has the `ETag` that the
@@ -151,11 +265,234 @@ impl Store {
     /// The store's failures.
     pub async fn set_active_model(
         &self,
-        _rig: &RigId,
-        _version: Option<u32>,
-        _if_match: &str,
-        _now: Timestamp,
+        rig_id: &RigId,
+        version: Option<u32>,
+        if_match_header: &str,
+        now: Timestamp,
     ) -> Result<ActiveUpdate, StoreError> {
-        todo!()
+        let mut tx = self.write().await?;
+        let (Some(rig), Some(current)) = (rig_in(&mut tx, rig_id).await?, active_in(&mut tx, rig_id).await?)
+        else {
+            return Ok(ActiveUpdate::MissingRig);
+        };
+        if !if_match(if_match_header, &current.etag()) {
+            return Ok(ActiveUpdate::Stale(current));
+        }
+        if let Some(version) = version {
+            match model_in(&mut tx, rig_id, version).await? {
+                None => return Ok(ActiveUpdate::MissingModel),
+                Some(model) if !model.is_forward(&rig) => return Ok(ActiveUpdate::NotForward),
+                Some(_) => {}
+            }
+        }
+        let Some(updated) = point(&mut tx, rig_id, version, now).await? else {
+            return Ok(ActiveUpdate::MissingRig);
+        };
+        tx.commit().await?;
+        Ok(ActiveUpdate::Updated(updated))
+    }
+}
+
+async fn model_in(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    version: u32,
+) -> Result<Option<Model>, StoreError> {
+    let row: Option<ModelRow> = sqlx::query_as(select_models!("WHERE rig = ? AND version = ?"))
+        .bind(rig.as_str())
+        .bind(version)
+        .fetch_optional(connection)
+        .await?;
+    row.map(Model::try_from).transpose()
+}
+
+async fn active_in(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+) -> Result<Option<ActiveModel>, StoreError> {
+    let row: Option<(Option<u32>, i64)> =
+        sqlx::query_as("SELECT active_version, active_revision FROM rigs WHERE id = ?")
+            .bind(rig.as_str())
+            .fetch_optional(connection)
+            .await?;
+    Ok(row.map(|(version, revision)| ActiveModel { version, revision: revision.unsigned_abs() }))
+}
+
+/// Points the rig at a version; `None` when the rig is gone.
+async fn point(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    version: Option<u32>,
+    now: Timestamp,
+) -> Result<Option<ActiveModel>, StoreError> {
+    sqlx::query(
+        "UPDATE rigs SET active_version = ?2, active_us = ?3, active_revision = active_revision + 1
+         WHERE id = ?1",
+    )
+    .bind(rig.as_str())
+    .bind(version)
+    .bind(us(now))
+    .execute(&mut *connection)
+    .await?;
+    active_in(connection, rig).await
+}
+
+/// Adds a row under the rig's next number; `None` when there is no such rig.
+async fn insert_row(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    digest: &Digest,
+    model: &NewModel,
+    now: Timestamp,
+) -> Result<Option<u32>, StoreError> {
+    let version: Option<u32> = sqlx::query_scalar(
+        "UPDATE rigs SET next_version = next_version + 1 WHERE id = ? RETURNING next_version - 1",
+    )
+    .bind(rig.as_str())
+    .fetch_optional(&mut *connection)
+    .await?;
+    let Some(version) = version else { return Ok(None) };
+    sqlx::query(
+        "INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes,
+                             origin, job, request, report, lineage, code_version, instruction_set,
+                             created_us)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(rig.as_str())
+    .bind(version)
+    .bind(word(&model.kind))
+    .bind(json(&model.inputs))
+    .bind(json(&model.outputs))
+    .bind(model.sample_rate_hz)
+    .bind(digest.as_str())
+    .bind(int(model.weights.len() as u64))
+    .bind(model.origin.as_str())
+    .bind(model.job.map(|job| job.to_string()))
+    .bind(model.request.as_ref().map(json))
+    .bind(model.report.as_ref().map(json))
+    .bind(json(&model.lineage))
+    .bind(env!("CARGO_PKG_VERSION"))
+    .bind(&model.instruction_set)
+    .bind(us(now))
+    .execute(connection)
+    .await?;
+    Ok(Some(version))
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::ToSpan;
+
+    use super::super::testing::{TestStore, draft, imported, now};
+    use super::super::{JobQuery, Outcome};
+    use super::*;
+    use crate::domain::{JobState, Rig};
+
+    async fn rig(store: &TestStore) -> Rig {
+        store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap()
+    }
+
+    #[tokio::test]
+    async fn versions_count_up_from_one_and_are_not_given_twice() {
+        let store = TestStore::open().await;
+        let rig = rig(&store).await;
+        let first = store.import(&rig, b"1").await;
+        let second = store.import(&rig, b"2").await;
+        assert_eq!((first.version, second.version, first.active), (1, 2, false));
+        assert_eq!(store.weights(&second).await.unwrap(), b"2"[..]);
+        assert_eq!(store.delete_model(&rig.id, 2).await.unwrap(), ModelDelete::Deleted);
+        assert_eq!(store.delete_model(&rig.id, 2).await.unwrap(), ModelDelete::Missing);
+        assert_eq!(store.import(&rig, b"3").await.version, 3);
+        let page = PageRequest { limit: 1, cursor: None };
+        let listed = store.models(&rig.id, &page).await.unwrap().unwrap();
+        assert_eq!((listed.items, listed.next), (vec![first], Some("1".into())));
+        let nobody = "nobody".parse().unwrap();
+        assert_eq!(store.models(&nobody, &page).await.unwrap(), None);
+        assert_eq!(store.insert_model(&nobody, imported(b"4"), now()).await.unwrap(), None);
+        let orphan = store.objects().get(Digest::of(b"4").as_str()).await;
+        assert!(matches!(orphan, Err(StoreError::ObjectMissing { .. })));
+    }
+
+    #[tokio::test]
+    async fn the_active_model_changes_only_for_who_has_seen_it() {
+        let store = TestStore::open().await;
+        let rig = rig(&store).await;
+        let version = store.import(&rig, b"1").await.version;
+        let before = store.active_model(&rig.id).await.unwrap().unwrap();
+        assert_eq!(before.version, None);
+        let set =
+            async |version, tag: &str| store.set_active_model(&rig.id, version, tag, now()).await.unwrap();
+        let ActiveUpdate::Updated(active) = set(Some(version), &before.etag()).await else {
+            panic!("the etag is fresh")
+        };
+        assert_eq!(active.version, Some(1));
+        assert_eq!(set(None, &before.etag()).await, ActiveUpdate::Stale(active.clone()));
+        assert_eq!(set(Some(9), &active.etag()).await, ActiveUpdate::MissingModel);
+        assert!(store.model(&rig.id, 1).await.unwrap().unwrap().active);
+        assert_eq!(store.delete_model(&rig.id, 1).await.unwrap(), ModelDelete::Active);
+        assert!(matches!(set(None, "*").await, ActiveUpdate::Updated(ActiveModel { version: None, .. })));
+        let nobody = "nobody".parse().unwrap();
+        assert_eq!(
+            store.set_active_model(&nobody, None, "*", now()).await.unwrap(),
+            ActiveUpdate::MissingRig
+        );
+    }
+
+    #[tokio::test]
+    async fn only_a_forward_model_can_be_active() {
+        let store = TestStore::open().await;
+        let rig = rig(&store).await;
+        let mut sensor = imported(b"1");
+        sensor.inputs = vec!["y".into()];
+        sensor.outputs = vec!["u".into()];
+        let sensor = store.insert_model(&rig.id, sensor, now()).await.unwrap().unwrap();
+        let update = store.set_active_model(&rig.id, Some(sensor.version), "*", now()).await.unwrap();
+        assert_eq!(update, ActiveUpdate::NotForward);
+    }
+
+    #[tokio::test]
+    async fn a_model_is_published_once_and_with_the_end_of_its_job() {
+        let store = TestStore::open().await;
+        let rig = rig(&store).await;
+        let job = store.queue_fit(&rig).await;
+        let until = now() + 30.seconds();
+        let lost = store.claim_job("w1", until, now()).await.unwrap().unwrap().lease;
+        store.requeue_expired(Timestamp::MAX, now()).await.unwrap();
+        let lease = store.claim_job("w2", until, now()).await.unwrap().unwrap().lease;
+        let publish = async |lease: &Lease, weights: &'static [u8], activation| {
+            let words = |version, active| format!("model {version}, active: {active}");
+            store.publish_model(lease, imported(weights), activation, words, now()).await.unwrap()
+        };
+        assert_eq!(publish(&lost, b"late", Activation::Always).await, None, "its lease is another's");
+        assert_eq!(store.active_model(&rig.id).await.unwrap().unwrap().version, None);
+        let model = publish(&lease, b"good", Activation::IfStill(None)).await.unwrap();
+        assert_eq!((model.version, model.active), (1, true));
+        assert_eq!(publish(&lease, b"again", Activation::Always).await, None, "the job has ended");
+        let job = store.job(job.id).await.unwrap().unwrap();
+        assert_eq!((job.state, job.progress, job.eta_s), (JobState::Succeeded, 1.0, None));
+        assert_eq!(job.stage.as_deref(), Some("model 1, active: true"));
+        assert_eq!(job.result.unwrap().href, "/v1/rigs/bench/models/1");
+        assert!(!store.finish_job(&lease, Outcome::Cancelled, now()).await.unwrap());
+        for unpublished in [&b"late"[..], b"again"] {
+            let read = store.objects().get(Digest::of(unpublished).as_str()).await;
+            assert!(matches!(read, Err(StoreError::ObjectMissing { .. })));
+        }
+        let running = JobQuery { state: Some(JobState::Running), ..JobQuery::default() };
+        assert!(store.jobs(&running, &PageRequest::default()).await.unwrap().items.is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_fit_that_was_compared_with_a_former_active_model_does_not_become_active() {
+        let store = TestStore::open().await;
+        let rig = rig(&store).await;
+        let version = store.import(&rig, b"1").await.version;
+        store.set_active_model(&rig.id, Some(version), "*", now()).await.unwrap();
+        store.queue_fit(&rig).await;
+        let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
+        let activation = Activation::IfStill(None);
+        let published =
+            store.publish_model(&lease, imported(b"2"), activation, |_, _| String::new(), now()).await;
+        assert!(!published.unwrap().unwrap().active);
+        assert_eq!(store.active_model(&rig.id).await.unwrap().unwrap().version, Some(1));
     }
 }

@@ -1,8 +1,15 @@
 //! Objects: immutable bytes, named by their SHA-256, verified whenever they are read.
 
-use bytes::Bytes;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::StoreError;
+use bytes::Bytes;
+use object_store::ObjectStoreExt;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use sha2::{Digest as _, Sha256};
+
+use super::{Store, StoreError};
 
 /// SHA-256 of some bytes, as 64 lower-case hex digits.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -10,8 +17,17 @@ pub struct Digest(String);
 
 impl Digest {
     /// Digest of `bytes`.
-    pub fn of(_bytes: &[u8]) -> Self {
-        todo!()
+    pub fn of(bytes: &[u8]) -> Self {
+        Self::hex(&Sha256::digest(bytes))
+    }
+
+    fn hex(bytes: &[u8]) -> Self {
+        use std::fmt::Write;
+        let mut hex = String::with_capacity(2 * bytes.len());
+        for byte in bytes {
+            write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
+        }
+        Self(hex)
     }
 
     /// As hex.
@@ -22,22 +38,206 @@ impl Digest {
 
 /// The object files of a data directory.
 #[derive(Debug, Clone)]
-pub struct Objects {}
+pub struct Objects {
+    files: Arc<LocalFileSystem>,
+    root: PathBuf,
+}
 
 impl Objects {
-    /// Stores `bytes` durably under their digest; storing the same bytes again changes nothing.
+    /// Opens an existing directory of objects.
+    pub(super) fn open(root: &Path) -> Result<Self, StoreError> {
+        // With fsync a put returns after the file, its rename and its directory are on disk.
+        let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
+        Ok(Self { files: Arc::new(files), root: root.to_owned() })
+    }
+
+    /// Stores `bytes` durably under their digest; storing the same bytes again changes nothing,
+    /// but mends an object that was damaged.
     ///
     /// # Errors
     /// The file system's refusals; nothing half-written is ever visible.
-    pub async fn put(&self, _digest: &Digest, _bytes: Bytes) -> Result<(), StoreError> {
-        todo!()
+    pub async fn put(&self, digest: &Digest, bytes: Bytes) -> Result<(), StoreError> {
+        self.files.put(&key(digest.as_str()), bytes.into()).await?;
+        Ok(())
     }
 
     /// Reads an object and verifies its digest.
     ///
     /// # Errors
     /// [`StoreError::ObjectMissing`], [`StoreError::ObjectDamaged`], the file system's refusals.
-    pub async fn get(&self, _digest: &str) -> Result<Bytes, StoreError> {
-        todo!()
+    pub async fn get(&self, digest: &str) -> Result<Bytes, StoreError> {
+        self.get_with(digest, Ok).await
+    }
+
+    /// Reads and verifies an object and makes something of it, off the async threads.
+    pub(super) async fn get_with<T: Send + 'static>(
+        &self,
+        digest: &str,
+        make: impl FnOnce(Bytes) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let found = match self.files.get(&key(digest)).await {
+            Err(object_store::Error::NotFound { .. }) => {
+                return Err(StoreError::ObjectMissing { digest: digest.to_owned() });
+            }
+            found => found?.bytes().await?,
+        };
+        let digest = digest.to_owned();
+        off_thread(move || {
+            let actual = Digest::of(&found);
+            if actual.as_str() != digest {
+                return Err(StoreError::ObjectDamaged { digest, found: actual.0 });
+            }
+            make(found)
+        })
+        .await
+    }
+
+    /// Removes an object; one that is gone already is no error.
+    pub(super) async fn remove(&self, digest: &str) -> Result<(), StoreError> {
+        match self.files.delete(&key(digest)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+/// Two hundred and fifty-six directories keep each of them small.
+fn key(digest: &str) -> Key {
+    Key::from_iter([digest.get(..2).unwrap_or("xx"), digest])
+}
+
+/// Does short work that must not hold up an async thread; a panic goes on in the caller.
+pub(super) async fn off_thread<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+) -> Result<T, StoreError> {
+    let span = tracing::Span::current();
+    join(tokio::task::spawn_blocking(move || span.in_scope(work))).await
+}
+
+/// Does work to its end even if the caller goes away half-way.
+pub(super) async fn to_the_end<T: Send + 'static>(
+    work: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+) -> Result<T, StoreError> {
+    use tracing::Instrument;
+    join(tokio::spawn(work.in_current_span())).await
+}
+
+async fn join<T>(task: tokio::task::JoinHandle<Result<T, StoreError>>) -> Result<T, StoreError> {
+    match task.await {
+        Ok(result) => result,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(_) => Err(StoreError::Stopped),
+        },
+    }
+}
+
+impl Store {
+    /// Removes those of `digests` that no row refers to. Called after the rows went; a failure
+    /// leaves files that the next start removes, so it is logged and no more.
+    pub(super) async fn discard_unreferenced(&self, digests: Vec<String>) {
+        let _alone = self.objects_gate().write().await;
+        for digest in digests {
+            let removed = match self.is_referenced(&digest).await {
+                Ok(true) => continue,
+                Ok(false) => self.objects().remove(&digest).await,
+                Err(error) => Err(error),
+            };
+            if let Err(error) = removed {
+                tracing::warn!(object.digest = digest, %error, "an unreferenced object was left behind");
+            }
+        }
+    }
+
+    async fn is_referenced(&self, digest: &str) -> Result<bool, StoreError> {
+        let found: i64 = sqlx::query_scalar(
+            "SELECT EXISTS (SELECT 1 FROM runs WHERE object = ?1)
+                 OR EXISTS (SELECT 1 FROM models WHERE sha256 = ?1)",
+        )
+        .bind(digest)
+        .fetch_one(self.reader())
+        .await?;
+        Ok(found != 0)
+    }
+
+    /// Removes every file below `objects` that no row refers to: what was written when a process
+    /// died. Only at a start, when nobody else writes.
+    pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
+        let rows: Vec<String> = sqlx::query_scalar("SELECT object FROM runs UNION SELECT sha256 FROM models")
+            .fetch_all(self.reader())
+            .await?;
+        let root = self.objects().root.clone();
+        off_thread(move || {
+            let wanted: std::collections::HashSet<String> = rows.into_iter().collect();
+            let failed = |source| StoreError::DataDir { path: root.clone(), source };
+            for directory in std::fs::read_dir(&root).map_err(failed)? {
+                let directory = directory.map_err(failed)?.path();
+                if !directory.is_dir() {
+                    continue;
+                }
+                for file in std::fs::read_dir(&directory).map_err(failed)? {
+                    let file = file.map_err(failed)?;
+                    if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
+                        tracing::info!(file = %file.path().display(), "removed an object without a row");
+                        std::fs::remove_file(file.path()).map_err(failed)?;
+                    }
+                }
+            }
+            Ok(())
+        })
+        .await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file_of(dir: &Path, digest: &Digest) -> PathBuf {
+        dir.join("objects").join(&digest.as_str()[..2]).join(digest.as_str())
+    }
+
+    #[test]
+    fn the_digest_is_sha_256() {
+        // FIPS 180-2, appendix B.1.
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(Digest::of(b"abc").as_str(), expected);
+    }
+
+    #[tokio::test]
+    async fn a_flipped_bit_is_found_on_every_byte_and_mended_by_storing_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).await.unwrap();
+        let bytes = Bytes::from_static(b"the weights of a model");
+        let digest = Digest::of(&bytes);
+        store.objects().put(&digest, bytes.clone()).await.unwrap();
+        assert_eq!(store.objects().get(digest.as_str()).await.unwrap(), bytes);
+        let path = file_of(dir.path(), &digest);
+        for i in 0..bytes.len() {
+            let mut damaged = bytes.to_vec();
+            damaged[i] ^= 1;
+            std::fs::write(&path, &damaged).unwrap();
+            let read = store.objects().get(digest.as_str()).await;
+            assert!(matches!(read, Err(StoreError::ObjectDamaged { .. })), "byte {i}: {read:?}");
+        }
+        store.objects().put(&digest, bytes.clone()).await.unwrap();
+        assert_eq!(store.objects().get(digest.as_str()).await.unwrap(), bytes);
+        std::fs::remove_file(&path).unwrap();
+        let read = store.objects().get(digest.as_str()).await;
+        assert!(matches!(read, Err(StoreError::ObjectMissing { .. })));
+    }
+
+    #[tokio::test]
+    async fn a_start_removes_objects_without_a_row_and_unfinished_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).await.unwrap();
+        let digest = Digest::of(b"orphan");
+        store.objects().put(&digest, Bytes::from_static(b"orphan")).await.unwrap();
+        let path = file_of(dir.path(), &digest);
+        let unfinished = path.with_file_name(format!("{}#1", digest.as_str()));
+        std::fs::write(&unfinished, b"orp").unwrap();
+        drop(store);
+        Store::open(dir.path()).await.unwrap();
+        assert!(!path.exists() && !unfinished.exists());
     }
 }

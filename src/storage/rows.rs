@@ -1,1 +1,265 @@
 //! From rows to the domain's types and back.
+//!
+//! Words and JSON are read back strictly: a row that does not fit is an error that names it, never
+//! a default.
+
+use jiff::Timestamp;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sqlx::FromRow;
+
+use super::StoreError;
+use crate::domain::{Job, Model, Rig, RigId, Run};
+
+/// Reads the columns of one row.
+#[derive(Clone, Copy)]
+struct Columns<'a> {
+    table: &'static str,
+    key: &'a str,
+}
+
+impl Columns<'_> {
+    fn bad(&self, what: impl ToString) -> StoreError {
+        StoreError::Row { table: self.table, key: self.key.to_owned(), what: what.to_string() }
+    }
+
+    fn json<T: DeserializeOwned>(&self, text: &str) -> Result<T, StoreError> {
+        serde_json::from_str(text).map_err(|error| self.bad(error))
+    }
+
+    fn json_opt<T: DeserializeOwned>(&self, text: Option<&str>) -> Result<Option<T>, StoreError> {
+        text.map(|text| self.json(text)).transpose()
+    }
+
+    /// A word of one of the contract's enums.
+    fn word<T: DeserializeOwned>(&self, text: &str) -> Result<T, StoreError> {
+        serde_json::from_value(serde_json::Value::String(text.to_owned())).map_err(|error| self.bad(error))
+    }
+
+    fn time(&self, us: i64) -> Result<Timestamp, StoreError> {
+        Timestamp::from_microsecond(us).map_err(|error| self.bad(error))
+    }
+
+    fn time_opt(&self, us: Option<i64>) -> Result<Option<Timestamp>, StoreError> {
+        us.map(|us| self.time(us)).transpose()
+    }
+
+    fn id(&self, text: &str) -> Result<uuid::Uuid, StoreError> {
+        text.parse().map_err(|error| self.bad(error))
+    }
+
+    fn rig(&self, text: String) -> Result<RigId, StoreError> {
+        RigId::try_from(text).map_err(|error| self.bad(error))
+    }
+
+    fn number<T: TryFrom<i64, Error: ToString>>(&self, number: i64) -> Result<T, StoreError> {
+        T::try_from(number).map_err(|error| self.bad(error.to_string()))
+    }
+}
+
+/// A time as it is stored.
+pub(super) fn us(time: Timestamp) -> i64 {
+    time.as_microsecond()
+}
+
+/// A count as it is stored. Ours come from lengths in memory, which SQLite's integers exceed.
+pub(super) fn int(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+/// JSON of a value of ours: none has a map with keys that are not text, which is all that fails.
+pub(super) fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("our types serialise")
+}
+
+/// The word of one of the contract's enums.
+pub(super) fn word(value: &impl Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(word)) => word,
+        other => unreachable!("a word of the contract, not {other:?}"),
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct RigRow {
+    id: String,
+    name: String,
+    sample_rate_hz: f64,
+    channels: String,
+    fit_policy: Option<String>,
+    created_us: i64,
+    updated_us: i64,
+    revision: i64,
+}
+
+impl TryFrom<RigRow> for Rig {
+    type Error = StoreError;
+
+    fn try_from(row: RigRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "rigs", key: &row.id };
+        Ok(Self {
+            id: columns.rig(row.id.clone())?,
+            channels: columns.json(&row.channels)?,
+            fit_policy: columns.json_opt(row.fit_policy.as_deref())?,
+            created_at: columns.time(row.created_us)?,
+            updated_at: columns.time(row.updated_us)?,
+            revision: columns.number(row.revision)?,
+            name: row.name,
+            sample_rate_hz: row.sample_rate_hz,
+        })
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct RunRow {
+    id: String,
+    rig: String,
+    name: String,
+    kind: String,
+    split: String,
+    tags: String,
+    started_us: Option<i64>,
+    created_us: i64,
+    channels: String,
+    units: String,
+    samples: i64,
+    duration_s: f64,
+    sample_rate_hz: f64,
+    sha256: String,
+    object: String,
+    quality: String,
+    duplicate_of: Option<String>,
+}
+
+impl TryFrom<RunRow> for Run {
+    type Error = StoreError;
+
+    fn try_from(row: RunRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "runs", key: &row.id };
+        Ok(Self {
+            id: columns.id(&row.id)?,
+            rig: columns.rig(row.rig.clone())?,
+            kind: columns.word(&row.kind)?,
+            split: columns.word(&row.split)?,
+            tags: columns.json(&row.tags)?,
+            started_at: columns.time_opt(row.started_us)?,
+            created_at: columns.time(row.created_us)?,
+            channels: columns.json(&row.channels)?,
+            units: columns.json(&row.units)?,
+            samples: columns.number(row.samples)?,
+            quality: columns.json(&row.quality)?,
+            duplicate_of: row.duplicate_of.as_deref().map(|id| columns.id(id)).transpose()?,
+            name: row.name,
+            duration_s: row.duration_s,
+            sample_rate_hz: row.sample_rate_hz,
+            sha256: row.sha256,
+            object: row.object,
+        })
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct ModelRow {
+    rig: String,
+    version: i64,
+    kind: String,
+    inputs: String,
+    outputs: String,
+    sample_rate_hz: f64,
+    sha256: String,
+    size_bytes: i64,
+    origin: String,
+    job: Option<String>,
+    request: Option<String>,
+    report: Option<String>,
+    lineage: String,
+    code_version: String,
+    instruction_set: String,
+    created_us: i64,
+    active: bool,
+}
+
+impl TryFrom<ModelRow> for Model {
+    type Error = StoreError;
+
+    fn try_from(row: ModelRow) -> Result<Self, StoreError> {
+        let key = format!("{}/{}", row.rig, row.version);
+        let columns = Columns { table: "models", key: &key };
+        Ok(Self {
+            version: columns.number(row.version)?,
+            rig: columns.rig(row.rig)?,
+            kind: columns.word(&row.kind)?,
+            inputs: columns.json(&row.inputs)?,
+            outputs: columns.json(&row.outputs)?,
+            size_bytes: columns.number(row.size_bytes)?,
+            origin: columns.word(&row.origin)?,
+            job: row.job.as_deref().map(|id| columns.id(id)).transpose()?,
+            request: columns.json_opt(row.request.as_deref())?,
+            report: columns.json_opt(row.report.as_deref())?,
+            lineage: columns.json(&row.lineage)?,
+            created_at: columns.time(row.created_us)?,
+            sample_rate_hz: row.sample_rate_hz,
+            sha256: row.sha256,
+            code_version: row.code_version,
+            instruction_set: row.instruction_set,
+            active: row.active,
+        })
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct JobRow {
+    id: String,
+    rig: String,
+    kind: String,
+    state: String,
+    pub(super) request: String,
+    stage: Option<String>,
+    progress: f64,
+    eta_s: Option<f64>,
+    attempt: i64,
+    created_us: i64,
+    started_us: Option<i64>,
+    finished_us: Option<i64>,
+    result: Option<String>,
+    problem: Option<String>,
+    cancel_requested: bool,
+    event: i64,
+    pub(super) lease_token: i64,
+}
+
+impl JobRow {
+    pub(super) fn request(&self) -> Result<serde_json::Value, StoreError> {
+        Columns { table: "jobs", key: &self.id }.json(&self.request)
+    }
+}
+
+impl TryFrom<JobRow> for Job {
+    type Error = StoreError;
+
+    fn try_from(row: JobRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "jobs", key: &row.id };
+        Ok(Self {
+            id: columns.id(&row.id)?,
+            kind: columns.word(&row.kind)?,
+            rig: columns.rig(row.rig.clone())?,
+            state: columns.word(&row.state)?,
+            attempt: columns.number(row.attempt)?,
+            created_at: columns.time(row.created_us)?,
+            started_at: columns.time_opt(row.started_us)?,
+            finished_at: columns.time_opt(row.finished_us)?,
+            result: columns.json_opt(row.result.as_deref())?,
+            problem: columns.json_opt(row.problem.as_deref())?,
+            event: columns.number(row.event)?,
+            stage: row.stage,
+            progress: row.progress,
+            eta_s: row.eta_s,
+            cancel_requested: row.cancel_requested,
+        })
+    }
+}
+
+/// Converts rows of one kind, stopping at the first that does not fit.
+pub(super) fn all<R, T: TryFrom<R, Error = StoreError>>(rows: Vec<R>) -> Result<Vec<T>, StoreError> {
+    rows.into_iter().map(T::try_from).collect()
+}

@@ -1,0 +1,139 @@
+//! What the tests of the store, and of what stands on it, share: a store in a directory of its
+//! own, and the shortest ways to rigs, runs, models and jobs.
+
+use std::ops::Deref;
+
+use bytes::Bytes;
+use jiff::Timestamp;
+use tempfile::TempDir;
+
+use super::{Digest, NewModel, PreparedRun, RunInsert, Store};
+use crate::domain::{
+    Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
+    Span, Split,
+};
+use crate::engine::Signal;
+use crate::engine::model::ModelKind;
+
+pub(crate) fn now() -> Timestamp {
+    "2026-03-01T12:00:00Z".parse().unwrap()
+}
+
+/// One drive `u` (kN) and one response `y` (mm) at 100 Hz.
+pub(crate) fn draft(id: &str) -> RigDraft {
+    let channel = |name: &str, unit: &str, role| Channel {
+        name: name.into(),
+        unit: unit.into(),
+        role,
+        quantity: Quantity::Other,
+        axis: None,
+        group: None,
+    };
+    RigDraft {
+        id: id.parse().unwrap(),
+        name: id.into(),
+        sample_rate_hz: 100.0,
+        channels: vec![channel("u", "kN", Role::Drive), channel("y", "mm", Role::Response)],
+        fit_policy: None,
+    }
+}
+
+/// A rig that is in no store.
+pub(crate) fn rig(draft: &RigDraft) -> Rig {
+    Rig {
+        id: draft.id.clone(),
+        name: draft.name.clone(),
+        sample_rate_hz: draft.sample_rate_hz,
+        channels: draft.channels.clone(),
+        fit_policy: draft.fit_policy.clone(),
+        created_at: now(),
+        updated_at: now(),
+        revision: 1,
+    }
+}
+
+/// A noise run for training.
+pub(crate) fn meta() -> RunMeta {
+    RunMeta {
+        name: String::new(),
+        kind: RunKind::Noise,
+        split: Split::Training,
+        tags: Vec::new(),
+        started_at: None,
+    }
+}
+
+/// A model of the rig of [`draft`] with weights that are none.
+pub(crate) fn imported(weights: &[u8]) -> NewModel {
+    NewModel {
+        kind: ModelKind::Frf,
+        inputs: vec!["u".into()],
+        outputs: vec!["y".into()],
+        sample_rate_hz: 100.0,
+        weights: Bytes::copy_from_slice(weights),
+        origin: Origin::Import,
+        job: None,
+        request: None,
+        report: None,
+        lineage: Lineage::default(),
+        instruction_set: "portable".into(),
+    }
+}
+
+/// A store whose directory goes with it.
+pub(crate) struct TestStore {
+    store: Store,
+    _dir: TempDir,
+}
+
+impl Deref for TestStore {
+    type Target = Store;
+
+    fn deref(&self) -> &Store {
+        &self.store
+    }
+}
+
+impl TestStore {
+    pub(crate) async fn open() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        Self { store: Store::open(dir.path()).await.unwrap(), _dir: dir }
+    }
+
+    /// A run whose drive is `u` and whose response is twice as large.
+    pub(crate) fn prepare(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> PreparedRun {
+        let y = u.iter().map(|v| 2.0 * v.clamp(-1e100, 1e100)).collect();
+        let signal = Signal::new(rig.sample_rate_hz, vec![u.to_vec(), y]).unwrap();
+        let file: Vec<u8> = u.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let sha256 = Digest::of(&file).as_str().to_owned();
+        PreparedRun::new(rig, meta, vec!["u".into(), "y".into()], None, &signal, sha256).unwrap()
+    }
+
+    pub(crate) async fn upload_with(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> InsertedRun {
+        let prepared = self.prepare(rig, meta, u);
+        match self.insert_run(&rig.id, prepared, now()).await.unwrap() {
+            RunInsert::Inserted(inserted) => *inserted,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub(crate) async fn upload(&self, rig: &Rig, u: &[f64]) -> InsertedRun {
+        self.upload_with(rig, meta(), u).await
+    }
+
+    pub(crate) async fn import(&self, rig: &Rig, weights: &[u8]) -> Model {
+        self.insert_model(&rig.id, imported(weights), now()).await.unwrap().unwrap()
+    }
+
+    pub(crate) async fn import_fitted_on(&self, rig: &Rig, weights: &[u8], run: &Run) -> Model {
+        let mut model = imported(weights);
+        let span = Span { run: run.id, sha256: run.sha256.clone(), from_sample: 0, to_sample: run.samples };
+        model.lineage.training = vec![span];
+        self.insert_model(&rig.id, model, now()).await.unwrap().unwrap()
+    }
+
+    pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {
+        let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+        self.insert_fit_job(&rig.id, &request, now()).await.unwrap().unwrap()
+    }
+}
