@@ -65,6 +65,30 @@ codes! {
     RUN_UNKNOWN_CHANNEL = "run.unknown_channel", 422, "The rig has no such channel";
     RUN_CHANNEL_COUNT = "run.channel_count", 422, "Columns and channel names differ in number";
     RUN_SAMPLE_RATE = "run.sample_rate", 422, "Another sample rate than the rig's";
+    RUN_EMPTY = "run.empty", 422, "No samples";
+    RUN_NO_CHANNELS = "run.no_channels", 422, "No channels";
+    RUN_TOO_MANY_CHANNELS = "run.too_many_channels", 422, "Too many channels";
+    RUN_DUPLICATE_CHANNEL = "run.duplicate_channel", 422, "A channel comes twice";
+    RUN_UNEQUAL_LENGTHS = "run.unequal_lengths", 422, "Channels differ in length";
+    RUN_NON_FINITE = "run.non_finite", 422, "NaN or infinity";
+
+    // Files.
+    CSV_ENCODING = "csv.encoding", 400, "The text is not UTF-8";
+    CSV_HEADER = "csv.header", 422, "The header row cannot be one";
+    CSV_NOT_A_NUMBER = "csv.not_a_number", 422, "A cell is not a number";
+    CSV_RAGGED_ROW = "csv.ragged_row", 422, "Rows differ in their number of cells";
+    CSV_UNEVEN_TIME = "csv.uneven_time", 422, "Time does not rise in even steps";
+    CSV_TIME_COLUMN = "csv.time_column", 422, "The time column cannot be read";
+    NPY_HEADER = "npy.header", 400, "The NPY header cannot be read";
+    NPY_DTYPE = "npy.dtype", 422, "An NPY dtype that is not read";
+    NPY_SHAPE = "npy.shape", 422, "An NPY shape that is not read";
+    NPY_TRUNCATED = "npy.truncated", 400, "The NPY header declares more than the file has";
+    NPY_TRAILING_BYTES = "npy.trailing_bytes", 400, "The NPY file has more than its header declares";
+    JSON_INVALID = "json.invalid", 400, "The file is not JSON of the right form";
+    JSON_UNKNOWN_FIELD = "json.unknown_field", 422, "Unknown field";
+    JSON_DUPLICATE_FIELD = "json.duplicate_field", 422, "A field comes twice";
+    JSON_MISSING_FIELD = "json.missing_field", 422, "Missing field";
+    JSON_NOT_A_NUMBER = "json.not_a_number", 422, "An element is not a number";
 
     // Fits and jobs.
     JOB_NOT_FOUND = "job.not_found", 404, "No such job";

@@ -4,6 +4,7 @@ use super::codes;
 use super::problem::{FieldError, Problem};
 use crate::compute::ComputeError;
 use crate::engine::EngineError;
+use crate::formats::FormatError;
 use crate::jobs::FitProblem;
 use crate::models::ModelError;
 use crate::storage::StoreError;
@@ -106,6 +107,21 @@ pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
     Problem::new(code, named(error, &place)).with(place)
 }
 
+/// What a reader refused about a file whose columns would be `names`, did it not name them itself.
+pub fn format(error: &FormatError, names: &[String]) -> Problem {
+    let code = codes::find(error.code()).unwrap_or(codes::RUN_INVALID);
+    let named = error.channel().map(str::to_owned);
+    let place = FieldError {
+        pointer: String::new(),
+        channel: named.or_else(|| names.get(error.channel_index()?).cloned()),
+        sample: error.sample().map(|s| s as u64),
+        row: error.row(),
+        column: error.column().map(|c| c as u64),
+        limit: error.limit(),
+    };
+    Problem::new(code, format!("{error}.")).with(place)
+}
+
 /// The engine's words, with the channel's name beside its number.
 fn named(error: &EngineError, place: &FieldError) -> String {
     match &place.channel {
@@ -129,6 +145,7 @@ pub fn summary(what: &str, errors: &[FieldError]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::ChannelAt;
 
     fn document(problem: &Problem) -> serde_json::Value {
         serde_json::from_slice(&problem.document("")).expect("JSON")
@@ -161,13 +178,33 @@ mod tests {
     }
 
     #[test]
+    fn every_code_of_the_readers_is_one_of_the_contract() {
+        let source = include_str!("../formats/error.rs");
+        let codes: Vec<&str> = source
+            .lines()
+            .filter_map(|line| line.trim().split_once("=> \"")?.1.strip_suffix("\","))
+            .filter(|code| code.contains('.'))
+            .collect();
+        assert!(codes.len() > 20, "the readers' codes are found in their source: {codes:?}");
+        for code in codes {
+            assert!(codes::find(code).is_some(), "{code} is missing");
+        }
+    }
+
+    #[test]
+    fn a_files_channel_without_a_name_gets_that_of_its_column() {
+        let channel = ChannelAt { index: 1, name: None };
+        let error = FormatError::NonFinite { channel, sample: 4, row: None, column: None };
+        let problem = document(&format(&error, &["u".into(), "y".into()]));
+        assert_eq!(problem["code"], "run.non_finite");
+        assert_eq!(problem["errors"][0], serde_json::json!({"pointer": "", "channel": "y", "sample": 4}));
+    }
+
+    #[test]
     fn a_failure_of_ours_tells_the_client_nothing() {
         let error = StoreError::Row { table: "rigs", key: "secret".into(), what: "broken".into() };
         let problem = Problem::from(error);
         assert!(problem.cause().is_some_and(|c| c.contains("secret")));
         assert!(!document(&problem).to_string().contains("secret"));
     }
-}
-pub fn format(_: &crate::formats::FormatError, _: &[String]) -> Problem {
-    todo!()
 }

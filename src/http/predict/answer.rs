@@ -1,5 +1,6 @@
 //! Computes a prediction and writes it: all of it off the async threads.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -10,7 +11,9 @@ use super::request::Include;
 use crate::domain::Rig;
 use crate::engine::Signal;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
+use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
 use crate::engine::model::{ModelKind, Trust};
+use crate::formats::npy::{Dtype, Order};
 use crate::formats;
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::signals::Named;
@@ -63,6 +66,13 @@ struct PredictAnswer<'a> {
     trust: Option<Trust>,
 }
 
+/// Errors by channel name.
+#[derive(Debug, Serialize)]
+struct ErrorReport {
+    settings: ErrorSettings,
+    channels: BTreeMap<String, ChannelErrors>,
+}
+
 #[derive(Debug, Serialize)]
 struct ModelName<'a> {
     version: u32,
@@ -109,7 +119,9 @@ impl Job {
         let samples = (response.n_samples() * response.n_channels()) as u64;
         let inside = trust.inside;
         if media_type == NPY {
-            return Ok(Computed { bytes: formats::npy::write_f4(&response), media_type, samples, inside });
+            let bytes = formats::npy::write(response.channels(), Dtype::F4, Order::C)
+                .map_err(|error| errors::format(&error, outputs))?;
+            return Ok(Computed { bytes, media_type, samples, inside });
         }
         let answer = PredictAnswer {
             model: ModelName { version: model.version, kind: model.model.kind, sha256: &model.sha256 },
@@ -202,8 +214,16 @@ fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> Vec<(&'a str, [usize; 3])> {
     }
     members.into_iter().filter_map(|(name, places)| Some((name, places.try_into().ok()?))).collect()
 }
-#[derive(Debug, Serialize)]
-struct ErrorReport;
-fn distances(_: &[String], _: &Signal, _: &Target) -> Answer<ErrorReport> {
-    todo!()
+
+/// Errors of the outputs that have a target.
+fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<ErrorReport> {
+    let places: Vec<usize> = target
+        .names
+        .iter()
+        .filter_map(|name| outputs.iter().position(|output| output == name))
+        .collect();
+    let found = metrics::errors(&target.signal, &response.select(&places))
+        .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
+    let channels = target.names.iter().cloned().zip(found.channels).collect();
+    Ok(ErrorReport { settings: found.settings, channels })
 }
