@@ -334,7 +334,10 @@ mod tests {
     fn the_rig_of_the_contract_passes_and_quantity_defaults_to_other() {
         let draft = draft(bench());
         draft.check().unwrap();
-        assert_eq!((draft.channels[0].quantity, draft.channels[1].quantity), (Quantity::Force, Quantity::Other));
+        assert_eq!(
+            (draft.channels[0].quantity, draft.channels[1].quantity),
+            (Quantity::Force, Quantity::Other)
+        );
     }
 
     #[test]
@@ -399,7 +402,8 @@ mod tests {
         assert_eq!(rig.patched(&json!({"id": "other"})).unwrap_err()[0].pointer, "/id");
         let unknown = rig.patched(&json!({"fit_policy": {"fitz": 1}})).unwrap_err();
         assert_eq!(unknown[0].pointer, "/fit_policy/fitz");
-        let wrong = rig.patched(&json!({"channels": [{"name": "u", "unit": "", "role": "boss"}]})).unwrap_err();
+        let wrong =
+            rig.patched(&json!({"channels": [{"name": "u", "unit": "", "role": "boss"}]})).unwrap_err();
         assert_eq!(wrong[0].pointer, "/channels/0/role");
         assert!(rig.patched(&json!([1])).is_err());
     }

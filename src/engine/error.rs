@@ -124,6 +124,14 @@ pub enum EngineError {
         /// Channel index; of a group its first channel's.
         channel: usize,
     },
+    /// An input that is a linear combination of the others.
+    #[error(
+        "input channel {channel} is a linear combination of the other inputs: leave it out or set frf.ridge above 0"
+    )]
+    DependentInputs {
+        /// Channel index among the inputs.
+        channel: usize,
+    },
     /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,

@@ -6,10 +6,12 @@ pub mod error;
 pub mod fatigue;
 pub mod frf;
 pub mod lstm;
+pub mod metrics;
 pub mod model;
 pub mod progress;
 pub mod resample;
 pub mod signal;
+pub mod spectral;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};

@@ -123,6 +123,7 @@ codes! {
     SIGNAL_DEAD_CHANNEL = "signal.dead_channel", 422, "A constant channel where power is needed";
     SETTING_OUT_OF_RANGE = "setting.out_of_range", 422, "A setting outside its limits";
     FRF_TOO_FEW_AVERAGES = "frf.too_few_averages", 422, "Too few averages";
+    FRF_DEPENDENT_INPUTS = "frf.dependent_inputs", 422, "Inputs depend on each other";
     TRAINING_DIVERGED = "training.diverged", 422, "Training diverged";
     RESULT_NON_FINITE = "result.non_finite", 422, "The result is not finite";
 

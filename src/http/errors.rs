@@ -102,6 +102,10 @@ pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
             (codes::RESULT_NON_FINITE, FieldError { sample: Some(*sample as u64), ..on(*channel) })
         }
         EngineError::DamageOverflow { channel, .. } => (codes::RESULT_NON_FINITE, on(*channel)),
+        EngineError::DependentInputs { channel } => (
+            codes::FRF_DEPENDENT_INPUTS,
+            FieldError { limit: Some("independent inputs".into()), ..on(*channel) },
+        ),
         EngineError::Cancelled => return Problem::internal(error),
     };
     Problem::new(code, named(error, &place)).with(place)

@@ -14,10 +14,14 @@ use super::problem::{Answer, FieldError, Problem};
 use super::signals::{Named, header_names};
 use super::{Shared, codes, json, negotiate};
 use crate::domain::Run;
-use crate::formats;
+use crate::engine::Signal;
+use crate::formats::npy::{Dtype, Order};
+use crate::formats::{self, FormatError};
 
 /// Media type of tables.
 const CSV: &str = "text/csv";
+/// Name of their first column.
+const TIME: &str = "time_s";
 
 /// `GET /v1/rigs/{rig}/runs/{run}/data`
 pub async fn show(
@@ -45,16 +49,35 @@ pub async fn show(
         .off_thread(move || {
             let signal = whole.select(&columns).slice(range.clone());
             match media_type {
-                NPY => Ok(formats::npy::write_f8(&signal)),
+                NPY => formats::npy::write(signal.channels(), Dtype::F8, Order::C).map_err(Problem::internal),
                 CSV => {
-                    let units: Vec<String> = columns.iter().map(|&c| run.units[c].clone()).collect();
-                    Ok(formats::csv::write(&names, Some(&units), &signal, range.start))
+                    let units = columns.iter().map(|&c| run.units[c].clone()).collect();
+                    table(names, units, signal, range.start).map_err(Problem::internal)
                 }
                 _ => serde_json::to_vec(&Named { names: &names, signal: &signal }).map_err(Problem::internal),
             }
         })
         .await??;
     Ok((head, bytes).into_response())
+}
+
+/// A table with time in front, counted from the start of the run.
+fn table(
+    mut names: Vec<String>,
+    mut units: Vec<String>,
+    signal: Signal,
+    start: usize,
+) -> Result<Vec<u8>, FormatError> {
+    let rate = signal.sample_rate_hz();
+    let time = (start..start + signal.n_samples()).map(|i| i as f64 / rate).collect();
+    let mut channels = signal.into_channels();
+    // A rig whose channel has that name gets no second one.
+    if !names.iter().any(|name| name == TIME) {
+        names.insert(0, TIME.into());
+        units.insert(0, "s".into());
+        channels.insert(0, time);
+    }
+    formats::csv::write(&names, Some(&units), &channels)
 }
 
 fn seconds(params: &mut Params, name: &str) -> Answer<Option<f64>> {

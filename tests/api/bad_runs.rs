@@ -15,7 +15,14 @@ impl Bench {
         Self(app)
     }
 
-    async fn refused(&self, query: &str, media_type: &str, file: impl Into<Vec<u8>>, status: u16, code: &str) -> Value {
+    async fn refused(
+        &self,
+        query: &str,
+        media_type: &str,
+        file: impl Into<Vec<u8>>,
+        status: u16,
+        code: &str,
+    ) -> Value {
         let path = format!("/v1/rigs/bench/runs?{query}");
         let reply: Reply = self.0.post_file(&path, media_type, file).await;
         let problem = reply.problem(status, code);
@@ -108,7 +115,8 @@ async fn npy_headers_are_held_against_dtype_shape_and_bytes() {
     bench.npy(npy("|O", false, "(1, 2)", &[0; 16]), 422, "npy.dtype").await;
     bench.npy(npy("<c16", false, "(1, 2)", &[0; 32]), 422, "npy.dtype").await;
     bench.npy(npy("<f8", false, "(1, 2, 1)", &f8(&[1.0, 2.0])), 422, "npy.shape").await;
-    let place = bench.npy(npy("<f8", false, "(1000000000000, 2)", &f8(&[1.0, 2.0])), 400, "npy.truncated").await;
+    let place =
+        bench.npy(npy("<f8", false, "(1000000000000, 2)", &f8(&[1.0, 2.0])), 400, "npy.truncated").await;
     assert_eq!(place["limit"], "16000000000000 bytes of data");
     bench.npy(npy("<f8", false, "(1, 2)", &f8(&[1.0, 2.0, 3.0])), 400, "npy.trailing_bytes").await;
     bench.npy(b"PK\x03\x04 not an array".to_vec(), 400, "npy.header").await;
@@ -120,10 +128,12 @@ async fn npy_headers_are_held_against_dtype_shape_and_bytes() {
 async fn a_body_that_is_shorter_than_declared_stores_nothing() {
     let bench = Bench::new().await;
     let head = "POST /v1/rigs/bench/runs HTTP/1.1\r\nhost: x\r\ncontent-type: text/csv\r\n";
-    let answer = exchange(bench.0.address(), format!("{head}content-length: 1000\r\n\r\nu,y\n1,2\n").as_bytes());
+    let answer =
+        exchange(bench.0.address(), format!("{head}content-length: 1000\r\n\r\nu,y\n1,2\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
     assert!(answer.contains("body.incomplete") && answer.contains("application/problem+json"), "{answer}");
-    let answer = exchange(bench.0.address(), format!("{head}transfer-encoding: chunked\r\n\r\n4\r\nu,y\n").as_bytes());
+    let answer =
+        exchange(bench.0.address(), format!("{head}transfer-encoding: chunked\r\n\r\n4\r\nu,y\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 400") && answer.contains("body.incomplete"), "{answer}");
     assert_eq!((bench.0.runs().await, bench.0.files().len()), (0, 0));
 }
@@ -136,7 +146,8 @@ async fn an_upload_over_the_limit_is_refused_by_its_length_and_while_it_comes() 
     let answer = exchange(app.address(), format!("{head}content-length: 501\r\n\r\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("500 bytes"), "{answer}");
     let chunk = format!("1f5\r\n{}\r\n0\r\n\r\n", "1".repeat(501));
-    let answer = exchange(app.address(), format!("{head}transfer-encoding: chunked\r\n\r\n{chunk}").as_bytes());
+    let answer =
+        exchange(app.address(), format!("{head}transfer-encoding: chunked\r\n\r\n{chunk}").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("body.too_large"), "{answer}");
     assert_eq!((app.runs().await, app.files().len()), (0, 0));
     app.run("kind=noise", &noise_csv(5, 1)).await;
@@ -145,11 +156,13 @@ async fn an_upload_over_the_limit_is_refused_by_its_length_and_while_it_comes() 
 #[tokio::test]
 async fn json_files_refuse_unknown_and_repeated_fields() {
     let bench = Bench::new().await;
-    let json = async |text: &str, status, code| bench.refused("", "application/json", text, status, code).await;
+    let json =
+        async |text: &str, status, code| bench.refused("", "application/json", text, status, code).await;
     json(r#"{"sample_rate_hz": 100, "channels": {"u": [1]}, "unit": "kN"}"#, 422, "json.unknown_field").await;
     json(r#"{"sample_rate_hz": 100, "channels": {"u": [1], "u": [2]}}"#, 422, "run.duplicate_channel").await;
     json(r#"{"channels": {"u": [1]}}"#, 422, "json.missing_field").await;
-    let place = json(r#"{"sample_rate_hz": 100, "channels": {"u": [1, null]}}"#, 422, "json.not_a_number").await;
+    let place =
+        json(r#"{"sample_rate_hz": 100, "channels": {"u": [1, null]}}"#, 422, "json.not_a_number").await;
     assert_eq!((&place["channel"], &place["sample"]), (&json!("u"), &json!(1)));
     json(r#"{"sample_rate_hz": 100"#, 400, "json.invalid").await;
 }
@@ -157,7 +170,9 @@ async fn json_files_refuse_unknown_and_repeated_fields() {
 #[tokio::test]
 async fn senseless_queries_and_types_are_refused_before_the_body_is_read() {
     let bench = Bench::new().await;
-    for query in ["kind=nose", "split=train", "started_at=yesterday", "resample=maybe", "tag=", "kind=noise&kind=sine"] {
+    for query in
+        ["kind=nose", "split=train", "started_at=yesterday", "resample=maybe", "tag=", "kind=noise&kind=sine"]
+    {
         bench.refused(query, "text/csv", "u\n1\n", 422, "query.invalid").await;
     }
     bench.refused("colour=red", "text/csv", "u\n1\n", 422, "query.unknown_parameter").await;

@@ -50,8 +50,10 @@ fn operation_ids_are_unique_and_path_parameters_are_described() {
             .filter(|p| p["in"] == "path")
             .map(|p| p["name"].as_str().expect("a name").to_owned())
             .collect();
-        let in_path: BTreeSet<String> =
-            path.split('/').filter_map(|s| Some(s.strip_prefix('{')?.strip_suffix('}')?.to_owned())).collect();
+        let in_path: BTreeSet<String> = path
+            .split('/')
+            .filter_map(|s| Some(s.strip_prefix('{')?.strip_suffix('}')?.to_owned()))
+            .collect();
         assert_eq!(described, in_path, "{path}");
     }
 }

@@ -15,8 +15,14 @@ async fn weights_come_out_as_they_went_in() {
     let created = app.post_file(MODELS, SAFETENSORS, weights.clone()).await.expect(201);
     assert_eq!(created.header("location"), "/v1/rigs/bench/models/1");
     let model = created.json();
-    assert_eq!((&model["version"], &model["origin"], &model["active"]), (&json!(1), &json!("import"), &json!(false)));
-    assert_eq!((&model["kind"], &model["inputs"], &model["outputs"]), (&json!("frf"), &json!(["u"]), &json!(["y"])));
+    assert_eq!(
+        (&model["version"], &model["origin"], &model["active"]),
+        (&json!(1), &json!("import"), &json!(false))
+    );
+    assert_eq!(
+        (&model["kind"], &model["inputs"], &model["outputs"]),
+        (&json!("frf"), &json!(["u"]), &json!(["y"]))
+    );
     let out = app.get(&format!("{MODELS}/1/weights")).await.expect(200);
     assert_eq!(out.bytes, weights);
     assert_eq!(out.header("etag"), format!("{}", model["sha256"]));
@@ -54,7 +60,8 @@ async fn a_tensor_of_the_wrong_shape_is_named() {
     app.rig(&bench()).await;
     // The same bytes under another shape: one line fewer, one input more.
     let weights = gain_weights(&["u"], &["y"], 2.0);
-    let header = usize::try_from(u64::from_le_bytes(weights[..8].try_into().expect("8 bytes"))).expect("a length");
+    let header =
+        usize::try_from(u64::from_le_bytes(weights[..8].try_into().expect("8 bytes"))).expect("a length");
     let text = String::from_utf8(weights[8..8 + header].to_vec()).expect("text");
     assert!(text.contains("[5,1,1]"), "lines, outputs, inputs: {text}");
     let bent = text.replacen("[5,1,1]", "[1,5,1]", 1);

@@ -60,7 +60,10 @@ async fn the_answer_holds_what_was_asked_for_and_nothing_else() {
     let target = json!({"sample_rate_hz": 100.0, "channels": {"y": [0.0, 1.0]}});
     assert_eq!(keys(json!({"target": target})).await, "damage errors model response trust");
     let problem = app
-        .post_json(PREDICT, &json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0]}}, "include": ["errors"]}))
+        .post_json(
+            PREDICT,
+            &json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0]}}, "include": ["errors"]}),
+        )
         .await
         .problem(422, "predict.target_missing");
     assert_eq!(problem["errors"][0]["pointer"], "/target");
@@ -118,7 +121,10 @@ async fn arrays_go_in_and_out_in_either_precision_and_order() {
         assert_eq!((reply.header("rigcast-model-version"), reply.header("rigcast-channels")), ("1", "y"));
         assert_eq!(reply.header("rigcast-trust-inside"), "1");
         let (header, values) = read_f4(&reply.bytes);
-        assert!(header.contains("'<f4'") && header.contains("False") && header.contains("(4, 1)"), "{header}");
+        assert!(
+            header.contains("'<f4'") && header.contains("False") && header.contains("(4, 1)"),
+            "{header}"
+        );
         assert_close(&values.iter().map(|v| f64::from(*v)).collect::<Vec<_>>(), &expected, 1e-6);
     }
     let file = npy("<f8", false, "(4, 1)", &f8(&u));
@@ -208,11 +214,16 @@ async fn drives_that_do_not_suit_the_model_are_refused_by_name() {
 async fn channels_of_unequal_length_are_refused_by_name() {
     let app = TestApp::start();
     app.rig(&triple()).await;
-    app.post_file("/v1/rigs/triple/models", SAFETENSORS, gain_weights(&["fx", "fy"], &["fz"], 1.0)).await.expect(201);
+    app.post_file("/v1/rigs/triple/models", SAFETENSORS, gain_weights(&["fx", "fy"], &["fz"], 1.0))
+        .await
+        .expect(201);
     let drive = json!({"sample_rate_hz": 100.0, "channels": {"fx": [0.0, 1.0], "fy": [0.0]}});
     let reply = app.post_json("/v1/rigs/triple/predict", &json!({"model": 1, "drive": drive})).await;
     let problem = reply.problem(422, "signal.unequal_lengths");
-    assert_eq!(problem["errors"][0], json!({"pointer": "/drive/channels", "channel": "fy", "limit": "2 samples"}));
+    assert_eq!(
+        problem["errors"][0],
+        json!({"pointer": "/drive/channels", "channel": "fy", "limit": "2 samples"})
+    );
 }
 
 #[tokio::test]

@@ -14,7 +14,11 @@ async fn the_frameworks_own_refusals_are_problem_documents_too() {
     assert!(reply.header("allow").contains("POST"), "{:?}", reply.headers);
     reply.problem(405, "method.not_allowed");
     app.call("POST", "/v1/rigs").send().await.problem(415, "content_type.unsupported");
-    app.call("POST", "/v1/rigs").body("text/plain", "{}").send().await.problem(415, "content_type.unsupported");
+    app.call("POST", "/v1/rigs")
+        .body("text/plain", "{}")
+        .send()
+        .await
+        .problem(415, "content_type.unsupported");
     let gzip = app.call("POST", "/v1/rigs").header("content-encoding", "gzip").json(&json!({}));
     gzip.send().await.problem(415, "content_encoding.unsupported");
 }
@@ -84,7 +88,8 @@ async fn a_json_body_over_the_limit_is_refused_by_its_length_and_while_it_comes(
     assert!(answer.starts_with("HTTP/1.1 413"), "refused before a byte of it came: {answer}");
     assert!(answer.contains("body.too_large") && answer.contains("1000 bytes"), "{answer}");
     let chunk = format!("3e9\r\n{}\r\n0\r\n\r\n", " ".repeat(1001));
-    let answer = exchange(app.address(), format!("{head}transfer-encoding: chunked\r\n\r\n{chunk}").as_bytes());
+    let answer =
+        exchange(app.address(), format!("{head}transfer-encoding: chunked\r\n\r\n{chunk}").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("body.too_large"), "{answer}");
 }
 

@@ -22,7 +22,8 @@ async fn the_same_samples_come_back_from_every_format_in_every_format() {
         ("application/x-npy", npy("<f8", true, "(4, 2)", &f8(&[u, y].concat()))),
     ];
     for (media_type, file) in files {
-        let created = app.post_file("/v1/rigs/bench/runs?kind=service", media_type, file.clone()).await.expect(201);
+        let created =
+            app.post_file("/v1/rigs/bench/runs?kind=service", media_type, file.clone()).await.expect(201);
         let run = created.json();
         assert_eq!(run["sha256"], format!("{:x}", HexDigest(&file)));
         assert_eq!((&run["samples"], &run["duration_s"]), (&json!(4), &json!(0.04)));
@@ -33,7 +34,8 @@ async fn the_same_samples_come_back_from_every_format_in_every_format() {
         assert_eq!(npy_out.header("rigcast-channels"), "u,y");
         assert!(npy_out.bytes.ends_with(&f8(&rows)), "C order, doubles");
         let csv_out = app.call("GET", &data).header("accept", "text/csv").send().await.expect(200);
-        let again = app.post_file("/v1/rigs/bench/runs?kind=service", "text/csv", csv_out.bytes.clone()).await;
+        let again =
+            app.post_file("/v1/rigs/bench/runs?kind=service", "text/csv", csv_out.bytes.clone()).await;
         let again = format!("{}/data", again.expect(201).header("location"));
         assert_eq!(app.get(&again).await.expect(200).json(), json_file, "{}", csv_out.text());
     }
@@ -54,7 +56,8 @@ async fn a_stretch_of_some_channels_is_cut_by_time() {
     app.rig(&bench()).await;
     let samples: Vec<f64> = (0..100).map(f64::from).collect();
     let file = npy("<f8", false, "(100,)", &f8(&samples));
-    let created = app.post_file("/v1/rigs/bench/runs?channels=y", "application/x-npy", file).await.expect(201);
+    let created =
+        app.post_file("/v1/rigs/bench/runs?channels=y", "application/x-npy", file).await.expect(201);
     let data = format!("{}/data", created.header("location"));
     let cut = app.get(&format!("{data}?from_s=0.07&to_s=0.1&channels=y")).await.expect(200).json();
     assert_eq!(cut, json!({"sample_rate_hz": 100.0, "channels": {"y": [7.0, 8.0, 9.0]}}));
@@ -75,7 +78,8 @@ async fn singles_and_a_subset_of_the_channels_in_any_order_are_a_run() {
     let app = TestApp::start();
     app.rig(&bench()).await;
     let file = npy("<f4", false, "(2, 2)", &f4(&[1.0, 2.0, 3.0, 4.0]));
-    let created = app.post_file("/v1/rigs/bench/runs?channels=y,u", "application/x-npy", file).await.expect(201);
+    let created =
+        app.post_file("/v1/rigs/bench/runs?channels=y,u", "application/x-npy", file).await.expect(201);
     assert_eq!(created.json()["channels"], json!(["y", "u"]));
     let data = app.get(&format!("{}/data", created.header("location"))).await.expect(200).json();
     assert_eq!(data["channels"], json!({"y": [1.0, 3.0], "u": [2.0, 4.0]}));
@@ -87,18 +91,29 @@ async fn a_run_keeps_what_was_said_about_it_and_lets_it_be_changed() {
     app.rig(&bench()).await;
     let query = "name=N%201&kind=noise&split=validation&tag=linear&tag=cold&started_at=2026-03-01T12:00:00Z";
     let run = app.run(query, &noise_csv(50, 3)).await;
-    assert_eq!((&run["name"], &run["split"], &run["kind"]), (&json!("N 1"), &json!("validation"), &json!("noise")));
-    assert_eq!((&run["tags"], &run["started_at"]), (&json!(["linear", "cold"]), &json!("2026-03-01T12:00:00Z")));
+    assert_eq!(
+        (&run["name"], &run["split"], &run["kind"]),
+        (&json!("N 1"), &json!("validation"), &json!("noise"))
+    );
+    assert_eq!(
+        (&run["tags"], &run["started_at"]),
+        (&json!(["linear", "cold"]), &json!("2026-03-01T12:00:00Z"))
+    );
     assert_eq!(run["quality"]["channels"][1]["channel"], "y");
     let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
     let patch = |body: serde_json::Value| app.call("PATCH", &path).json(&body).send();
     let changed = patch(json!({"split": "test", "tags": null})).await.expect(200).json();
-    assert_eq!((&changed["split"], &changed["tags"], &changed["name"]), (&json!("test"), &json!([]), &json!("N 1")));
+    assert_eq!(
+        (&changed["split"], &changed["tags"], &changed["name"]),
+        (&json!("test"), &json!([]), &json!("N 1"))
+    );
     assert_eq!(app.get(&path).await.json(), changed);
     patch(json!({"samples": 3})).await.problem(422, "body.unknown_field");
     patch(json!({"tags": [""]})).await.problem(422, "run.invalid");
     app.run("kind=sine", &noise_csv(50, 4)).await;
-    for (query, count) in [("kind=noise", 1), ("split=test", 1), ("split=training", 1), ("kind=sweep", 0), ("", 2)] {
+    for (query, count) in
+        [("kind=noise", 1), ("split=test", 1), ("split=training", 1), ("kind=sweep", 0), ("", 2)]
+    {
         let found = app.get(&format!("/v1/rigs/bench/runs?{query}")).await.expect(200).json();
         assert_eq!(found["items"].as_array().map(Vec::len), Some(count), "{query}");
     }

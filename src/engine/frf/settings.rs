@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::engine::EngineError;
+use crate::engine::spectral::{Detrend, Welch};
+
 /// The estimator of `H` from averaged spectra.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -20,11 +23,12 @@ pub enum Estimator {
 pub struct FrfSettings {
     /// Samples per segment, a power of two.
     pub segment_len: Option<usize>,
-    /// Fraction that neighbouring segments share, 0 <= overlap < 1.
+    /// Fraction that neighbouring segments share, 0 <= overlap <= [`Welch::MAX_OVERLAP`].
     pub overlap: f64,
     /// Estimator.
     pub estimator: Estimator,
-    /// Relative ridge: this share of the mean eigenvalue of `S_xx` is added to its diagonal.
+    /// Relative ridge: this share of the mean eigenvalue of `S_xx` is added to its diagonal, each
+    /// input scaled to its standard deviation.
     pub ridge: Option<f64>,
 }
 
@@ -32,5 +36,41 @@ impl Default for FrfSettings {
     /// 75 % overlap, H1; segment and ridge by held-out prediction.
     fn default() -> Self {
         Self { segment_len: None, overlap: 0.75, estimator: Estimator::H1, ridge: None }
+    }
+}
+
+impl FrfSettings {
+    /// Shortest segment: fewer lines cannot show a resonance.
+    pub const MIN_SEGMENT_LEN: usize = 8;
+
+    /// Checks what does not depend on the data.
+    ///
+    /// # Errors
+    /// [`EngineError::Setting`] with the field's name and limit.
+    pub fn check(&self) -> Result<(), EngineError> {
+        let refuse =
+            |setting, found: String, limit: String| Err(EngineError::Setting { setting, found, limit });
+        if let Some(len) = self.segment_len
+            && !(len.is_power_of_two() && len >= Self::MIN_SEGMENT_LEN)
+        {
+            let limit = format!("a power of two, at least {}", Self::MIN_SEGMENT_LEN);
+            return refuse("frf.segment_len", len.to_string(), limit);
+        }
+        if !(0.0..=Welch::MAX_OVERLAP).contains(&self.overlap) {
+            let limit = format!("from 0 to {}", Welch::MAX_OVERLAP);
+            return refuse("frf.overlap", self.overlap.to_string(), limit);
+        }
+        if let Some(ridge) = self.ridge
+            && !(0.0..=1.0).contains(&ridge)
+        {
+            return refuse("frf.ridge", ridge.to_string(), "from 0 to 1".into());
+        }
+        Ok(())
+    }
+
+    /// Segments of one length. The mean stays: only the working point is subtracted, so that the
+    /// DC line holds the static gain.
+    pub(super) fn welch(&self, segment_len: usize) -> Welch {
+        Welch { segment_len, overlap: self.overlap, detrend: Detrend::None }
     }
 }

@@ -13,8 +13,8 @@ use crate::engine::Signal;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
 use crate::engine::model::{ModelKind, Trust};
-use crate::formats::npy::{Dtype, Order};
 use crate::formats;
+use crate::formats::npy::{Dtype, Order};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::signals::Named;
 use crate::http::{codes, errors, json};
@@ -217,11 +217,8 @@ fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> Vec<(&'a str, [usize; 3])> {
 
 /// Errors of the outputs that have a target.
 fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<ErrorReport> {
-    let places: Vec<usize> = target
-        .names
-        .iter()
-        .filter_map(|name| outputs.iter().position(|output| output == name))
-        .collect();
+    let places: Vec<usize> =
+        target.names.iter().filter_map(|name| outputs.iter().position(|output| output == name)).collect();
     let found = metrics::errors(&target.signal, &response.select(&places))
         .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
     let channels = target.names.iter().cloned().zip(found.channels).collect();

@@ -160,7 +160,8 @@ impl TestApp {
     fn jobs_in(&self, state: &'static str) -> Vec<serde_json::Value> {
         let url = format!("http://{}/v1/jobs?state={state}", self.address);
         let asked = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+            let runtime =
+                tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
             runtime.block_on(async {
                 let reply = reqwest::get(url).await.expect("the service answers");
                 reply.json::<serde_json::Value>().await.expect("a list of jobs")

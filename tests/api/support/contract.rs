@@ -54,14 +54,20 @@ impl Contract {
             self.check_problem(&place, reply);
         }
         let Some((template, id)) = self.find(method, path) else {
-            assert!([404, 405].contains(&reply.status), "{place}: an operation that the contract does not have");
+            assert!(
+                [404, 405].contains(&reply.status),
+                "{place}: an operation that the contract does not have"
+            );
             return None;
         };
         let operation = format!("/paths/{}/{}", token(&template), method.to_lowercase());
         let responses = &self.at(&operation)["responses"];
         let status = reply.status.to_string();
         let key = if responses.get(&status).is_some() { status } else { "default".to_owned() };
-        assert!(key != "default" || reply.status >= 400, "{place}: a success that the contract does not have");
+        assert!(
+            key != "default" || reply.status >= 400,
+            "{place}: a success that the contract does not have"
+        );
         if reply.status < 400 {
             self.check_success(&place, &format!("{operation}/responses/{key}"), media_type.as_deref(), reply);
             if let Some(sent) = sent {
@@ -96,8 +102,13 @@ impl Contract {
         assert_eq!(problem["status"], reply.status, "{place}");
         assert_eq!(problem["request_id"], reply.header("x-request-id"), "{place}");
         let code = problem["code"].as_str().expect("a code");
-        let known = rigcast::http::codes::find(code).unwrap_or_else(|| panic!("{place}: unknown code {code}"));
-        assert_eq!((known.status, known.title), (reply.status, problem["title"].as_str().expect("a title")), "{place}");
+        let known =
+            rigcast::http::codes::find(code).unwrap_or_else(|| panic!("{place}: unknown code {code}"));
+        assert_eq!(
+            (known.status, known.title),
+            (reply.status, problem["title"].as_str().expect("a title")),
+            "{place}"
+        );
     }
 
     /// Path template and id of the operation that answers to a path; literal paths come first.

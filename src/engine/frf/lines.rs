@@ -1,0 +1,207 @@
+//! The algebra of one estimate: each line a small Hermitian system, solved by its eigenvalues.
+//!
+//! Inputs are scaled to their standard deviation first, so that eigenvalues, condition number and
+//! ridge mean the same whatever units and levels the inputs have.
+
+use faer::{Mat, Side};
+use rayon::prelude::*;
+use realfft::num_complex::Complex64;
+
+use crate::engine::EngineError;
+use crate::engine::spectral::CrossSpectra;
+
+/// Below this share of the largest eigenvalue an eigenvalue is rounding, not excitation.
+const ROUNDING: f64 = 1e-10;
+
+/// `S_xx = V diag(eigenvalues) V^H` of the scaled inputs at every line, and `S_yx V`.
+pub(super) struct Lines<'a> {
+    spectra: &'a CrossSpectra,
+    x_scale: &'a [f64],
+    /// Ascending, `[line, k]`, output of the scaled inputs' density, 1/Hz.
+    pub eigenvalues: Vec<f64>,
+    /// `V[line, input, k]`.
+    vectors: Vec<Complex64>,
+    /// `(S_yx V)[line, output, k]`.
+    projected: Vec<Complex64>,
+}
+
+/// One line's share of [`Lines`].
+struct Line {
+    eigenvalues: Vec<f64>,
+    vectors: Vec<Complex64>,
+    projected: Vec<Complex64>,
+}
+
+impl<'a> Lines<'a> {
+    /// Decomposes every line.
+    pub fn new(spectra: &'a CrossSpectra, x_scale: &'a [f64]) -> Result<Self, EngineError> {
+        let lines: Vec<Line> = (0..spectra.n_lines)
+            .into_par_iter()
+            .with_min_len(64)
+            .map(|line| decompose(spectra, x_scale, line))
+            .collect::<Result<_, _>>()?;
+        let mut all = Self {
+            spectra,
+            x_scale,
+            eigenvalues: Vec::with_capacity(spectra.n_lines * spectra.n_inputs),
+            vectors: Vec::with_capacity(spectra.sxx.len()),
+            projected: Vec::with_capacity(spectra.syx.len()),
+        };
+        for line in lines {
+            all.eigenvalues.extend(line.eigenvalues);
+            all.vectors.extend(line.vectors);
+            all.projected.extend(line.projected);
+        }
+        Ok(all)
+    }
+
+    /// `H = S_yx (S_xx + ridge * mean eigenvalue)^-1` (Bendat and Piersol, Random Data,
+    /// section 7.5, with a ridge), `[line, output, input]` in the channels' units.
+    pub fn h1(&self, ridge: f64) -> Vec<Complex64> {
+        let (nx, ny) = (self.spectra.n_inputs, self.spectra.n_outputs);
+        let mut h = vec![Complex64::default(); self.spectra.syx.len()];
+        h.par_chunks_mut(ny * nx).enumerate().for_each(|(line, h)| {
+            let inverse = self.inverse(line, ridge);
+            let vectors = &self.vectors[line * nx * nx..(line + 1) * nx * nx];
+            let projected = &self.projected[line * ny * nx..(line + 1) * ny * nx];
+            for (h, projected) in h.chunks_mut(nx).zip(projected.chunks(nx)) {
+                for ((h, v), scale) in h.iter_mut().zip(vectors.chunks(nx)).zip(self.x_scale) {
+                    let sum: Complex64 =
+                        projected.iter().zip(v).zip(&inverse).map(|((p, v), w)| p * v.conj() * w).sum();
+                    *h = sum / scale;
+                }
+            }
+        });
+        h
+    }
+
+    /// `H_kl = S_kl / S_kk` (Heindel et al., section 2.1), `[line, output, input]`.
+    pub fn ratio(&self, ridge: f64) -> Vec<Complex64> {
+        let (nx, ny) = (self.spectra.n_inputs, self.spectra.n_outputs);
+        let mut h = self.spectra.syx.clone();
+        for (line, h) in h.chunks_mut(ny * nx).enumerate() {
+            let ridge = ridge * self.mean_eigenvalue(line);
+            for row in h.chunks_mut(nx) {
+                for (i, h) in row.iter_mut().enumerate() {
+                    let power = self.power(line, i) + ridge * self.x_scale[i] * self.x_scale[i];
+                    *h = if power > 0.0 { *h / power } else { Complex64::default() };
+                }
+            }
+        }
+        h
+    }
+
+    /// `S_ii` of one input.
+    pub fn power(&self, line: usize, input: usize) -> f64 {
+        let nx = self.spectra.n_inputs;
+        self.spectra.sxx[(line * nx + input) * nx + input].re
+    }
+
+    /// Smallest power of a scaled input at a line.
+    pub fn smallest_power(&self, line: usize) -> f64 {
+        let scaled = |i: usize| self.power(line, i) / (self.x_scale[i] * self.x_scale[i]);
+        (0..self.spectra.n_inputs).map(scaled).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Mean eigenvalue of the scaled `S_xx` at a line.
+    pub fn mean_eigenvalue(&self, line: usize) -> f64 {
+        let nx = self.spectra.n_inputs;
+        self.eigenvalues[line * nx..(line + 1) * nx].iter().sum::<f64>() / nx as f64
+    }
+
+    /// Condition number of the scaled `S_xx` at a line; `f64::MAX` when it is singular.
+    pub fn condition(&self, line: usize) -> f64 {
+        let nx = self.spectra.n_inputs;
+        let (smallest, largest) = (self.eigenvalues[line * nx], self.eigenvalues[(line + 1) * nx - 1]);
+        let condition = largest / smallest;
+        if smallest > 0.0 && condition.is_finite() { condition } else { f64::MAX }
+    }
+
+    /// The input that is nearly a combination of the others at a line.
+    pub fn most_dependent_input(&self, line: usize) -> usize {
+        let nx = self.spectra.n_inputs;
+        let share = |i: usize| self.vectors[(line * nx + i) * nx].norm();
+        (0..nx).max_by(|&a, &b| share(a).total_cmp(&share(b))).unwrap_or(0)
+    }
+
+    /// Whether the inputs are linearly dependent at a line, rounding apart.
+    pub fn singular(&self, line: usize) -> bool {
+        let nx = self.spectra.n_inputs;
+        self.eigenvalues[line * nx] <= ROUNDING * self.eigenvalues[(line + 1) * nx - 1]
+    }
+
+    /// Multiple coherence of one output with all inputs at a line, 0..=1:
+    /// `S_yx S_xx^-1 S_xy / S_yy` (Bendat and Piersol, Random Data, section 7.3).
+    pub fn multiple_coherence(&self, line: usize, output: usize) -> f64 {
+        let (nx, ny) = (self.spectra.n_inputs, self.spectra.n_outputs);
+        let at = (line * ny + output) * nx;
+        let explained: f64 = self.projected[at..at + nx]
+            .iter()
+            .zip(self.inverse(line, 0.0))
+            .map(|(p, inverse)| p.norm_sqr() * inverse)
+            .sum();
+        share(explained, self.spectra.syy[line * ny + output])
+    }
+
+    /// Ordinary coherence of one output with one input at a line, 0..=1.
+    pub fn ordinary_coherence(&self, line: usize, output: usize, input: usize) -> f64 {
+        let (nx, ny) = (self.spectra.n_inputs, self.spectra.n_outputs);
+        let cross = self.spectra.syx[(line * ny + output) * nx + input].norm_sqr();
+        share(cross / self.power(line, input), self.spectra.syy[line * ny + output])
+    }
+
+    /// Ordinary coherence of two inputs at a line, 0..=1.
+    pub fn input_coherence(&self, line: usize, a: usize, b: usize) -> f64 {
+        let nx = self.spectra.n_inputs;
+        let cross = self.spectra.sxx[(line * nx + a) * nx + b].norm_sqr();
+        share(cross / self.power(line, a), self.power(line, b))
+    }
+
+    /// `(S_xx^-1)_ii` in the input's own unit: what one average of unit output noise makes of the
+    /// variance of `H[output, i]`.
+    pub fn inverse_diagonal(&self, line: usize, input: usize) -> f64 {
+        let nx = self.spectra.n_inputs;
+        let row = &self.vectors[(line * nx + input) * nx..(line * nx + input + 1) * nx];
+        let sum: f64 = row.iter().zip(self.inverse(line, 0.0)).map(|(v, w)| v.norm_sqr() * w).sum();
+        sum / (self.x_scale[input] * self.x_scale[input])
+    }
+
+    /// Inverse eigenvalues, what is only rounding left out.
+    fn inverse(&self, line: usize, ridge: f64) -> Vec<f64> {
+        let nx = self.spectra.n_inputs;
+        let eigenvalues = &self.eigenvalues[line * nx..(line + 1) * nx];
+        let (ridge, floor) = (ridge * self.mean_eigenvalue(line), ROUNDING * eigenvalues[nx - 1]);
+        eigenvalues.iter().map(|&e| if e > floor { 1.0 / (e + ridge) } else { 0.0 }).collect()
+    }
+}
+
+fn decompose(spectra: &CrossSpectra, x_scale: &[f64], line: usize) -> Result<Line, EngineError> {
+    let (nx, ny) = (spectra.n_inputs, spectra.n_outputs);
+    let sxx = &spectra.sxx[line * nx * nx..(line + 1) * nx * nx];
+    let syx = &spectra.syx[line * ny * nx..(line + 1) * ny * nx];
+    let (eigenvalues, vectors) = if nx == 1 {
+        (vec![sxx[0].re / (x_scale[0] * x_scale[0])], vec![Complex64::new(1.0, 0.0)])
+    } else {
+        let scaled = Mat::from_fn(nx, nx, |i, j| sxx[i * nx + j] / (x_scale[i] * x_scale[j]));
+        let eigen = scaled.self_adjoint_eigen(Side::Lower).map_err(|_| EngineError::NonFiniteResult {
+            what: "eigenvalue of S_xx",
+            channel: 0,
+            sample: line,
+        })?;
+        let vectors = (0..nx * nx).map(|at| eigen.U()[(at / nx, at % nx)]).collect();
+        (eigen.S().column_vector().iter().map(|e| e.re).collect(), vectors)
+    };
+    let projected = (0..ny * nx)
+        .map(|at| {
+            let (o, k) = (at / nx, at % nx);
+            (0..nx).map(|i| syx[o * nx + i] / x_scale[i] * vectors[i * nx + k]).sum()
+        })
+        .collect();
+    Ok(Line { eigenvalues, vectors, projected })
+}
+
+/// `part / whole` within 0..=1; nothing of nothing is 0.
+fn share(part: f64, whole: f64) -> f64 {
+    let share = part / whole;
+    if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+}

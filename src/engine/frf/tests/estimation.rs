@@ -1,0 +1,252 @@
+//! The FRF of a known system is found, and its quality figures say the truth.
+
+use super::modal::Modal;
+use super::*;
+
+/// Share of all `H[line, output, input]` between DC and Nyquist within their bounds.
+fn share_within(estimate: &FrfEstimate, rig: &Modal, confidence: f64) -> f64 {
+    let frf = &estimate.frf;
+    let bounds = estimate.random_error(confidence).unwrap();
+    assert_eq!(bounds.len(), frf.h.len());
+    let (mut inside, mut all) = (0, 0);
+    for line in 1..frf.n_lines() - 1 {
+        for o in 0..frf.n_outputs {
+            for i in 0..frf.n_inputs {
+                let truth = rig.frf(line as f64 * frf.df_hz(), o, i);
+                let bound = bounds[(line * frf.n_outputs + o) * frf.n_inputs + i];
+                inside += usize::from((frf.at(line, o, i) - truth).norm() <= bound);
+                all += 1;
+            }
+        }
+    }
+    f64::from(u32::try_from(inside).unwrap()) / f64::from(u32::try_from(all).unwrap())
+}
+
+/// First-order low pass: power falls with 1/f^2 above some hertz.
+fn coloured(mut x: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    for channel in &mut x {
+        let mut state = 0.0;
+        for v in channel {
+            state = 0.8 * state + *v;
+            *v = state;
+        }
+    }
+    x
+}
+
+/// Every input gets a share of the others.
+fn correlated(x: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let n = x[0].len();
+    let mix = |c: usize| (0..n).map(|t| x[c][t] + 0.9 * x[(c + 1) % 3][t]).collect();
+    (0..3).map(mix).collect()
+}
+
+/// 400 s of the bench with white noise at the outputs, about half of their deviation.
+fn measure(rig: &Modal, x: &[Vec<f64>], seed: u64) -> Vec<Vec<f64>> {
+    let mut y = rig.simulate(x);
+    for (o, y) in y.iter_mut().enumerate() {
+        let deviation = (y.iter().map(|v| v * v).sum::<f64>() / y.len() as f64).sqrt();
+        for (y, v) in y.iter_mut().zip(noise(seed + o as u64, x[0].len())) {
+            *y += 0.5 * deviation * v;
+        }
+    }
+    y
+}
+
+#[test]
+fn the_frf_of_a_linear_system_is_recovered_within_its_confidence_bounds() {
+    let rig = Modal::bench();
+    let n = 80_000;
+    for (seed, x) in [
+        (1, channels(1, 3, n)),
+        (2, coloured(channels(2, 3, n))),
+        (3, correlated(channels(3, 3, n))),
+        (4, correlated(coloured(channels(4, 3, n)))),
+    ] {
+        let y = signal(rig.fs, measure(&rig, &x, seed * 1000));
+        let x = signal(rig.fs, x);
+        for overlap in [0.5, 0.75] {
+            let settings = FrfSettings { overlap, ..fixed(1024, 0.0) };
+            let estimate = estimate(&[(&x, &y)], &settings, &unwatched).unwrap();
+            // 3,066 values; neighbouring lines share data, so a share wanders by about a percent.
+            let (s95, s50) = (share_within(&estimate, &rig, 0.95), share_within(&estimate, &rig, 0.5));
+            println!("drives {seed}, overlap {overlap}: {s95:.3} within 95 %, {s50:.3} within 50 %");
+            assert!((0.93..=0.97).contains(&s95), "drives {seed}, overlap {overlap}: {s95}");
+            assert!((0.45..=0.55).contains(&s50), "drives {seed}, overlap {overlap}: {s50}");
+            assert_eq!(estimate.frf.usable_hz, [0.0, 100.0]);
+            assert_eq!(estimate.warnings, [""; 0]);
+        }
+    }
+}
+
+#[test]
+fn without_noise_the_error_is_small_and_coherence_one() {
+    let rig = Modal::bench();
+    let x = channels(5, 3, 60_000);
+    let y = signal(rig.fs, rig.simulate(&x));
+    let x = signal(rig.fs, x);
+    let found = estimate(&[(&x, &y)], &fixed(2048, 0.0), &unwatched).unwrap();
+    let (mut error, mut power) = (0.0, 0.0);
+    for line in 0..found.frf.n_lines() {
+        for o in 0..2 {
+            for i in 0..3 {
+                let truth = rig.frf(line as f64 * found.frf.df_hz(), o, i);
+                error += (found.frf.at(line, o, i) - truth).norm_sqr();
+                power += truth.norm_sqr();
+            }
+        }
+    }
+    let error = (error / power).sqrt();
+    assert!(error < 0.01, "{error}");
+    assert!(found.multiple_coherence.iter().all(|&c| (0.98..=1.0).contains(&c)));
+    assert!(found.condition.iter().all(|&c| (1.0..4.0).contains(&c)));
+}
+
+#[test]
+fn coherence_is_the_share_of_power_that_comes_from_the_inputs() {
+    // y = 2 x0 + x1 + noise of variance 5: of 10 shares of power 4 are x0's, 1 is x1's.
+    let n = 200_000;
+    let x = channels(6, 2, n);
+    let e = noise(777, n);
+    let y: Vec<f64> = (0..n).map(|t| 2.0 * x[0][t] + x[1][t] + 5.0_f64.sqrt() * e[t]).collect();
+    let (x, y) = (signal(100.0, x), signal(100.0, vec![y]));
+    let found = estimate(&[(&x, &y)], &fixed(256, 0.0), &unwatched).unwrap();
+    let lines = found.frf.n_lines();
+    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / lines as f64;
+    let multiple = mean(found.multiple_coherence.clone());
+    let first = mean(found.ordinary_coherence.iter().step_by(2).copied().collect());
+    let second = mean(found.ordinary_coherence.iter().skip(1).step_by(2).copied().collect());
+    assert!((multiple - 0.5).abs() < 0.01, "{multiple}");
+    assert!((first - 0.4).abs() < 0.01, "{first}");
+    assert!((second - 0.1).abs() < 0.01, "{second}");
+    assert!(found.ordinary_coherence.iter().all(|c| (0.0..=1.0).contains(c)));
+}
+
+#[test]
+fn the_ratio_form_is_right_for_independent_drives_and_warns_on_correlated_ones() {
+    let rig = Modal::bench();
+    let ratio = FrfSettings { estimator: Estimator::Ratio, ..fixed(512, 0.0) };
+    let error = |estimate: &FrfEstimate| {
+        let frf = &estimate.frf;
+        let at = |line| (frf.at(line, 0, 1) - rig.frf(line as f64 * frf.df_hz(), 0, 1)).norm_sqr();
+        let truth = |line| rig.frf(line as f64 * frf.df_hz(), 0, 1).norm_sqr();
+        let lines = 1..frf.n_lines() - 1;
+        (lines.clone().map(at).sum::<f64>() / lines.map(truth).sum::<f64>()).sqrt()
+    };
+    for (drives, warned) in [(channels(7, 3, 200_000), false), (correlated(channels(7, 3, 200_000)), true)] {
+        let y = signal(rig.fs, rig.simulate(&drives));
+        let x = signal(rig.fs, drives);
+        let by_ratio = estimate(&[(&x, &y)], &ratio, &unwatched).unwrap();
+        let by_h1 = estimate(&[(&x, &y)], &fixed(512, 0.0), &unwatched).unwrap();
+        // What is left is the bias of short segments at the resonances.
+        assert!(error(&by_h1) < 0.03, "{}", error(&by_h1));
+        assert_eq!(by_h1.warnings, [""; 0]);
+        if warned {
+            assert!(error(&by_ratio) > 0.3, "{}", error(&by_ratio));
+            assert_eq!(by_ratio.warnings.len(), 3, "{:?}", by_ratio.warnings);
+            let first = &by_ratio.warnings[0];
+            // Each shares 0.9 of its neighbour: coherence (0.9 / 1.81)^2.
+            assert!(first.contains("channels 0 and 1") && first.contains("coherence 0.25"), "{first}");
+        } else {
+            assert!(error(&by_ratio) < 0.2, "{}", error(&by_ratio));
+            assert_eq!(by_ratio.warnings, [""; 0]);
+        }
+    }
+}
+
+#[test]
+fn inputs_of_other_units_give_the_same_frf_in_those_units() {
+    let rig = Modal::bench();
+    let x = correlated(channels(8, 3, 30_000));
+    let y = signal(rig.fs, measure(&rig, &x, 50));
+    let scaled: Vec<Vec<f64>> =
+        [1.0, 1e6, 1e-6].iter().zip(&x).map(|(s, c)| c.iter().map(|v| s * v).collect()).collect();
+    let settings = fixed(512, 1e-2);
+    let one = estimate(&[(&signal(rig.fs, x), &y)], &settings, &unwatched).unwrap();
+    let two = estimate(&[(&signal(rig.fs, scaled), &y)], &settings, &unwatched).unwrap();
+    for line in 0..one.frf.n_lines() {
+        for (i, scale) in [1.0, 1e6, 1e-6].into_iter().enumerate() {
+            let (a, b) = (one.frf.at(line, 1, i), two.frf.at(line, 1, i) * scale);
+            assert!((a - b).norm() < 1e-8, "line {line}, input {i}: {a} {b}");
+        }
+        assert!((one.condition[line] / two.condition[line] - 1.0).abs() < 1e-8);
+    }
+}
+
+#[test]
+fn lines_that_the_drives_do_not_excite_are_tapered_to_zero() {
+    // Drives without power above 50 Hz of 100 Hz, cut by FFT over the whole run.
+    let rig = Modal::bench();
+    let n = 65_536;
+    let mut x = channels(9, 3, n);
+    let mut planner = realfft::RealFftPlanner::<f64>::new();
+    let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
+    for channel in &mut x {
+        let mut lines = forward.make_output_vec();
+        forward.process(channel, &mut lines).unwrap();
+        lines[n / 4..].fill(Complex64::default());
+        inverse.process(&mut lines, channel).unwrap();
+        channel.iter_mut().for_each(|v| *v /= n as f64);
+    }
+    let y = rig.simulate(&x);
+    let (x, y) = (signal(rig.fs, x), signal(rig.fs, y));
+    let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
+    let frf = &found.frf;
+    assert_eq!(frf.usable_hz[0], 0.0);
+    assert!((50.0..52.0).contains(&frf.usable_hz[1]), "{:?}", frf.usable_hz);
+    let edge = (frf.usable_hz[1] / frf.df_hz()).round() as usize;
+    let size: Vec<f64> = (edge..frf.n_lines()).map(|line| frf.at(line, 0, 0).norm()).collect();
+    assert!(size.windows(2).all(|w| w[1] <= w[0]), "not a taper");
+    let reach = size.iter().position(|&s| s == 0.0).expect("reaches zero");
+    assert!(reach > 4 && reach < edge / 8, "{reach}");
+    assert_eq!(found.multiple_coherence[(frf.n_lines() - 1) * 2], 0.0);
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    assert!(found.warnings[0].contains("tapered to zero"));
+    // The drive itself has no power there, so the prediction loses nothing.
+    let predicted = frf.apply(&x).unwrap();
+    for o in 0..2 {
+        let error = relative_error(y.channel(o), predicted.channel(o));
+        println!("{:?}: {error:.5}", found.settings);
+        assert!(error < 0.005, "{error}");
+    }
+}
+
+#[test]
+fn the_choice_follows_the_ring_down_and_leaves_nothing_open() {
+    let mut rig = Modal::bench();
+    let mut chosen = Vec::new();
+    for slow in [1.0, 20.0] {
+        rig.modes.iter_mut().for_each(|m| m.damping /= slow);
+        let x = channels(10, 3, 100_000);
+        let y = signal(rig.fs, measure(&rig, &x, 60));
+        let x = signal(rig.fs, x);
+        let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
+        let len = found.settings.segment_len.unwrap();
+        assert_eq!(len, found.frf.segment_len);
+        assert!(found.settings.ridge.is_some());
+        assert!(found.n_averages >= 12);
+        let again = estimate(&[(&x, &y)], &found.settings, &unwatched).unwrap();
+        assert_eq!(again, found);
+        chosen.push(len);
+    }
+    assert!(chosen[1] >= 4 * chosen[0], "{chosen:?}");
+}
+
+#[test]
+fn the_thread_count_changes_no_bit() {
+    let rig = Modal::bench();
+    let x = channels(11, 3, 20_000);
+    let y = signal(rig.fs, measure(&rig, &x, 70));
+    let x = signal(rig.fs, x);
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
+            let predicted = found.frf.apply(&x).unwrap();
+            (found, predicted)
+        })
+    };
+    let one = with(1);
+    assert_eq!(one.1.n_samples(), 20_000);
+    assert!(one == with(2) && one == with(3));
+}

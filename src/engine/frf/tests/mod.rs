@@ -1,0 +1,45 @@
+//! Truth from outside: a linear system of known modes, a slow convolution, measured data.
+
+mod application;
+mod estimation;
+mod modal;
+mod offsets;
+mod real_data;
+mod refusals;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::*;
+use crate::engine::progress::unwatched;
+use crate::engine::{EngineError, Signal};
+
+/// White Gaussian noise of variance 1.
+fn noise(seed: u64, n: usize) -> Vec<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..n).map(|_| StandardNormal.sample(&mut rng)).collect()
+}
+
+fn channels(seed: u64, n_channels: u64, n: usize) -> Vec<Vec<f64>> {
+    (0..n_channels).map(|c| noise(seed * 100 + c, n)).collect()
+}
+
+fn signal(fs: f64, channels: Vec<Vec<f64>>) -> Signal {
+    Signal::new(fs, channels).unwrap()
+}
+
+fn fixed(segment_len: usize, ridge: f64) -> FrfSettings {
+    FrfSettings { segment_len: Some(segment_len), ridge: Some(ridge), ..FrfSettings::default() }
+}
+
+/// Root mean square of the difference over that of the measured deviation from its mean. The ends
+/// are left out: what a cut signal did before and after is not in it.
+fn relative_error(measured: &[f64], predicted: &[f64]) -> f64 {
+    assert_eq!(measured.len(), predicted.len());
+    let inside = 200..measured.len() - 200;
+    let (measured, predicted) = (&measured[inside.clone()], &predicted[inside]);
+    let mean = measured.iter().sum::<f64>() / measured.len() as f64;
+    let error: f64 = measured.iter().zip(predicted).map(|(m, p)| (m - p).powi(2)).sum();
+    (error / measured.iter().map(|m| (m - mean).powi(2)).sum::<f64>()).sqrt()
+}
