@@ -6,8 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::block::{BLOCK, Block};
 use super::rainflow::{Residue, Stack};
-use super::turning::candidates;
 use crate::engine::EngineError;
 
 /// Settings of every damage figure; echoed with it.
@@ -72,13 +72,13 @@ pub(super) fn damage_unchecked(samples: &[f64], settings: &DamageSettings) -> f6
             let Self(samples, residue) = self;
             let [first, .., last] = *samples else { return 0.0 };
             let mut sum = MinerSum::new(power);
-            let mut turns = [0.0; BLOCK];
+            let mut block = Block::new();
             sum.push(first);
             // Blocks share two samples: each inner sample is once the middle of three.
             for start in (0..samples.len().saturating_sub(2)).step_by(BLOCK - 2) {
-                let block = &samples[start..(start + BLOCK).min(samples.len())];
-                let n = candidates(block, &mut turns);
-                turns[..n].iter().for_each(|&v| sum.push(v));
+                let part = &samples[start..(start + BLOCK).min(samples.len())];
+                block.take(part.len(), |block| block.copy_from_slice(part));
+                sum.push_block(&block);
             }
             sum.push(last);
             sum.finish(residue)
@@ -86,9 +86,6 @@ pub(super) fn damage_unchecked(samples: &[f64], settings: &DamageSettings) -> f6
     }
     with_power(settings.slope, Channel(samples, settings.residue)) / settings.constant
 }
-
-/// Samples that are looked at in one go: small enough for the first-level cache.
-pub(super) const BLOCK: usize = 1024;
 
 /// `S_a -> S_a^k` for one slope; a type each, so that the counting loop is compiled around it.
 pub(super) trait Power: Copy + Send + Sync {
@@ -172,6 +169,23 @@ impl<P: Power> MinerSum<P> {
     pub(super) fn push(&mut self, value: f64) {
         let (power, sum) = (self.power, &mut self.sum);
         self.stack.push(value, |from, to| *sum += power.of(0.5 * (to - from).abs()));
+    }
+
+    /// Takes what a block found.
+    #[inline]
+    pub(super) fn push_block(&mut self, block: &Block) {
+        // Lanes, so that the powers are computed in parallel; their order is fixed here, not by
+        // the instruction set.
+        let mut lanes = [0.0; 8];
+        for ranges in block.closed().chunks(lanes.len()) {
+            for (lane, range) in lanes.iter_mut().zip(ranges) {
+                *lane += self.power.of(0.5 * range);
+            }
+        }
+        self.sum += lanes.iter().sum::<f64>();
+        for &value in block.points() {
+            self.push(value);
+        }
     }
 
     /// Counts the residue and answers the sum.
@@ -375,7 +389,8 @@ mod tests {
             let negated: Vec<f64> = x.iter().map(|v| -v).collect();
             let doubled: Vec<f64> = x.iter().flat_map(|&v| [v, v]).collect();
             prop_assert_eq!(damage(&negated, &s).unwrap(), d);
-            prop_assert_eq!(damage(&doubled, &s).unwrap(), d);
+            // Plateaus take the slow path, which sums in another order.
+            prop_assert!(close(damage(&doubled, &s).unwrap(), d));
         }
     }
 

@@ -5,6 +5,7 @@
 //! turning points that close no cycle. No figure is quantised unless classes are asked for, and
 //! every answer carries the settings that made it.
 
+mod block;
 mod classes;
 mod counts;
 mod damage;

@@ -50,27 +50,6 @@ pub(super) fn may_turn(a: f64, b: f64, c: f64) -> bool {
     !(rises | falls)
 }
 
-/// Writes the values of the inner samples of `x` that may be turning points to the front of
-/// `out` and returns how many there are; `out` is at least as long as `x`.
-///
-/// Without a branch on data. Plateaus leave points that do not turn; whoever takes the values
-/// merges them.
-#[inline(always)]
-pub(super) fn candidates(x: &[f64], out: &mut [f64]) -> usize {
-    if x.len() < 3 {
-        return 0;
-    }
-    let inner = x.len() - 2;
-    let out = &mut out[..inner];
-    let mut n = 0;
-    for (i, w) in x.windows(3).enumerate() {
-        // n <= i always; the minimum only tells the compiler that the store is in bounds.
-        out[n.min(i)] = w[1];
-        n += usize::from(may_turn(w[0], w[1], w[2]));
-    }
-    n
-}
-
 /// Appends `point` to a sequence of turning points, or moves its last one when `point` continues
 /// in the same direction. Equal values are one point.
 fn append(points: &mut Vec<TurningPoint>, point: TurningPoint) {
@@ -261,16 +240,6 @@ mod tests {
             prop_assert_eq!(values(&doubled), values(&x));
             let halved: Vec<usize> = indices(&doubled).iter().map(|i| i / 2).collect();
             prop_assert_eq!(halved, indices(&x));
-        }
-
-        #[test]
-        fn candidates_hold_every_inner_turning_point(x in signal()) {
-            let mut out = vec![f64::NAN; x.len()];
-            let n = candidates(&x, &mut out);
-            let mut with_ends = x.first().copied().into_iter().collect::<Vec<_>>();
-            with_ends.extend(&out[..n]);
-            with_ends.extend(x.last().copied());
-            prop_assert_eq!(values(&with_ends), values(&x));
         }
 
         #[test]

@@ -1,0 +1,217 @@
+//! Whole files, good and bad.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn read_text(text: &str) -> Result<ParsedRun, FormatError> {
+    read(text.as_bytes())
+}
+
+fn names(run: &ParsedRun) -> Vec<&str> {
+    run.names.iter().flatten().map(String::as_str).collect()
+}
+
+#[test]
+fn header_units_and_time_are_taken_off_the_samples() {
+    let run = read_text("time,drive_x,\"force, x\"\ns,kN,[mm]\n0,1,-2\n0.5,1e3,2.5\n1,0,0\n").unwrap();
+    assert_eq!(run.sample_rate_hz, Some(2.0));
+    assert_eq!(names(&run), ["drive_x", "force, x"]);
+    assert_eq!(run.units.as_deref(), Some(&["kN".to_string(), "mm".into()][..]));
+    assert_eq!(run.channels, [vec![1.0, 1000.0, 0.0], vec![-2.0, 2.5, 0.0]]);
+}
+
+#[test]
+fn every_separator_line_end_and_mark_reads_the_same() {
+    for separator in [",", ";", "\t"] {
+        for end in ["\n", "\r\n", "\r"] {
+            for mark in ["", "\u{feff}"] {
+                for decimal in [".", ","] {
+                    if (separator, decimal) == (",", ",") {
+                        continue;
+                    }
+                    let rows = [["a", " b "], ["1d5", "-2"], [" 3", "4d25 "]]
+                        .map(|cells| cells.join(separator).replace('d', decimal));
+                    let text = format!("{mark}{}{end}", rows.join(end));
+                    let run = read_text(&text).unwrap_or_else(|e| panic!("{text:?}: {e}"));
+                    assert_eq!(names(&run), ["a", "b"], "{text:?}");
+                    assert_eq!(run.channels, [[1.5, 3.0], [-2.0, 4.25]], "{text:?}");
+                    assert_eq!((run.units, run.sample_rate_hz), (None, None), "{text:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_of_numbers_has_no_names() {
+    let run = read_text("1,2\n3,4\n").unwrap();
+    assert_eq!(run.names, None);
+    assert_eq!(run.channels, [[1.0, 3.0], [2.0, 4.0]]);
+    assert_eq!(read_text("5").unwrap().channels, [[5.0]]);
+}
+
+#[test]
+fn one_column_may_have_decimal_commas_and_quoted_cells() {
+    assert_eq!(read_text("a\n1,5\n2,5\n").unwrap().channels, [[1.5, 2.5]]);
+    assert_eq!(read_text("a,b\n\"1.5\",2\n").unwrap().channels, [[1.5], [2.0]]);
+}
+
+#[test]
+fn a_cell_that_is_no_number_has_row_column_and_channel() {
+    for (text, row, column, channel, found) in [
+        ("a,b\n1,2\n3,x\n", 3, 2, Some("b"), "x"),
+        ("a,b\r\nkN,mm\r\n1,2\r\n,4\r\n", 4, 1, Some("a"), ""),
+        ("1,2\n3,4\n5,--\n", 3, 2, None, "--"),
+        ("a;b\n1.000,5;2\n", 2, 1, Some("a"), "1.000,5"),
+        ("a,b\n1,kN\n", 2, 2, Some("b"), "kN"),
+        ("time,b\n0,1\nzero,2\n", 3, 1, Some("time"), "zero"),
+    ] {
+        let error = read_text(text).unwrap_err();
+        assert_eq!(error.code(), "csv.not_a_number", "{text:?}");
+        assert_eq!(
+            (error.row(), error.column(), error.channel()),
+            (Some(row), Some(column), channel),
+            "{text:?}"
+        );
+        let FormatError::CsvNotANumber { found: cell, .. } = error else { unreachable!() };
+        assert_eq!(cell, found);
+    }
+}
+
+#[test]
+fn nan_and_infinity_have_channel_sample_row_and_column() {
+    for (text, channel, index, sample, row, column) in [
+        ("a,b\n1,2\n3,NaN\n", Some("b"), 1, 1, 3, 2),
+        ("a,b\n-inf,2\n", Some("a"), 0, 0, 2, 1),
+        ("a,b\n1,2\n1,2\n1,1e999\n", Some("b"), 1, 2, 4, 2),
+        ("t,a\n0,1\n1,nan\n", Some("a"), 0, 1, 3, 2),
+        ("1,2\n3,inf\n", None, 1, 1, 2, 2),
+    ] {
+        let error = read_text(text).unwrap_err();
+        assert_eq!(error.code(), "run.non_finite", "{text:?}");
+        assert_eq!((error.channel(), error.channel_index()), (channel, Some(index)), "{text:?}");
+        assert_eq!((error.sample(), error.row(), error.column()), (Some(sample), Some(row), Some(column)));
+    }
+}
+
+#[test]
+fn ragged_rows_and_empty_lines_are_refused_by_row() {
+    for (text, row, expected, found) in [
+        ("a,b\n1,2\n3\n", 3, 2, 1),
+        ("a,b\n1,2,3\n", 2, 2, 3),
+        ("a,b\r\n1,2\r\n\r\n3,4\r\n", 3, 2, 0),
+        ("a,b\nkN\n1,2\n", 2, 2, 1),
+        ("a\n1,5;2\n", 2, 1, 2),
+    ] {
+        let error = read_text(text).unwrap_err();
+        assert_eq!(error, FormatError::CsvRagged { row, expected, found }, "{text:?}");
+        assert_eq!((error.code(), error.row()), ("csv.ragged_row", Some(row)));
+    }
+}
+
+#[test]
+fn uneven_time_is_refused_by_row() {
+    let error = read_text("t,a\ns,kN\n0,1\n0.1,1\n0.2,1\n0.35,1\n0.4,1\n").unwrap_err();
+    assert_eq!((error.code(), error.row(), error.column()), ("csv.uneven_time", Some(6), Some(1)));
+    assert!(error.limit().unwrap().contains("0.1 s") || error.limit().unwrap().contains("0.09999"));
+}
+
+#[test]
+fn headers_that_cannot_be_are_refused_by_column() {
+    let error = read_text("a,1,b\n1,2,3\n").unwrap_err();
+    assert_eq!((error.code(), error.row(), error.column()), ("csv.header", Some(1), Some(2)));
+    let error = read_text("a,,b\n1,2,3\n").unwrap_err();
+    assert_eq!((error.code(), error.row(), error.column()), ("csv.header", Some(1), Some(2)));
+    let error = read_text("a,b,a\n1,2,3\n").unwrap_err();
+    assert_eq!((error.code(), error.channel()), ("run.duplicate_channel", Some("a")));
+    let error = read(b"a,\xB5m\n1,2\n").unwrap_err();
+    assert_eq!((error.code(), error.row()), ("csv.encoding", Some(1)));
+    let error = read(b"a,b\nkN,\xB5m\n1,2\n").unwrap_err();
+    assert_eq!((error.code(), error.row()), ("csv.encoding", Some(2)));
+}
+
+#[test]
+fn files_without_samples_or_channels_are_refused() {
+    for text in ["", "\n\n", "\u{feff}", "a,b\n", "a,b\nkN,mm\n", "t,a\n"] {
+        assert_eq!(read_text(text).unwrap_err().code(), "run.empty", "{text:?}");
+    }
+    assert_eq!(read_text("time\n0\n1\n").unwrap_err().code(), "run.no_channels");
+    let wide = vec!["1"; 1025].join(",");
+    assert_eq!(read_text(&wide).unwrap_err().code(), "run.too_many_channels");
+}
+
+#[test]
+fn a_row_of_empty_cells_is_no_units_row() {
+    let error = read_text("a,b\n,\n1,2\n").unwrap_err();
+    assert_eq!((error.code(), error.row(), error.column()), ("csv.not_a_number", Some(2), Some(1)));
+}
+
+#[test]
+fn what_makes_no_run_is_not_written() {
+    let own = |list: &[&str]| list.iter().map(|s| s.to_string()).collect::<Vec<_>>();
+    let code = |names: &[&str], units: Option<&[&str]>, channels: &[Vec<f64>]| {
+        write(&own(names), units.map(own).as_deref(), channels).unwrap_err().code()
+    };
+    assert_eq!(code(&[], None, &[]), "run.no_channels");
+    assert_eq!(code(&["a"], None, &[vec![1.0], vec![1.0]]), "run.unequal_lengths");
+    assert_eq!(code(&["a", "b"], Some(&["kN"]), &[vec![1.0], vec![1.0]]), "run.unequal_lengths");
+    assert_eq!(code(&["a", "b"], None, &[vec![1.0], vec![]]), "run.unequal_lengths");
+    let error = write(&own(&["a", "b"]), None, &[vec![1.0, 2.0], vec![0.0, f64::NAN]]).unwrap_err();
+    assert_eq!((error.code(), error.channel(), error.sample()), ("run.non_finite", Some("b"), Some(1)));
+}
+
+#[test]
+fn the_written_file_is_as_short_as_it_reads_back() {
+    let names = ["a".to_string(), "b, c".into()];
+    let channels = [vec![1.0, 0.1], vec![-1e300, 5e-324]];
+    let file = write(&names, Some(&["kN".into(), "\"".into()]), &channels).unwrap();
+    assert_eq!(String::from_utf8(file).unwrap(), "a,\"b, c\"\nkN,\"\"\"\"\n1.0,-1e300\n0.1,5e-324\n");
+}
+
+#[test]
+fn names_and_units_that_would_read_as_samples_are_kept_apart_from_them() {
+    let names = ["a".to_string(), "b".into()];
+    let units = ["1".to_string(), "[mm]".into()];
+    let file = write(&names, Some(&units), &[vec![2.0], vec![3.0]]).unwrap();
+    assert_eq!(String::from_utf8(file.clone()).unwrap(), "a,b\n[1],[[mm]]\n2.0,3.0\n");
+    assert_eq!(read(&file).unwrap().units.unwrap(), units);
+    let empty = write(&names, Some(&[String::new(), String::new()]), &[vec![2.0], vec![3.0]]).unwrap();
+    assert_eq!(String::from_utf8(empty).unwrap(), "a,b\n2.0,3.0\n");
+    let error = write(&["a".into(), "7".into()], None, &[vec![2.0], vec![3.0]]).unwrap_err();
+    assert_eq!((error.code(), error.column()), ("csv.header", Some(2)));
+}
+
+/// Names that are neither numbers nor times, with everything that needs quotes.
+fn name() -> impl Strategy<Value = String> {
+    "[a-z\",;\u{e4} ]{0,6}".prop_map(|s| format!("n{s}x"))
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_reads_back(
+        (names, units, channels) in (1usize..5, 1usize..30).prop_flat_map(|(c, n)| (
+            prop::collection::btree_set(name(), c),
+            prop::option::of(prop::collection::vec(name(), c)),
+            prop::collection::vec(prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::ZERO, n), c),
+        ))
+    ) {
+        let names: Vec<String> = names.into_iter().collect();
+        let file = write(&names, units.as_deref(), &channels).unwrap();
+        let run = read(&file).unwrap();
+        prop_assert_eq!(run.names, Some(names));
+        prop_assert_eq!(run.units, units);
+        prop_assert_eq!(run.channels, channels);
+        prop_assert_eq!(run.sample_rate_hz, None);
+    }
+
+    #[test]
+    fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(
+        prop_oneof![Just(b','), Just(b'\n'), Just(b'\r'), Just(b'"'), Just(b'1'), Just(b'a'), Just(b';'), any::<u8>()], 0..80
+    )) {
+        if let Ok(run) = read(&bytes) {
+            let n = run.channels[0].len();
+            prop_assert!(n > 0 && run.channels.iter().all(|c| c.len() == n && c.iter().all(|v| v.is_finite())));
+        }
+    }
+}

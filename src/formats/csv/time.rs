@@ -1,0 +1,184 @@
+//! The time column: which it is, and the sample rate that it gives.
+
+use crate::formats::FormatError;
+
+/// A column of times.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct TimeColumn {
+    /// Place among the columns of the file.
+    pub(super) column: usize,
+    /// Seconds per unit.
+    scale: f64,
+}
+
+/// Largest deviation of a step, relative to it.
+const TOLERANCE: f64 = 1e-3;
+
+impl TimeColumn {
+    /// The time column of a file with these names and units; `row` is the header's.
+    ///
+    /// # Errors
+    /// `csv.time_column` when two columns claim to be it, or its unit is neither s nor ms.
+    pub(super) fn find(
+        names: &[String],
+        units: Option<&[String]>,
+        row: u64,
+    ) -> Result<Option<Self>, FormatError> {
+        let refuse = |column: usize, reason| Err(FormatError::CsvTime { row, column: column + 1, reason });
+        let named: Vec<_> =
+            names.iter().enumerate().filter_map(|(i, name)| Some((i, unit_of_time(name)?))).collect();
+        let by_unit: Vec<_> =
+            units.unwrap_or_default().iter().enumerate().filter(|(_, u)| *u == "s").collect();
+        let (column, unit) = match (&named[..], &by_unit[..]) {
+            ([(column, unit)], _) => (*column, *unit),
+            ([], [(column, _)]) => (*column, None),
+            ([], []) => return Ok(None),
+            ([_, (second, _), ..], _) => return refuse(*second, "two columns are named as time"),
+            ([], [_, (second, _), ..]) => {
+                return refuse(*second, "two columns have the unit s and none is named time");
+            }
+        };
+        let given = units.map(|u| u[column].as_str()).filter(|u| !u.is_empty());
+        match (unit, given) {
+            (Some(a), Some(b)) if a != b => refuse(column, "name and unit of the time column disagree"),
+            (unit, given) => match unit.or(given).unwrap_or("s") {
+                "s" | "sec" => Ok(Some(Self { column, scale: 1.0 })),
+                "ms" => Ok(Some(Self { column, scale: 1e-3 })),
+                _ => refuse(column, "the unit of a time column is s or ms"),
+            },
+        }
+    }
+
+    /// Sample rate of evenly spaced `times` (in the column's unit); `None` for a single one.
+    ///
+    /// # Errors
+    /// `csv.uneven_time` with the row of the first step that is not the step of most rows;
+    /// `first_row` is the row of the first sample.
+    pub(super) fn sample_rate_hz(&self, times: &[f64], first_row: u64) -> Result<Option<f64>, FormatError> {
+        let [first, .., last] = times else { return Ok(None) };
+        let step = (last - first) / (times.len() - 1) as f64;
+        // Against the grid and not step by step: rounded times may not drift.
+        let even = step > 0.0
+            && step.is_finite()
+            && times
+                .iter()
+                .enumerate()
+                .all(|(i, t)| (t - (first + i as f64 * step)).abs() <= TOLERANCE * step);
+        let rate = 1.0 / (step * self.scale);
+        if even && rate.is_finite() {
+            return Ok(Some(rate));
+        }
+        let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+        let middle = steps.len() / 2;
+        let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let uneven = |w: &[f64]| {
+            let step = w[1] - w[0];
+            step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs()
+        };
+        // When every step is fair the times drift: then the last row is the farthest off.
+        let place = times.windows(2).position(uneven).unwrap_or(times.len() - 2);
+        Err(FormatError::CsvUnevenTime {
+            // Rows of samples follow each other line by line: a number holds no line end.
+            row: first_row + place as u64 + 1,
+            column: self.column + 1,
+            step_s: usual * self.scale,
+            found_s: (times[place + 1] - times[place]) * self.scale,
+        })
+    }
+}
+
+/// `Some` for the name of a time column, with the unit that the name holds, if any.
+fn unit_of_time(name: &str) -> Option<Option<&'static str>> {
+    let lower = name.to_lowercase();
+    let (stem, unit) = match lower.split_once(['[', '(']) {
+        Some((stem, unit)) => (stem.trim(), Some(unit.trim_end_matches([']', ')']).trim())),
+        None => match lower.rsplit_once('_') {
+            Some((stem, unit)) => (stem, Some(unit)),
+            None => (lower.as_str(), None),
+        },
+    };
+    if !matches!(stem, "time" | "t" | "zeit") {
+        return None;
+    }
+    match unit {
+        None => Some(None),
+        Some("s" | "sec") => Some(Some("s")),
+        Some("ms") => Some(Some("ms")),
+        Some(_) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn find(names: &[&str], units: Option<&[&str]>) -> Result<Option<TimeColumn>, FormatError> {
+        let own = |list: &[&str]| list.iter().map(|s| s.to_string()).collect::<Vec<_>>();
+        TimeColumn::find(&own(names), units.map(own).as_deref(), 1)
+    }
+
+    #[test]
+    fn time_columns_are_found_by_name_or_by_unit() {
+        for name in ["time", "Time", "t", "TIME_S", "t_s", "Zeit", "time [s]", "Time (s)", "time_sec"] {
+            assert_eq!(find(&["a", name], None), Ok(Some(TimeColumn { column: 1, scale: 1.0 })), "{name}");
+        }
+        for name in ["time_ms", "t [ms]", "zeit_ms"] {
+            assert_eq!(find(&[name, "a"], None), Ok(Some(TimeColumn { column: 0, scale: 1e-3 })), "{name}");
+        }
+        for name in ["tension", "t_x", "time_lag", "drive_s", "temp"] {
+            assert_eq!(find(&[name, "a"], None), Ok(None), "{name}");
+        }
+        assert_eq!(find(&["a", "x"], Some(&["kN", "s"])), Ok(Some(TimeColumn { column: 1, scale: 1.0 })));
+        assert_eq!(find(&["t", "x"], Some(&["ms", "s"])), Ok(Some(TimeColumn { column: 0, scale: 1e-3 })));
+        assert_eq!(find(&["t", "x"], Some(&["", "kN"])), Ok(Some(TimeColumn { column: 0, scale: 1.0 })));
+        assert_eq!(find(&["a", "b"], Some(&["kN", "mm"])), Ok(None));
+    }
+
+    #[test]
+    fn unclear_time_columns_are_refused_by_their_column() {
+        let column = |found: Result<_, FormatError>| found.unwrap_err().column();
+        assert_eq!(column(find(&["a", "t", "time"], None)), Some(3));
+        assert_eq!(column(find(&["a", "b"], Some(&["s", "s"]))), Some(2));
+        assert_eq!(column(find(&["a", "t"], Some(&["kN", "min"]))), Some(2));
+        assert_eq!(column(find(&["time_s", "a"], Some(&["ms", "kN"]))), Some(1));
+    }
+
+    const SECONDS: TimeColumn = TimeColumn { column: 0, scale: 1.0 };
+
+    #[test]
+    fn even_times_give_the_rate() {
+        let times: Vec<f64> = (0..5000).map(|i| 7.0 + f64::from(i) / 1000.0).collect();
+        let rate = SECONDS.sample_rate_hz(&times, 2).unwrap().unwrap();
+        // Times near 12 s are exact to 1e-15 s, their difference of 5 s to 1e-15 relative.
+        assert!((rate / 1000.0 - 1.0).abs() < 1e-12, "{rate}");
+        let milliseconds = TimeColumn { column: 0, scale: 1e-3 };
+        assert_eq!(milliseconds.sample_rate_hz(&[0.0, 2.0, 4.0], 2), Ok(Some(500.0)));
+        assert_eq!(SECONDS.sample_rate_hz(&[3.0], 2), Ok(None));
+        assert_eq!(SECONDS.sample_rate_hz(&[], 2), Ok(None));
+    }
+
+    #[test]
+    fn times_may_be_rounded_to_a_thousandth_of_the_step() {
+        let times = |error: f64| -> Vec<f64> {
+            (0..100).map(|i| f64::from(i) + if i == 50 { error } else { 0.0 }).collect()
+        };
+        assert_eq!(SECONDS.sample_rate_hz(&times(0.9e-3), 2), Ok(Some(1.0)));
+        assert_eq!(SECONDS.sample_rate_hz(&times(1.1e-3), 2).unwrap_err().row(), Some(52));
+    }
+
+    #[test]
+    fn a_gap_a_repeat_and_a_step_back_are_named_by_row() {
+        let mut gap: Vec<f64> = (0..10).map(f64::from).collect();
+        gap.remove(6);
+        assert_eq!(
+            SECONDS.sample_rate_hz(&gap, 3),
+            Err(FormatError::CsvUnevenTime { row: 9, column: 1, step_s: 1.0, found_s: 2.0 })
+        );
+        let row = |times: &[f64]| SECONDS.sample_rate_hz(times, 1).unwrap_err().row();
+        assert_eq!(row(&[0.0, 1.0, 1.0, 2.0, 3.0]), Some(3));
+        assert_eq!(row(&[0.0, 1.0, 0.5, 2.0, 3.0]), Some(3));
+        assert_eq!(row(&[1.0, 1.0]), Some(2));
+        assert_eq!(row(&[3.0, 2.0, 1.0]), Some(2));
+        assert_eq!(row(&[-f64::MAX, f64::MAX]), Some(2));
+    }
+}

@@ -1,0 +1,75 @@
+//! CSV out.
+
+use std::io::Write;
+
+use super::number::number;
+use super::without_brackets;
+use crate::formats::{ChannelAt, FormatError};
+
+/// Writes `[channel][sample]` under a header row, and a units row where any of `units` is not
+/// empty; numbers have the fewest digits that read back as the same `f64`. A unit that is itself a
+/// number, such as `1`, is written in brackets.
+///
+/// # Errors
+/// `run.*` codes where the channels make no run: names, units and channels differ in number,
+/// unequal lengths, numbers that are not finite. `csv.header` for a channel named like a number.
+pub fn write(
+    names: &[String],
+    units: Option<&[String]>,
+    channels: &[Vec<f64>],
+) -> Result<Vec<u8>, FormatError> {
+    let samples = channels.first().ok_or(FormatError::NoChannels)?.len();
+    let at = |index: usize| ChannelAt { index, name: names.get(index).cloned() };
+    if names.len() != channels.len() || units.is_some_and(|u| u.len() != channels.len()) {
+        let index = channels.len();
+        return Err(FormatError::UnequalLengths { channel: at(index), expected: samples, found: 0 });
+    }
+    for (index, channel) in channels.iter().enumerate() {
+        if channel.len() != samples {
+            let found = channel.len();
+            return Err(FormatError::UnequalLengths { channel: at(index), expected: samples, found });
+        }
+        if let Some(sample) = channel.iter().position(|v| !v.is_finite()) {
+            return Err(FormatError::NonFinite { channel: at(index), sample, row: None, column: None });
+        }
+    }
+    if let Some(index) = names.iter().position(|n| number(n.as_bytes(), true).is_some()) {
+        let reason = "a channel name that is a number would read back as a sample";
+        return Err(FormatError::CsvHeader { row: 1, column: index + 1, reason });
+    }
+    let units: Option<Vec<String>> = units
+        .filter(|units| units.iter().any(|u| !u.is_empty()))
+        .map(|units| units.iter().map(|u| unit_cell(u)).collect());
+    let texts = || names.iter().chain(units.iter().flatten());
+    // The reader takes the separator from the first row, so another one may not stand there bare.
+    let quotes = if texts().any(|t| t.contains(['\t', ';'])) {
+        csv::QuoteStyle::Always
+    } else {
+        csv::QuoteStyle::Necessary
+    };
+    let mut writer = csv::WriterBuilder::new().quote_style(quotes).from_writer(Vec::new());
+    let fits = "writing to memory cannot fail, and both rows have a cell a channel";
+    writer.write_record(names).expect(fits);
+    if let Some(units) = &units {
+        writer.write_record(units).expect(fits);
+    }
+    let mut file = writer.into_inner().expect(fits);
+    for sample in 0..samples {
+        for (index, channel) in channels.iter().enumerate() {
+            let separator = if index == 0 { "" } else { "," };
+            // Debug writes 1e300 where Display writes 301 digits; both read back as they were.
+            write!(file, "{separator}{:?}", channel[sample]).expect(fits);
+        }
+        file.push(b'\n');
+    }
+    Ok(file)
+}
+
+/// A unit as it reads back: the reader takes brackets off, and numbers for samples.
+fn unit_cell(unit: &str) -> String {
+    if number(unit.as_bytes(), true).is_some() || without_brackets(unit) != unit {
+        format!("[{unit}]")
+    } else {
+        unit.to_owned()
+    }
+}

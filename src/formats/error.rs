@@ -1,0 +1,318 @@
+//! Why a measurement file was refused, with the place in it.
+
+/// A channel of a file: by name where the file names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChannelAt {
+    /// Place among the file's channels, from 0; a time column is none of them.
+    pub index: usize,
+    /// Name in the file.
+    pub name: Option<String>,
+}
+
+impl std::fmt::Display for ChannelAt {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.name {
+            Some(name) => write!(f, "{name:?}"),
+            None => write!(f, "{} (counted from 0)", self.index),
+        }
+    }
+}
+
+/// Why a file was refused. Rows and columns count from 1, as editors show them: a row is a line of
+/// the file, a column a cell (CSV) or a byte (JSON). Samples count from 0.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FormatError {
+    /// No samples at all.
+    #[error("the file holds no samples")]
+    Empty,
+    /// Samples of nothing: no channel, or only a time column.
+    #[error("the file holds no channels")]
+    NoChannels,
+    /// More channels than [`MAX_CHANNELS`](super::MAX_CHANNELS).
+    #[error("the file has {found} channels, at most {limit} are read; arrays are [samples, channels]")]
+    TooManyChannels {
+        /// Channels found.
+        found: u64,
+        /// Most channels.
+        limit: usize,
+    },
+    /// Two channels of one name.
+    #[error("two channels are named {name:?}")]
+    DuplicateChannel {
+        /// The name.
+        name: String,
+    },
+    /// Channels differ in length.
+    #[error("channel {channel} has {found} samples, the first channel has {expected}")]
+    UnequalLengths {
+        /// The channel that differs from the first.
+        channel: ChannelAt,
+        /// Samples of the first channel.
+        expected: usize,
+        /// Samples of this channel.
+        found: usize,
+    },
+    /// NaN, infinity, or a number beyond what the type of the file holds.
+    #[error("channel {channel} is not finite at sample {sample}")]
+    NonFinite {
+        /// The channel.
+        channel: ChannelAt,
+        /// Sample, from 0.
+        sample: usize,
+        /// Line of the file, where it has lines.
+        row: Option<u64>,
+        /// Cell of the line, where it has cells.
+        column: Option<usize>,
+    },
+    /// A sample rate that is not a positive, finite number.
+    #[error("sample_rate_hz is {found}, it must be positive and finite")]
+    SampleRate {
+        /// The rate.
+        found: f64,
+    },
+    /// A text file that is not UTF-8.
+    #[error("row {row}: the text is not UTF-8")]
+    CsvEncoding {
+        /// Line of the file.
+        row: u64,
+    },
+    /// A header row that cannot be one.
+    #[error("row {row}, column {column}: {reason}")]
+    CsvHeader {
+        /// Line of the file.
+        row: u64,
+        /// Cell of the line.
+        column: usize,
+        /// What is wrong.
+        reason: &'static str,
+    },
+    /// A cell that is no number.
+    #[error("row {row}, column {column}: {found:?} is not a number")]
+    CsvNotANumber {
+        /// Line of the file.
+        row: u64,
+        /// Cell of the line.
+        column: usize,
+        /// Name of the column.
+        name: Option<String>,
+        /// The cell, cut after 40 characters.
+        found: String,
+    },
+    /// A row with more or fewer cells than the first; an empty line between rows has none.
+    #[error("row {row} has {found} cells, the first row has {expected}")]
+    CsvRagged {
+        /// Line of the file.
+        row: u64,
+        /// Cells of the first row.
+        expected: usize,
+        /// Cells of this row.
+        found: usize,
+    },
+    /// A time column that does not rise in even steps.
+    #[error("row {row}: time goes on by {found_s} s, not by the even step of {step_s} s (within 0.1 %)")]
+    CsvUnevenTime {
+        /// Line of the file.
+        row: u64,
+        /// Cell of the line.
+        column: usize,
+        /// The step of most rows.
+        step_s: f64,
+        /// The step from the row before.
+        found_s: f64,
+    },
+    /// A time column in a unit other than s and ms, or more than one time column.
+    #[error("row {row}, column {column}: {reason}")]
+    CsvTime {
+        /// Line of the file.
+        row: u64,
+        /// Cell of the line.
+        column: usize,
+        /// What is wrong.
+        reason: &'static str,
+    },
+    /// Not an NPY file, or a header that does not follow its format.
+    #[error("NPY header: {0}")]
+    NpyHeader(&'static str),
+    /// A dtype that is not read: object, structured, text, complex, other widths.
+    #[error("NPY dtype {found}: float32, float64, int16 and int32 are read")]
+    NpyDtype {
+        /// As the header has it, cut after 40 characters.
+        found: String,
+    },
+    /// A shape that is neither `[samples, channels]` nor `[samples]`.
+    #[error("NPY shape {found:?}: expected [samples, channels] or [samples]")]
+    NpyShape {
+        /// As the header has it.
+        found: Vec<u64>,
+    },
+    /// The header declares more data than there is.
+    #[error("the NPY header declares {expected} bytes of data, the file has {found}")]
+    NpyTruncated {
+        /// Bytes that dtype and shape ask for.
+        expected: u64,
+        /// Bytes behind the header.
+        found: u64,
+    },
+    /// There is more data than the header declares.
+    #[error("the NPY header declares {expected} bytes of data, the file has {found}")]
+    NpyTrailing {
+        /// Bytes that dtype and shape ask for.
+        expected: u64,
+        /// Bytes behind the header.
+        found: u64,
+    },
+    /// Not JSON, or JSON of another form.
+    #[error("row {row}, column {column}: {detail}")]
+    Json {
+        /// Line of the file.
+        row: u64,
+        /// Byte of the line.
+        column: usize,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A field that is not part of the format.
+    #[error("unknown field {key:?}")]
+    JsonUnknownKey {
+        /// The field.
+        key: String,
+    },
+    /// A field that comes twice.
+    #[error("field {key:?} comes twice")]
+    JsonDuplicateKey {
+        /// The field.
+        key: String,
+    },
+    /// A field that is needed.
+    #[error("field {key:?} is missing")]
+    JsonMissingKey {
+        /// The field.
+        key: &'static str,
+    },
+    /// An array element that is no number; `null` is what many programs write for NaN.
+    #[error("channel {channel} has no number at sample {sample}")]
+    JsonNotANumber {
+        /// The channel.
+        channel: ChannelAt,
+        /// Sample, from 0.
+        sample: usize,
+        /// Line of the file.
+        row: u64,
+        /// Byte of the line.
+        column: usize,
+    },
+}
+
+impl FormatError {
+    /// Stable name for programs, `<format>.<what>`.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Empty => "run.empty",
+            Self::NoChannels => "run.no_channels",
+            Self::TooManyChannels { .. } => "run.too_many_channels",
+            Self::DuplicateChannel { .. } => "run.duplicate_channel",
+            Self::UnequalLengths { .. } => "run.unequal_lengths",
+            Self::NonFinite { .. } => "run.non_finite",
+            Self::SampleRate { .. } => "run.sample_rate",
+            Self::CsvEncoding { .. } => "csv.encoding",
+            Self::CsvHeader { .. } => "csv.header",
+            Self::CsvNotANumber { .. } => "csv.not_a_number",
+            Self::CsvRagged { .. } => "csv.ragged_row",
+            Self::CsvUnevenTime { .. } => "csv.uneven_time",
+            Self::CsvTime { .. } => "csv.time_column",
+            Self::NpyHeader(_) => "npy.header",
+            Self::NpyDtype { .. } => "npy.dtype",
+            Self::NpyShape { .. } => "npy.shape",
+            Self::NpyTruncated { .. } => "npy.truncated",
+            Self::NpyTrailing { .. } => "npy.trailing_bytes",
+            Self::Json { .. } => "json.invalid",
+            Self::JsonUnknownKey { .. } => "json.unknown_field",
+            Self::JsonDuplicateKey { .. } => "json.duplicate_field",
+            Self::JsonMissingKey { .. } => "json.missing_field",
+            Self::JsonNotANumber { .. } => "json.not_a_number",
+        }
+    }
+
+    /// Line of the file, from 1.
+    pub fn row(&self) -> Option<u64> {
+        match self {
+            Self::NonFinite { row, .. } => *row,
+            Self::CsvEncoding { row }
+            | Self::CsvHeader { row, .. }
+            | Self::CsvNotANumber { row, .. }
+            | Self::CsvRagged { row, .. }
+            | Self::CsvUnevenTime { row, .. }
+            | Self::CsvTime { row, .. }
+            | Self::Json { row, .. }
+            | Self::JsonNotANumber { row, .. } => Some(*row),
+            _ => None,
+        }
+    }
+
+    /// Cell of the line (CSV) or byte of the line (JSON), from 1.
+    pub fn column(&self) -> Option<usize> {
+        match self {
+            Self::NonFinite { column, .. } => *column,
+            Self::CsvHeader { column, .. }
+            | Self::CsvNotANumber { column, .. }
+            | Self::CsvUnevenTime { column, .. }
+            | Self::CsvTime { column, .. }
+            | Self::Json { column, .. }
+            | Self::JsonNotANumber { column, .. } => Some(*column),
+            _ => None,
+        }
+    }
+
+    fn channel_at(&self) -> Option<&ChannelAt> {
+        match self {
+            Self::UnequalLengths { channel, .. }
+            | Self::NonFinite { channel, .. }
+            | Self::JsonNotANumber { channel, .. } => Some(channel),
+            _ => None,
+        }
+    }
+
+    /// Name of the channel, where the file names it.
+    pub fn channel(&self) -> Option<&str> {
+        match self {
+            Self::DuplicateChannel { name } => Some(name),
+            Self::CsvNotANumber { name, .. } => name.as_deref(),
+            _ => self.channel_at().and_then(|c| c.name.as_deref()),
+        }
+    }
+
+    /// Place of the channel in the file, from 0.
+    pub fn channel_index(&self) -> Option<usize> {
+        self.channel_at().map(|c| c.index)
+    }
+
+    /// Sample, from 0.
+    pub fn sample(&self) -> Option<usize> {
+        match self {
+            Self::NonFinite { sample, .. } | Self::JsonNotANumber { sample, .. } => Some(*sample),
+            _ => None,
+        }
+    }
+
+    /// The limit that was broken, in words.
+    pub fn limit(&self) -> Option<String> {
+        match self {
+            Self::TooManyChannels { limit, .. } => Some(format!("at most {limit} channels")),
+            Self::UnequalLengths { expected, .. } => Some(format!("{expected} samples")),
+            Self::SampleRate { .. } => Some("a positive, finite number of hertz".into()),
+            Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),
+            Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {step_s} s within 0.1 %")),
+            Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
+            Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
+            Self::NpyTruncated { expected, .. } | Self::NpyTrailing { expected, .. } => {
+                Some(format!("{expected} bytes of data"))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// Text of a file for an error message: the first 40 characters.
+pub(super) fn excerpt(text: &str) -> String {
+    text.chars().take(40).collect()
+}

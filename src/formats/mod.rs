@@ -1,0 +1,150 @@
+//! Measurement files in and out, one file a format: bytes in, a run out.
+//!
+//! Every reader takes the whole file and answers a [`ParsedRun`] or a [`FormatError`] that says
+//! where the file is wrong. Memory follows the bytes that came: no size that a file declares is
+//! believed before it is compared with them. On the wire arrays are `[sample, channel]`, in memory
+//! `[channel][sample]`.
+
+pub mod csv;
+mod error;
+pub mod json;
+pub mod npy;
+
+use std::collections::HashSet;
+
+pub use error::{ChannelAt, FormatError};
+
+/// Most channels of a file: a bound on memory per byte (each channel is a vector of its own), far
+/// above any rig.
+pub const MAX_CHANNELS: usize = 1024;
+
+/// What a measurement file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParsedRun {
+    /// From the file's own statement or its time column.
+    pub sample_rate_hz: Option<f64>,
+    /// Channel names, distinct, where the format has them.
+    pub names: Option<Vec<String>>,
+    /// Units per channel (empty: none given), where the file has them.
+    pub units: Option<Vec<String>>,
+    /// `[channel][sample]`: at least one of each, equally long, finite.
+    pub channels: Vec<Vec<f64>>,
+}
+
+impl ParsedRun {
+    /// Checks everything that holds for every format.
+    ///
+    /// # Errors
+    /// The `run.*` codes of [`FormatError`].
+    pub(crate) fn check(self) -> Result<Self, FormatError> {
+        let at = |index: usize| ChannelAt { index, name: self.names.as_ref().map(|n| n[index].clone()) };
+        if self.channels.is_empty() {
+            return Err(FormatError::NoChannels);
+        }
+        check_channel_count(self.channels.len() as u64)?;
+        let mut seen = HashSet::new();
+        if let Some(name) = self.names.iter().flatten().find(|name| !seen.insert(name.as_str())) {
+            return Err(FormatError::DuplicateChannel { name: name.clone() });
+        }
+        if let Some(found) = self.sample_rate_hz
+            && !(found.is_finite() && found > 0.0)
+        {
+            return Err(FormatError::SampleRate { found });
+        }
+        let expected = self.channels[0].len();
+        for (index, samples) in self.channels.iter().enumerate() {
+            if samples.len() != expected {
+                return Err(FormatError::UnequalLengths {
+                    channel: at(index),
+                    expected,
+                    found: samples.len(),
+                });
+            }
+        }
+        if expected == 0 {
+            return Err(FormatError::Empty);
+        }
+        for (index, samples) in self.channels.iter().enumerate() {
+            if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
+                return Err(FormatError::NonFinite { channel: at(index), sample, row: None, column: None });
+            }
+        }
+        Ok(self)
+    }
+}
+
+/// # Errors
+/// [`FormatError::TooManyChannels`] above [`MAX_CHANNELS`].
+pub(crate) fn check_channel_count(found: u64) -> Result<(), FormatError> {
+    if found > MAX_CHANNELS as u64 {
+        return Err(FormatError::TooManyChannels { found, limit: MAX_CHANNELS });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun {
+        let names = Some(names.iter().map(|n| n.to_string()).collect());
+        ParsedRun { sample_rate_hz: None, names, units: None, channels }
+    }
+
+    #[test]
+    fn what_no_format_may_hold_is_refused_by_name() {
+        let code = |run: ParsedRun| run.check().unwrap_err().code();
+        assert_eq!(code(run(&[], vec![])), "run.no_channels");
+        assert_eq!(code(run(&["a"], vec![vec![]])), "run.empty");
+        assert_eq!(code(run(&["a", "a"], vec![vec![1.0], vec![1.0]])), "run.duplicate_channel");
+        let many = vec![vec![1.0]; MAX_CHANNELS + 1];
+        let error =
+            ParsedRun { sample_rate_hz: None, names: None, units: None, channels: many }.check().unwrap_err();
+        assert_eq!(error.code(), "run.too_many_channels");
+        assert_eq!(error.limit().unwrap(), "at most 1024 channels");
+
+        let error = run(&["a", "b"], vec![vec![1.0, 2.0], vec![1.0]]).check().unwrap_err();
+        assert_eq!(
+            (error.code(), error.channel(), error.channel_index()),
+            ("run.unequal_lengths", Some("b"), Some(1))
+        );
+        assert_eq!(error.limit().unwrap(), "2 samples");
+
+        let error = run(&["a", "b"], vec![vec![1.0, 2.0], vec![1.0, f64::INFINITY]]).check().unwrap_err();
+        assert_eq!((error.code(), error.channel(), error.sample()), ("run.non_finite", Some("b"), Some(1)));
+
+        for rate in [0.0, -1.0, f64::NAN] {
+            let run = ParsedRun { sample_rate_hz: Some(rate), ..run(&["a"], vec![vec![1.0]]) };
+            assert_eq!(code(run), "run.sample_rate");
+        }
+    }
+
+    /// Files that programs of others wrote.
+    #[test]
+    fn measured_files_read_whole() {
+        let root = std::env::var("RIGCAST_SHARED")
+            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+        let load = |name: &str| {
+            let path = std::path::Path::new(&root).join("data").join(name);
+            let file = std::fs::read(&path).ok();
+            if file.is_none() {
+                println!("skipped: there is no {}", path.display());
+            }
+            file
+        };
+        if let Some(file) = load("silverbox/train.csv") {
+            let run = csv::read(&file).unwrap();
+            assert_eq!(run.names.unwrap(), ["drive", "response"]);
+            assert_eq!(run.sample_rate_hz, None);
+            // One line a sample under the header.
+            assert_eq!(run.channels[0].len(), file.iter().filter(|&&b| b == b'\n').count() - 1);
+            assert_eq!((run.channels[0][0], run.channels[1][0]), (-0.0145043307, 0.0364508525));
+        }
+        if let Some(file) = load("multiaxis_shaker/run1.npy") {
+            let run = npy::read(&file).unwrap();
+            assert_eq!((run.channels.len(), run.channels[0].len()), (12, 102_000));
+            let again = npy::write(&run.channels, npy::Dtype::F4, npy::Order::C).unwrap();
+            assert_eq!(again[again.len() - 4 * 12 * 102_000..], file[file.len() - 4 * 12 * 102_000..]);
+        }
+    }
+}
