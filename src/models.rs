@@ -1,11 +1,18 @@
 //! From a rig to its loaded model: a small cache whose entries are swapped whole.
+//!
+//! Which version is active is asked of the registry for every prediction: one indexed read, and an
+//! answer can never come from a model that was active a moment ago. Only the weights are cached,
+//! and those of a version never change.
 
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::compute::{Compute, ComputeError};
-use crate::domain::RigId;
+use tokio::sync::OnceCell;
+
+use crate::compute::{Class, Compute, ComputeError};
+use crate::domain::{Model, RigId};
 use crate::engine::EngineError;
-use crate::engine::model::RigModel;
+use crate::engine::model::{RigModel, from_safetensors};
 use crate::storage::{Store, StoreError};
 
 /// A model in memory. A prediction holds one of these from start to end.
@@ -51,36 +58,174 @@ pub struct Degraded {
     pub reason: String,
 }
 
+/// Rig and version, and the digest: a rig that is deleted and made again counts from one again.
+type Key = (RigId, u32, String);
+
 /// The cache. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Models {
-    _inner: Arc<()>,
+    store: Store,
+    compute: Compute,
+    cache: Arc<Mutex<Cache>>,
+}
+
+#[derive(Debug)]
+struct Cache {
+    capacity: usize,
+    /// Rises with every use.
+    clock: u64,
+    entries: HashMap<Key, Entry>,
+    degraded: HashMap<(RigId, u32), String>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    used: u64,
+    /// Filled by the first who wants it; the others wait for that one.
+    model: Arc<OnceCell<Arc<LoadedModel>>>,
 }
 
 impl Models {
     /// A cache of at most `capacity` models (at least one).
-    pub fn new(_store: Store, _compute: Compute, _capacity: usize) -> Self {
-        todo!()
+    pub fn new(store: Store, compute: Compute, capacity: usize) -> Self {
+        let cache =
+            Cache { capacity: capacity.max(1), clock: 0, entries: HashMap::new(), degraded: HashMap::new() };
+        Self { store, compute, cache: Arc::new(Mutex::new(cache)) }
     }
 
     /// The rig's active model; `None` when there is none, or no such rig.
     ///
     /// # Errors
     /// See [`ModelError`].
-    pub async fn active(&self, _rig: &RigId) -> Result<Option<Arc<LoadedModel>>, ModelError> {
-        todo!()
+    pub async fn active(&self, rig: &RigId) -> Result<Option<Arc<LoadedModel>>, ModelError> {
+        match self.store.active_model(rig).await?.and_then(|active| active.version) {
+            Some(version) => self.version(rig, version).await,
+            None => Ok(None),
+        }
     }
 
     /// One version; `None` when there is no such one.
     ///
     /// # Errors
     /// See [`ModelError`].
-    pub async fn version(&self, _rig: &RigId, _version: u32) -> Result<Option<Arc<LoadedModel>>, ModelError> {
-        todo!()
+    pub async fn version(&self, rig: &RigId, version: u32) -> Result<Option<Arc<LoadedModel>>, ModelError> {
+        let Some(model) = self.store.model(rig, version).await? else { return Ok(None) };
+        let slot = self.lock().slot((rig.clone(), version, model.sha256.clone()));
+        let loaded = slot.get_or_try_init(|| self.load(&model)).await.cloned();
+        let mut cache = self.lock();
+        match &loaded {
+            Ok(_) => {
+                cache.degraded.remove(&(rig.clone(), version));
+            }
+            // Being busy says nothing about the model.
+            Err(ModelError::Compute(ComputeError::Busy { .. })) => {}
+            Err(error) => {
+                cache.degraded.insert((rig.clone(), version), error.to_string());
+            }
+        }
+        loaded.map(Some)
     }
 
-    /// Models that could not be loaded when they were last wanted.
+    /// Models that could not be loaded when they were last wanted, and are wanted still.
     pub fn degraded(&self) -> Vec<Degraded> {
-        todo!()
+        let cache = self.lock();
+        let mut degraded: Vec<Degraded> = cache
+            .degraded
+            .iter()
+            .map(|((rig, version), reason)| Degraded {
+                rig: rig.clone(),
+                version: *version,
+                reason: reason.clone(),
+            })
+            .collect();
+        degraded.sort_by(|a, b| (&a.rig, a.version).cmp(&(&b.rig, b.version)));
+        degraded
+    }
+
+    /// Forgets what is known of a rig's model that was deleted, or of all of a deleted rig.
+    pub fn forget(&self, rig: &RigId, version: Option<u32>) {
+        let mut cache = self.lock();
+        let meant = |r: &RigId, v: u32| r == rig && version.is_none_or(|version| version == v);
+        cache.entries.retain(|(r, v, _), _| !meant(r, *v));
+        cache.degraded.retain(|(r, v), _| !meant(r, *v));
+    }
+
+    async fn load(&self, model: &Model) -> Result<Arc<LoadedModel>, ModelError> {
+        let bytes = self.store.weights(model).await?;
+        let read = self.compute.run(Class::Predict, move || from_safetensors(&bytes)).await?;
+        let (rig, version) = (model.rig.clone(), model.version);
+        let read = read.map_err(|source| ModelError::Weights { rig: rig.clone(), version, source })?;
+        tracing::info!(rig.id = %rig, model.version = version, "loaded a model");
+        Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), model: read }))
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Cache> {
+        // Nothing in here panics half-way through a change.
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Cache {
+    /// The place of a model; makes room by dropping the one that was used longest ago.
+    fn slot(&mut self, key: Key) -> Arc<OnceCell<Arc<LoadedModel>>> {
+        self.clock += 1;
+        let used = self.clock;
+        let entry = self.entries.entry(key).or_insert_with(|| Entry { used, model: Arc::default() });
+        entry.used = used;
+        let slot = Arc::clone(&entry.model);
+        if self.entries.len() > self.capacity
+            && let Some(oldest) = self.entries.iter().min_by_key(|(_, e)| e.used).map(|(key, _)| key.clone())
+        {
+            self.entries.remove(&oldest);
+        }
+        slot
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compute::ComputeSettings;
+    use crate::storage::testing::{TestStore, draft, now};
+
+    fn cache(capacity: usize) -> Cache {
+        Cache { capacity, clock: 0, entries: HashMap::new(), degraded: HashMap::new() }
+    }
+
+    fn key(version: u32) -> Key {
+        ("bench".parse().unwrap(), version, "00".into())
+    }
+
+    #[test]
+    fn the_model_that_was_used_longest_ago_makes_room() {
+        let mut cache = cache(2);
+        cache.slot(key(1));
+        cache.slot(key(2));
+        cache.slot(key(1));
+        cache.slot(key(3));
+        let mut kept: Vec<u32> = cache.entries.keys().map(|key| key.1).collect();
+        kept.sort_unstable();
+        assert_eq!(kept, [1, 3]);
+    }
+
+    #[tokio::test]
+    async fn a_damaged_model_degrades_its_rig_until_it_is_forgotten() {
+        let store = TestStore::open().await;
+        let compute = Compute::new(&ComputeSettings::default()).unwrap();
+        let models = Models::new(store.clone(), compute, 4);
+        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        assert_eq!(models.active(&rig.id).await.unwrap(), None);
+        assert_eq!(models.version(&rig.id, 1).await.unwrap(), None);
+        let model = store.import(&rig, b"weights").await;
+        let path = store.data_dir().join("objects").join(&model.sha256[..2]).join(&model.sha256);
+        std::fs::write(path, b"Weights").unwrap();
+        let loaded = models.version(&rig.id, 1).await;
+        assert!(matches!(loaded, Err(ModelError::Store(StoreError::ObjectDamaged { .. }))));
+        let degraded = models.degraded();
+        assert_eq!((degraded.len(), degraded[0].version), (1, 1));
+        models.forget(&rig.id, Some(2));
+        assert_eq!(models.degraded().len(), 1);
+        models.forget(&rig.id, None);
+        assert_eq!(models.degraded(), []);
     }
 }

@@ -1,54 +1,280 @@
 //! The fit job: runs in, a model version out.
 
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+
+use crate::compute::Class;
 use crate::domain::fits::FitRequest;
-use crate::domain::{FieldError, Problem, Rig, Run};
-use crate::storage::{Store, StoreError};
+use crate::domain::{Model, Origin, Rig, Run};
+use crate::engine::frf::FrfSettings;
+use crate::engine::lstm::Isa;
+use crate::engine::model::{
+    FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
+};
+use crate::engine::{EngineError, Signal, Watch};
+use crate::storage::{Claim, NewModel, StoreError};
 
-/// A fit with everything resolved: channels by name, runs by row.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FitPlan {
-    /// The request with channels and runs filled in; what the model stores.
-    pub request: FitRequest,
-    /// Input channels.
-    pub inputs: Vec<String>,
-    /// Output channels.
-    pub outputs: Vec<String>,
-    /// Training runs.
-    pub training: Vec<Run>,
-    /// Runs of the FRF part, where they are others.
-    pub frf: Option<Vec<Run>>,
-    /// Validation runs; empty: the last 10 % of each training run.
-    pub validation: Vec<Run>,
-}
+use super::activate;
+use super::control::Control;
+use super::problem::{JobError, codes, of_engine};
+use super::runner::Runner;
 
-/// Why a fit cannot be done.
-#[derive(Debug, thiserror::Error)]
-pub enum FitProblem {
-    /// Fields of the request that do not fit the rig (422 `fit.invalid`).
-    #[error("the fit does not suit the rig")]
-    Invalid(Vec<FieldError>),
-    /// No run matches a selection (409 `fit.no_runs`).
-    #[error("no run matches {pointer}")]
-    NoRuns {
-        /// The selection.
-        pointer: &'static str,
-    },
-    /// The store.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
+pub use super::fit_plan::{FitPlan, FitProblem, check};
 
-impl FitProblem {
-    /// As a problem document; of the store's failure only that it happened.
-    pub fn problem(&self) -> Problem {
-        todo!()
+/// The engine's fit; tests of the runner put others in its place.
+pub(super) type FitFunction = fn(&FitData, &FitSettings, Watch<'_>) -> Result<Fitted, EngineError>;
+
+impl From<FitProblem> for JobError {
+    fn from(problem: FitProblem) -> Self {
+        match problem {
+            FitProblem::Store(error) => error.into(),
+            problem => Self::Failed(problem.problem()),
+        }
     }
 }
 
-/// Resolves a request against the rig and its runs, without loading a sample.
-///
-/// # Errors
-/// See [`FitProblem`].
-pub async fn check(_store: &Store, _rig: &Rig, _request: &FitRequest) -> Result<FitPlan, FitProblem> {
-    todo!()
+/// Sees a fit through, from its request to the published model.
+pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) -> Result<(), JobError> {
+    let request: FitRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
+        let detail = format!("This version of the program cannot read the job: {error}.");
+        JobError::Failed(crate::domain::Problem::new(
+            500,
+            codes::JOB_UNKNOWN,
+            "The job cannot be read",
+            detail,
+        ))
+    })?;
+    let rig = runner.store.rig(&claim.job.rig).await?.ok_or(FitProblem::RigGone)?;
+    // Again, because runs came and went since it was queued.
+    let plan = check(&runner.store, &rig, &request).await?;
+    control.report("loading runs", 0.0);
+    let data = load(runner, &plan, control).await?;
+    let (model, report, weights) = fit(runner, &plan, data, control).await?;
+    let model = Arc::new(model);
+    control.report("comparing with the active model", 1.0);
+    let decision = activate::decide(runner, &rig, &plan, &model, control).await?;
+    if control.stopped().is_some() {
+        return Err(JobError::Stopped);
+    }
+    control.report("publishing", 1.0);
+    publish(runner, claim, &plan, &model, report, weights, decision).await
+}
+
+/// Loads every run once and cuts it to the fit's channels.
+async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
+    let mut pairs = HashMap::new();
+    let runs = plan.training.iter().chain(plan.frf.iter().flatten()).chain(&plan.validation);
+    for run in runs {
+        if control.stopped().is_some() {
+            return Err(JobError::Stopped);
+        }
+        if !pairs.contains_key(&run.id) {
+            let signal = runner.store.load_signal(run).await?;
+            pairs.insert(run.id, pair(run, &signal, &plan.inputs, &plan.outputs)?);
+        }
+    }
+    Ok(assemble(plan, |run| pairs[&run.id].clone()))
+}
+
+/// A run as inputs and outputs, in the order of `inputs` and `outputs`.
+pub(super) fn pair(
+    run: &Run,
+    signal: &Signal,
+    inputs: &[String],
+    outputs: &[String],
+) -> Result<Pair, StoreError> {
+    let place = |name: &String| {
+        run.channels.iter().position(|channel| channel == name).ok_or_else(|| StoreError::Row {
+            table: "runs",
+            key: run.id.to_string(),
+            what: format!("it was checked to hold channel {name:?}"),
+        })
+    };
+    let select = |names: &[String]| {
+        Ok::<_, StoreError>(signal.select(&names.iter().map(place).collect::<Result<Vec<_>, _>>()?))
+    };
+    Ok(Pair { x: select(inputs)?, y: select(outputs)? })
+}
+
+/// Splits the runs as the plan's lineage says.
+fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
+    let mut validation: Vec<Validation> =
+        plan.validation.iter().map(|run| Validation { pair: load(run), score_from: 0 }).collect();
+    let mut training = Vec::with_capacity(plan.training.len());
+    for run in &plan.training {
+        let whole = load(run);
+        if plan.validation.is_empty() {
+            let (kept, held_out) = whole.hold_out();
+            training.push(kept);
+            // A run of less than ten samples has nothing to hold out.
+            if held_out.score_from < held_out.pair.x.n_samples() {
+                validation.push(held_out);
+            }
+        } else {
+            training.push(whole);
+        }
+    }
+    let until = |run: &Run| usize::try_from(plan.frf_until(run)).unwrap_or(usize::MAX);
+    let cut = |run: &Run| {
+        let whole = load(run);
+        let end = until(run).min(whole.x.n_samples());
+        Pair { x: whole.x.slice(0..end), y: whole.y.slice(0..end) }
+    };
+    let frf = plan.frf.as_ref().map(|runs| runs.iter().map(cut).collect());
+    FitData { training, frf, validation }
+}
+
+/// Settings of the engine: what the request leaves open is the engine's to choose.
+fn settings(plan: &FitPlan) -> FitSettings {
+    let request = &plan.request;
+    let default = FrfSettings::default();
+    FitSettings {
+        kind: request.kind,
+        inputs: plan.inputs.clone(),
+        outputs: plan.outputs.clone(),
+        preprocess: request.preprocess,
+        frf: FrfSettings {
+            segment_len: request.frf.segment_len,
+            overlap: request.frf.overlap.unwrap_or(default.overlap),
+            estimator: request.frf.estimator.unwrap_or(default.estimator),
+            ridge: request.frf.ridge,
+        },
+        lstm: request.lstm.clone(),
+        preset: request.preset,
+    }
+}
+
+/// Fits on the threads for fits, and writes the weights there too.
+async fn fit(
+    runner: &Runner,
+    plan: &FitPlan,
+    data: FitData,
+    control: &Arc<Control>,
+) -> Result<(RigModel, FitReport, Bytes), JobError> {
+    let (settings, watched, function) = (settings(plan), Arc::clone(control), runner.fit);
+    let started = std::time::Instant::now();
+    let fitted = runner
+        .compute
+        .run(Class::Fit, move || {
+            let fitted = function(&data, &settings, &|progress| watched.watch(progress))?;
+            let weights = Bytes::from(to_safetensors(&fitted.model));
+            Ok((fitted.model, fitted.report, weights))
+        })
+        .await?;
+    let fitted = fitted.map_err(|error| of_engine(&error, &plan.channels()))?;
+    let seconds = started.elapsed().as_secs_f64();
+    tracing::info!(fit.kind = ?plan.request.kind, fit.seconds = seconds, "fitted a model");
+    Ok(fitted)
+}
+
+/// Stores the model and ends the job, if the job is still ours.
+async fn publish(
+    runner: &Runner,
+    claim: &Claim,
+    plan: &FitPlan,
+    model: &RigModel,
+    report: FitReport,
+    weights: Bytes,
+    decision: activate::Decision,
+) -> Result<(), JobError> {
+    let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
+    let new = NewModel {
+        kind: model.kind,
+        inputs: model.inputs.clone(),
+        outputs: model.outputs.clone(),
+        sample_rate_hz: model.sample_rate_hz,
+        weights,
+        origin: Origin::Fit,
+        job: Some(claim.job.id),
+        request: Some(plan.request.clone()),
+        report: Some(report),
+        lineage: plan.lineage(),
+        instruction_set: isa.name().into(),
+    };
+    let activate::Decision { activation, why } = decision;
+    let stage = move |version, active| activate::last_words(version, active, &why);
+    let now = (runner.clock)();
+    let published: Option<Model> =
+        runner.store.publish_model(&claim.lease, new, activation, stage, now).await?;
+    match published {
+        Some(model) => {
+            tracing::info!(model.version = model.version, model.active = model.active, "published a model");
+            Ok(())
+        }
+        // Somebody else has the job now, or nobody: this work is void.
+        None => Err(JobError::Stopped),
+    }
+}
+
+/// Whether the fit's model can be the rig's active one.
+pub(super) fn is_forward(rig: &Rig, plan: &FitPlan) -> bool {
+    crate::domain::model::is_forward(rig, &plan.inputs, &plan.outputs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::{RunKind, Split};
+    use crate::jobs::fit_plan::testing::{plan_of, run};
+
+    /// A run whose samples count up, so that a cut shows.
+    fn ramp(run: &Run) -> Pair {
+        let n = u32::try_from(run.samples).unwrap();
+        let ramp = Signal::new(100.0, vec![(0..n).map(f64::from).collect()]).unwrap();
+        Pair { x: ramp.clone(), y: ramp }
+    }
+
+    fn last(pair: &Pair) -> f64 {
+        *pair.x.channel(0).last().unwrap()
+    }
+
+    #[test]
+    fn without_validation_runs_each_training_run_gives_its_last_tenth() {
+        let runs =
+            [run(1, RunKind::Noise, Split::Training, 1000), run(2, RunKind::Noise, Split::Training, 5)];
+        let plan = plan_of(&runs, r#"{"kind": "lstm"}"#).unwrap();
+        let data = assemble(&plan, ramp);
+        assert_eq!(data.training.iter().map(last).collect::<Vec<_>>(), [899.0, 4.0]);
+        assert_eq!(data.validation.len(), 1, "five samples have no tenth");
+        let held_out = &data.validation[0];
+        assert_eq!(held_out.pair.x.channel(0)[held_out.score_from], 900.0);
+        assert_eq!(last(&held_out.pair), 999.0);
+    }
+
+    #[test]
+    fn frf_runs_that_are_held_out_are_cut_at_the_same_sample() {
+        let mut linear = run(2, RunKind::Noise, Split::Training, 500);
+        linear.tags = vec!["linear".into()];
+        let runs = [run(1, RunKind::Noise, Split::Training, 1000), linear];
+        let plan = plan_of(&runs, r#"{"kind": "hybrid2", "frf": {"runs": {"tags": ["linear"]}}}"#).unwrap();
+        let data = assemble(&plan, ramp);
+        assert_eq!(data.frf.unwrap().iter().map(last).collect::<Vec<_>>(), [449.0]);
+        // Trained on other runs only, they are whole.
+        let request = format!(
+            r#"{{"kind": "hybrid2", "runs": ["{}"], "frf": {{"runs": {{"tags": ["linear"]}}}}}}"#,
+            runs[0].id
+        );
+        let plan = plan_of(&runs, &request).unwrap();
+        assert_eq!(assemble(&plan, ramp).frf.unwrap().iter().map(last).collect::<Vec<_>>(), [499.0]);
+    }
+
+    #[test]
+    fn what_is_loaded_is_what_the_lineage_says() {
+        let mut linear = run(2, RunKind::Noise, Split::Training, 500);
+        linear.tags = vec!["linear".into()];
+        let runs = [run(1, RunKind::Noise, Split::Training, 1000), linear];
+        let plan = plan_of(&runs, r#"{"kind": "hybrid1", "frf": {"runs": {"tags": ["linear"]}}}"#).unwrap();
+        let (data, lineage) = (assemble(&plan, ramp), plan.lineage());
+        let ends = |pairs: &[Pair]| pairs.iter().map(|p| p.x.n_samples() as u64).collect::<Vec<_>>();
+        let spans = |spans: &[crate::domain::Span]| {
+            spans.iter().map(|span| span.to_sample - span.from_sample).collect::<Vec<_>>()
+        };
+        assert_eq!(ends(&data.training), spans(&lineage.training));
+        assert_eq!(ends(&data.frf.unwrap()), spans(&lineage.frf));
+        let scored = |v: &Validation| (v.pair.x.n_samples() - v.score_from) as u64;
+        assert_eq!(data.validation.iter().map(scored).collect::<Vec<_>>(), spans(&lineage.validation));
+        assert!(!lineage.validation.iter().any(|span| lineage.was_trained_on(span)));
+    }
 }

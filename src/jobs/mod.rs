@@ -3,18 +3,29 @@
 //! A job is claimed in one short transaction, done outside of any, and published in one more that
 //! holds only while the lease does.
 
+mod activate;
+mod control;
 mod events;
 pub mod fit;
+mod fit_plan;
+pub mod problem;
 mod runner;
 
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use futures::Stream;
+use jiff::Timestamp;
+use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Clock, Job, JobId, Rig};
 use crate::storage::{CancelOutcome, Store, StoreError};
+
+use control::Stop;
+use fit::FitFunction;
+use runner::Runner;
 
 pub use fit::{FitPlan, FitProblem};
 
@@ -45,7 +56,8 @@ impl Default for JobSettings {
 /// The runner of jobs, and the way to them. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Jobs {
-    store: Store,
+    runner: Arc<Runner>,
+    workers: Arc<Mutex<Vec<JoinHandle<()>>>>,
 }
 
 impl Jobs {
@@ -55,32 +67,57 @@ impl Jobs {
     /// The store's failures.
     pub async fn start(
         store: Store,
-        _compute: Compute,
-        _clock: Clock,
-        _settings: JobSettings,
+        compute: Compute,
+        clock: Clock,
+        settings: JobSettings,
     ) -> Result<Self, StoreError> {
-        Ok(Self { store })
+        Self::start_with(store, compute, clock, settings, crate::engine::model::fit).await
+    }
+
+    async fn start_with(
+        store: Store,
+        compute: Compute,
+        clock: Clock,
+        settings: JobSettings,
+        fit: FitFunction,
+    ) -> Result<Self, StoreError> {
+        // The data directory is locked: whoever had these jobs is gone.
+        for id in store.requeue_expired(Timestamp::MAX, clock()).await? {
+            tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
+        }
+        let count = settings.workers;
+        let runner = Arc::new(Runner::new(store, compute, clock, settings, fit));
+        let workers =
+            (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
+        Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
     }
 
     /// Checks a fit and queues it.
     ///
     /// # Errors
     /// [`FitProblem`]: what is wrong with it, or the store's failure.
-    pub async fn submit_fit(&self, _rig: &Rig, _request: &FitRequest) -> Result<Job, FitProblem> {
-        todo!()
+    pub async fn submit_fit(&self, rig: &Rig, request: &FitRequest) -> Result<Job, FitProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        fit::check(store, rig, request).await?;
+        let job = store.insert_fit_job(&rig.id, request, clock()).await?.ok_or(FitProblem::RigGone)?;
+        self.wake();
+        Ok(job)
     }
 
     /// Notes the wish to cancel and stops the work if it is done here. Idempotent.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn cancel(&self, _id: JobId) -> Result<CancelOutcome, StoreError> {
-        todo!()
+    pub async fn cancel(&self, id: JobId) -> Result<CancelOutcome, StoreError> {
+        let outcome = self.runner.store.request_cancel(id, (self.runner.clock)()).await?;
+        self.runner.stop(id, Stop::Cancelled);
+        self.runner.hub.changed(id);
+        Ok(outcome)
     }
 
     /// Tells idle workers that jobs were queued (by an accepted run).
     pub fn wake(&self) {
-        todo!()
+        self.runner.queued.notify_one();
     }
 
     /// The job's snapshots from now on, each with a greater [`Job::event`], ending after a
@@ -92,15 +129,29 @@ impl Jobs {
     /// The store's failures.
     pub async fn subscribe(
         &self,
-        _id: JobId,
-        _last_event: Option<u64>,
+        id: JobId,
+        last_event: Option<u64>,
     ) -> Result<Option<impl Stream<Item = Job> + Send + 'static + use<>>, StoreError> {
-        Ok(Some(futures::stream::empty()))
+        self.runner.hub.subscribe(self.runner.store.clone(), id, last_event).await
     }
 
     /// Stops claiming, cancels the work at hand, puts its jobs back into the queue, and returns
-    /// when that is done.
+    /// when that is done, or when work has not stopped within 25 seconds: its jobs are queued
+    /// again at the next start.
     pub async fn shutdown(&self) {
-        todo!()
+        self.runner.shut_down();
+        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        let all = futures::future::join_all(workers);
+        match tokio::time::timeout(runner::SHUTDOWN_PATIENCE, all).await {
+            Err(_) => tracing::error!("work did not stop in time; its jobs start again with the service"),
+            Ok(ends) => {
+                for error in ends.into_iter().filter_map(Result::err) {
+                    tracing::error!(%error, "a worker ended badly");
+                }
+            }
+        }
     }
 }
+
+#[cfg(test)]
+mod tests;

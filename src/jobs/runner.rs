@@ -1,1 +1,230 @@
 //! The workers: tasks that claim jobs and see them through.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
+use tokio::sync::{Notify, watch};
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use tracing::Instrument;
+
+use crate::compute::Compute;
+use crate::domain::{Clock, JobId, JobKind, Problem};
+use crate::storage::{Beat, Claim, Outcome, Store, StoreError};
+
+use super::JobSettings;
+use super::control::{Control, Stop};
+use super::events::Hub;
+use super::fit::{self, FitFunction};
+use super::problem::{JobError, codes, panicked};
+
+/// What all workers of a process share.
+#[derive(Debug)]
+pub(super) struct Runner {
+    pub(super) store: Store,
+    pub(super) compute: Compute,
+    pub(super) clock: Clock,
+    pub(super) fit: FitFunction,
+    pub(super) settings: JobSettings,
+    pub(super) hub: Hub,
+    /// Rings when a job was queued.
+    pub(super) queued: Notify,
+    pub(super) stopping: watch::Sender<bool>,
+    /// Jobs at work in this process.
+    at_work: Mutex<HashMap<JobId, Arc<Control>>>,
+}
+
+impl Runner {
+    pub(super) fn new(
+        store: Store,
+        compute: Compute,
+        clock: Clock,
+        settings: JobSettings,
+        fit: FitFunction,
+    ) -> Self {
+        let stopping = watch::Sender::new(false);
+        let hub = Hub::new(stopping.clone());
+        let (queued, at_work) = (Notify::new(), Mutex::default());
+        Self { store, compute, clock, fit, settings, hub, queued, stopping, at_work }
+    }
+
+    /// Asks a job that is at work here to stop; whether it is.
+    pub(super) fn stop(&self, id: JobId, why: Stop) -> bool {
+        let at_work = self.at_work();
+        let found = at_work.get(&id);
+        if let Some(control) = found {
+            control.stop(why);
+        }
+        found.is_some()
+    }
+
+    /// Stops claiming and asks all work to stop.
+    pub(super) fn shut_down(&self) {
+        self.stopping.send_replace(true);
+        for control in self.at_work().values() {
+            control.stop(Stop::Shutdown);
+        }
+    }
+
+    fn at_work(&self) -> MutexGuard<'_, HashMap<JobId, Arc<Control>>> {
+        self.at_work.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn lease_until(&self, now: Timestamp) -> Timestamp {
+        now.checked_add(self.settings.lease).unwrap_or(Timestamp::MAX)
+    }
+
+    /// Claims and does jobs until the service stops.
+    pub(super) async fn work(self: Arc<Self>, name: String) {
+        let mut stopping = self.stopping.subscribe();
+        while !*stopping.borrow() {
+            // Before the look at the queue, so that no ring falls in between.
+            let queued = self.queued.notified();
+            match self.claim(&name).await {
+                Ok(Some(claim)) => {
+                    // Others may find more.
+                    self.queued.notify_one();
+                    Arc::clone(&self).see_through(claim).await;
+                    continue;
+                }
+                Ok(None) => {}
+                Err(error) => tracing::error!(%error, "no job could be claimed"),
+            }
+            tokio::select! {
+                () = queued => {}
+                _ = stopping.wait_for(|stopping| *stopping) => {}
+                () = tokio::time::sleep(self.settings.poll) => {}
+            }
+        }
+    }
+
+    async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
+        let now = (self.clock)();
+        // A worker that could not write its job's end left it running.
+        for id in self.store.requeue_expired(now, now).await? {
+            tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
+            self.hub.changed(id);
+        }
+        self.store.claim_job(name, self.lease_until(now), now).await
+    }
+
+    /// Does a job, keeps its lease meanwhile, and writes its end.
+    async fn see_through(self: Arc<Self>, claim: Claim) {
+        let id = claim.job.id;
+        let span = tracing::info_span!(
+            "job", job.id = %id, job.kind = claim.job.kind.as_str(), rig.id = %claim.job.rig,
+            job.attempt = claim.job.attempt
+        );
+        let control = Arc::new(Control::default());
+        self.at_work().insert(id, Arc::clone(&control));
+        // The stop may have come between the claim and the line above.
+        if *self.stopping.borrow() {
+            control.stop(Stop::Shutdown);
+        }
+        self.hub.changed(id);
+        async {
+            tracing::info!("a job starts");
+            // A task of its own: heartbeats must go on while the work waits for the store, and the
+            // work while a heartbeat does.
+            let work = Arc::clone(&self).perform(claim.clone(), Arc::clone(&control));
+            let end = self.accompany(&claim, &control, tokio::spawn(work.in_current_span())).await;
+            if let Err(error) = self.finish(&claim, &control, end).await {
+                // Its lease runs out, and then somebody takes it up again.
+                tracing::error!(%error, "the end of a job could not be written");
+            }
+        }
+        .instrument(span)
+        .await;
+        self.at_work().remove(&id);
+        self.hub.changed(id);
+    }
+
+    async fn perform(self: Arc<Self>, claim: Claim, control: Arc<Control>) -> Result<(), JobError> {
+        match claim.job.kind {
+            JobKind::Fit => fit::run(&self, &claim, &control).await,
+            JobKind::Evaluation | JobKind::Diagnosis | JobKind::Iteration | JobKind::Study => {
+                let detail = "A newer version of the program queued this job.";
+                let title = "The job cannot be read";
+                Err(JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)))
+            }
+        }
+    }
+
+    /// Heartbeats until the work ends.
+    async fn accompany(
+        &self,
+        claim: &Claim,
+        control: &Control,
+        mut work: JoinHandle<Result<(), JobError>>,
+    ) -> Result<(), JobError> {
+        let mut ticks = tokio::time::interval(self.settings.progress_every);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut written = (String::new(), 0.0);
+        let mut at = Instant::now();
+        loop {
+            tokio::select! {
+                biased;
+                end = &mut work => {
+                    return match end {
+                        Ok(end) => end,
+                        Err(error) => Err(panicked(&error.to_string())),
+                    };
+                }
+                _ = ticks.tick() => {
+                    let progress = control.progress();
+                    // A third of the lease leaves room for two that fail.
+                    if progress != written || at.elapsed() > self.settings.lease / 3 {
+                        self.beat(claim, control, &progress).await;
+                        (written, at) = (progress, Instant::now());
+                    }
+                }
+            }
+        }
+    }
+
+    async fn beat(&self, claim: &Claim, control: &Control, (stage, fraction): &(String, f64)) {
+        let now = (self.clock)();
+        let beat = self.store.heartbeat(&claim.lease, stage, *fraction, self.lease_until(now), now).await;
+        match beat {
+            Ok(Beat::Held) => {}
+            Ok(Beat::CancelRequested) => control.stop(Stop::Cancelled),
+            Ok(Beat::Lost) => control.stop(Stop::Lost),
+            // The lease outlasts a few of these; if it does not, the next beat says so.
+            Err(error) => tracing::warn!(%error, "a heartbeat could not be written"),
+        }
+        self.hub.changed(claim.job.id);
+    }
+
+    async fn finish(
+        &self,
+        claim: &Claim,
+        control: &Control,
+        end: Result<(), JobError>,
+    ) -> Result<(), StoreError> {
+        let outcome = match end {
+            // Published, and the job ended with it.
+            Ok(()) => return Ok(()),
+            Err(JobError::Failed(problem)) => Outcome::Failed(problem),
+            Err(JobError::Retry(problem)) => Outcome::Retry(problem),
+            Err(JobError::Stopped) => match control.stopped() {
+                Some(Stop::Cancelled) => Outcome::Cancelled,
+                Some(Stop::Shutdown) => Outcome::Released,
+                // The row is another's, or gone.
+                Some(Stop::Lost) | None => return Ok(()),
+            },
+        };
+        tracing::info!(job.outcome = ?outcome, "a job ends without a result");
+        self.store.finish_job(&claim.lease, outcome, (self.clock)()).await.map(drop)
+    }
+}
+
+/// A name for a worker that a person finds again in the process table.
+pub(super) fn worker_name(index: usize) -> String {
+    format!("{}-{index}", std::process::id())
+}
+
+/// How long [`super::Jobs::shutdown`] waits for work to notice; the engine looks several times a
+/// second.
+pub(super) const SHUTDOWN_PATIENCE: Duration = Duration::from_secs(25);

@@ -1,7 +1,30 @@
 //! Long short-term memory networks: inference, training, windows and their recombination.
+//!
+//! Networks are those of Heindel et al., section 2.2: blocks of memory cells from a zero state, one
+//! fully connected layer without activation, inputs and outputs standardised by the caller. All
+//! numbers are `f32`.
+//!
+//! The networks are tiny (39 cells), so the layout decides the speed: one lane of a vector is one
+//! window (`forward`), or one cell where the state is carried through a signal (`stream`). The
+//! kernels are written once over [`simd`] and run on the best instruction set of the machine
+//! ([`Isa`]).
 
+mod activation;
+mod forward;
+mod isa;
 mod net;
+mod params;
+mod predict;
+mod product;
+#[cfg(test)]
+mod reference;
+#[cfg(test)]
+mod samples;
 mod settings;
+mod simd;
+mod stream;
 
+pub use isa::{ISA_VARIABLE, Isa};
 pub use net::{LstmBlock, LstmNet};
+pub use predict::predict;
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};

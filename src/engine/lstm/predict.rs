@@ -1,0 +1,404 @@
+//! Prediction of a whole signal from window predictions or from one carried state.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::forward::{Forward, Packed, State};
+use super::isa::Isa;
+use super::net::LstmNet;
+use super::params::{Shape, flatten};
+use super::settings::Recombine;
+use super::simd::{LANES, Lanes, dispatch};
+use super::stream::{Stream, StreamWeights};
+use crate::engine::EngineError;
+use crate::engine::windowing::{Weights, Windows, check_window};
+
+/// Windows of pre-roll before a stream, in which the first value is held.
+const PRE_ROLL_WINDOWS: usize = 2;
+
+/// Up to this many windows are worked on in groups of 16 instead of 64, so that short signals use
+/// all cores. A number of windows, not of threads: the order of sums must not hang on the machine.
+const SMALL: usize = 256;
+
+/// Groups of windows whose predictions are in memory at once.
+const GROUPS_PER_SLAB: usize = 64;
+
+/// Steps between which inputs are gathered and outputs are scattered; small enough for the
+/// second-level cache.
+const STEPS_PER_CHUNK: usize = 64;
+
+/// Predicts a whole signal on standardised planar inputs `[channel][sample]`, any length from one
+/// sample on; answers `[output][sample]`, standardised.
+///
+/// [`Recombine::Welch`] is Heindel et al., section 2.2.2 (see [`crate::engine::windowing`]);
+/// [`Recombine::Stream`] carries the state through after `2 * window_len` samples of the first value
+/// held. The result depends on the arguments and the instruction set only, bit for bit.
+///
+/// # Errors
+/// Weights that do not belong together, another channel count, unequal lengths, no samples, input or
+/// result that is not finite, senseless `window_len` or `hop`.
+pub fn predict(
+    net: &LstmNet,
+    x: &[Vec<f32>],
+    window_len: usize,
+    hop: usize,
+    recombine: Recombine,
+) -> Result<Vec<Vec<f32>>, EngineError> {
+    predict_on(Isa::of_process()?, net, x, window_len, hop, recombine)
+}
+
+/// [`predict`] on a given instruction set.
+///
+/// # Errors
+/// As [`predict`].
+pub(super) fn predict_on(
+    isa: Isa,
+    net: &LstmNet,
+    x: &[Vec<f32>],
+    window_len: usize,
+    hop: usize,
+    recombine: Recombine,
+) -> Result<Vec<Vec<f32>>, EngineError> {
+    net.check()?;
+    let samples = check_channels("input", x, net.inputs())?;
+    let shape = Shape::of(net);
+    let row = flatten(net);
+    let y = match recombine {
+        Recombine::Welch => {
+            let windows = Windows::new(window_len, hop, samples)?;
+            if isa != Isa::Avx512 {
+                welch::<4, 1>(isa, &shape, &row, x, windows)
+            } else if windows.count() <= SMALL {
+                welch::<16, 1>(isa, &shape, &row, x, windows)
+            } else {
+                welch::<4, 4>(isa, &shape, &row, x, windows)
+            }
+        }
+        Recombine::Stream => {
+            check_window(window_len, hop)?;
+            stream(isa, &shape, &row, x, PRE_ROLL_WINDOWS * window_len)
+        }
+    };
+    for (channel, y) in y.iter().enumerate() {
+        if let Some(sample) = y.iter().position(|v| !v.is_finite()) {
+            return Err(EngineError::NonFiniteResult { what: "LSTM prediction", channel, sample });
+        }
+    }
+    Ok(y)
+}
+
+/// Count, equal lengths and finiteness of planar channels; answers their length, at least one.
+///
+/// # Errors
+/// What is wrong.
+pub(super) fn check_channels(
+    what: &'static str,
+    x: &[Vec<f32>],
+    expected: usize,
+) -> Result<usize, EngineError> {
+    if x.len() != expected || x.is_empty() {
+        return Err(EngineError::ChannelCount { what, expected, found: x.len() });
+    }
+    let samples = x[0].len();
+    if samples == 0 {
+        return Err(EngineError::TooShort { what, needed: 1, found: 0 });
+    }
+    for (channel, x) in x.iter().enumerate() {
+        if x.len() != samples {
+            return Err(EngineError::UnequalLength { what, channel, expected: samples, found: x.len() });
+        }
+        if let Some(sample) = x.iter().position(|v| !v.is_finite()) {
+            return Err(EngineError::NonFinite { what, channel, sample });
+        }
+    }
+    Ok(samples)
+}
+
+/// Copies steps `steps` of one window of `x` into lane `lane`, `to` being `[step][channel][lane]`;
+/// before the start and after the end the first and last value are held.
+pub(super) fn gather<const NV: usize>(
+    x: &[Vec<f32>],
+    start: isize,
+    steps: Range<usize>,
+    lane: usize,
+    to: &mut [[Lanes; NV]],
+) {
+    let channels = x.len();
+    let (v, l) = (lane / LANES, lane % LANES);
+    for (channel, x) in x.iter().enumerate() {
+        let places = to[channel..].iter_mut().step_by(channels);
+        let first = start + steps.start as isize;
+        match usize::try_from(first).ok().and_then(|first| x.get(first..first + steps.len())) {
+            Some(x) => places.zip(x).for_each(|(to, &x)| to[v].0[l] = x),
+            None => {
+                let last = x.len() as isize - 1;
+                for (t, to) in places.take(steps.len()).enumerate() {
+                    to[v].0[l] = x[(first + t as isize).clamp(0, last) as usize];
+                }
+            }
+        }
+    }
+}
+
+/// Runs up to `NV * 16` windows of `len` steps and hands the outputs, `[step][output][lane]`, to
+/// `sink` chunk by chunk with the range of steps. `source(lane)` gives a window's signal and start.
+pub(super) fn run_windows<'x, const R: usize, const NV: usize>(
+    isa: Isa,
+    weights: &Packed<R>,
+    state: &mut State<NV>,
+    len: usize,
+    windows: usize,
+    source: impl Fn(usize) -> (&'x [Vec<f32>], isize),
+    mut sink: impl FnMut(Range<usize>, &[[Lanes; NV]]),
+) {
+    let (inputs, outputs) = (weights.shape.blocks[0].inputs, weights.shape.outputs);
+    state.reset(&weights.shape);
+    let chunk = len.min(STEPS_PER_CHUNK);
+    let mut x = vec![[Lanes::ZERO; NV]; chunk * inputs];
+    let mut y = vec![[Lanes::ZERO; NV]; chunk * outputs];
+    for first in (0..len).step_by(chunk) {
+        let steps = first..len.min(first + chunk);
+        let x = &mut x[..steps.len() * inputs];
+        let y = &mut y[..steps.len() * outputs];
+        for lane in 0..windows {
+            let (signal, start) = source(lane);
+            gather(signal, start, steps.clone(), lane, x);
+        }
+        dispatch(isa, Forward { weights, state, x, y });
+        sink(steps, y);
+    }
+}
+
+/// Windows, recombined with Welch's weights.
+fn welch<const R: usize, const NV: usize>(
+    isa: Isa,
+    shape: &Shape,
+    row: &[f32],
+    x: &[Vec<f32>],
+    windows: Windows,
+) -> Vec<Vec<f32>> {
+    let samples = x[0].len();
+    let packed = Packed::<R>::new(shape, row);
+    let weights = windows.weights();
+    let group = NV * LANES;
+    let groups: Vec<Range<usize>> =
+        (0..windows.count()).step_by(group).map(|first| first..windows.count().min(first + group)).collect();
+    let mut y = vec![vec![0.0; samples]; shape.outputs];
+    for slab in groups.chunks(GROUPS_PER_SLAB) {
+        let parts: Vec<Part> = slab
+            .par_iter()
+            .map_init(
+                || State::<NV>::new(shape),
+                |state, group| part::<R, NV>(isa, &packed, state, x, windows, &weights, group.clone()),
+            )
+            .collect();
+        // Always in the order of the signal, whatever thread was first.
+        for part in &parts {
+            for (y, part_y) in y.iter_mut().zip(&part.y) {
+                y[part.from..][..part_y.len()].iter_mut().zip(part_y).for_each(|(y, p)| *y += p);
+            }
+        }
+    }
+    y
+}
+
+/// The weighted sum of some windows.
+struct Part {
+    /// First sample.
+    from: usize,
+    /// `[output][sample - from]`.
+    y: Vec<Vec<f32>>,
+}
+
+fn part<const R: usize, const NV: usize>(
+    isa: Isa,
+    packed: &Packed<R>,
+    state: &mut State<NV>,
+    x: &[Vec<f32>],
+    windows: Windows,
+    weights: &Weights,
+    group: Range<usize>,
+) -> Part {
+    let (len, outputs, samples) = (windows.len(), packed.shape.outputs, x[0].len());
+    let from = windows.start(group.start).max(0) as usize;
+    let to = samples.min((windows.start(group.end - 1) + len as isize) as usize);
+    let mut y = vec![vec![0.0; to - from]; outputs];
+    let lane_weights: Vec<_> = group.clone().map(|w| weights.of(windows.start(w))).collect();
+    run_windows::<R, NV>(
+        isa,
+        packed,
+        state,
+        len,
+        group.len(),
+        |lane| (x, windows.start(group.start + lane)),
+        |steps, out| {
+            for (lane, weights) in lane_weights.iter().enumerate() {
+                // The steps of this window that lie inside the signal.
+                let start = windows.start(group.start + lane);
+                let inside =
+                    (-start).max(0) as usize..(samples as isize - start).clamp(0, len as isize) as usize;
+                let t = steps.start.max(inside.start)..steps.end.min(inside.end);
+                if t.is_empty() {
+                    continue;
+                }
+                let at = (start + t.start as isize) as usize - from;
+                let (v, l) = (lane / LANES, lane % LANES);
+                for (channel, y) in y.iter_mut().enumerate() {
+                    let out = out[(t.start - steps.start) * outputs + channel..].iter().step_by(outputs);
+                    let y = &mut y[at..][..t.len()];
+                    for ((y, w), out) in y.iter_mut().zip(&weights[t.clone()]).zip(out) {
+                        *y += w * out[v].0[l];
+                    }
+                }
+            }
+        },
+    );
+    Part { from, y }
+}
+
+/// The state carried through the whole signal.
+fn stream(isa: Isa, shape: &Shape, row: &[f32], x: &[Vec<f32>], pre_roll: usize) -> Vec<Vec<f32>> {
+    let samples = x[0].len();
+    let weights = StreamWeights::new(shape, row);
+    let mut interleaved = vec![0.0; samples * x.len()];
+    for (channel, from) in x.iter().enumerate() {
+        interleaved[channel..].iter_mut().step_by(x.len()).zip(from).for_each(|(to, &from)| *to = from);
+    }
+    let mut out = vec![0.0; samples * shape.outputs];
+    dispatch(isa, Stream { weights: &weights, x: &interleaved, y: &mut out, pre_roll });
+    (0..shape.outputs).map(|c| out[c..].iter().step_by(shape.outputs).copied().collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::super::reference::Twin;
+    use super::super::samples::{distance, noise, std_of};
+    use super::*;
+
+    fn net(inputs: usize, blocks: &[usize], outputs: usize, seed: u64) -> LstmNet {
+        LstmNet::init(inputs, blocks, outputs, 1.0, &mut ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    /// The machine's instruction sets; says which others were left out.
+    fn sets() -> Vec<Isa> {
+        let (here, missing): (Vec<_>, Vec<_>) = Isa::ALL.into_iter().partition(|i| i.is_available());
+        missing.iter().for_each(|i| println!("skipped {}: not on this machine", i.name()));
+        here
+    }
+
+    /// 1e-5 of the output's standard deviation: some ten roundings of `f32`.
+    fn assert_agrees(isa: Isa, net: &LstmNet, x: &[Vec<f32>], len: usize, hop: usize, way: Recombine) {
+        let expected = Twin::of(net).predict(x, len, hop, way);
+        let found = predict_on(isa, net, x, len, hop, way).unwrap();
+        let bound = 1e-5 * std_of(&expected).max(0.05);
+        let error = distance(&found, &expected);
+        assert!(
+            error < bound,
+            "{} {way:?} L {len} hop {hop} n {}: {error:e} > {bound:e}",
+            isa.name(),
+            x[0].len()
+        );
+    }
+
+    #[test]
+    fn predictions_agree_with_the_f64_twin_on_every_instruction_set() {
+        for isa in sets() {
+            for (blocks, seed) in [(&[39][..], 1), (&[23, 23], 2), (&[3], 3), (&[17, 5, 9], 4)] {
+                let net = net(3, blocks, 5, seed);
+                let x = noise(3, 700, seed);
+                for way in [Recombine::Welch, Recombine::Stream] {
+                    assert_agrees(isa, &net, &x, 64, 32, way);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_length_from_one_sample_on_and_every_hop_agree_with_the_twin() {
+        let net = net(2, &[4], 2, 7);
+        for isa in sets() {
+            for (len, hop) in [(16, 8), (16, 5), (15, 7), (16, 1), (2, 1)] {
+                for n in (1..40).chain([129]) {
+                    let x = noise(2, n, n as u64);
+                    assert_agrees(isa, &net, &x, len, hop, Recombine::Welch);
+                    assert_agrees(isa, &net, &x, len, hop, Recombine::Stream);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn many_windows_agree_with_the_twin_in_groups_of_sixtyfour() {
+        let net = net(2, &[5], 3, 9);
+        // 601 windows: nine groups of 64 and a rest.
+        let x = noise(2, 2400, 11);
+        for isa in sets() {
+            assert_agrees(isa, &net, &x, 8, 4, Recombine::Welch);
+            assert_agrees(isa, &net, &x, 9, 3, Recombine::Welch);
+        }
+    }
+
+    #[test]
+    fn a_prediction_has_the_same_bits_on_any_number_of_threads() {
+        let net = net(2, &[7], 2, 3);
+        let x = noise(2, 5000, 5);
+        for isa in sets() {
+            let on = |threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| predict_on(isa, &net, &x, 16, 5, Recombine::Welch).unwrap())
+            };
+            let one = on(1);
+            assert_eq!(one, on(2));
+            assert_eq!(one, on(3));
+        }
+    }
+
+    #[test]
+    fn a_held_input_predicts_its_own_held_response_from_the_first_sample() {
+        // Constant input: a stream that is settled stays settled.
+        let net = net(1, &[6], 1, 4);
+        let y = predict(&net, &[vec![0.7; 300]], 64, 32, Recombine::Stream).unwrap();
+        let (first, last) = (y[0][0], y[0][299]);
+        assert!((first - last).abs() < 1e-4, "{first} {last}");
+    }
+
+    #[test]
+    fn bad_input_is_refused_with_its_place() {
+        let net = net(2, &[3], 1, 1);
+        let go = |x: &[Vec<f32>]| predict(&net, x, 8, 4, Recombine::Welch).unwrap_err();
+        assert!(matches!(go(&[vec![0.0; 9]]), EngineError::ChannelCount { expected: 2, found: 1, .. }));
+        assert!(matches!(
+            go(&[vec![0.0; 9], vec![0.0; 8]]),
+            EngineError::UnequalLength { channel: 1, expected: 9, found: 8, .. }
+        ));
+        assert!(matches!(go(&[vec![], vec![]]), EngineError::TooShort { .. }));
+        let mut x = vec![vec![0.0; 9]; 2];
+        x[1][3] = f32::INFINITY;
+        assert!(matches!(go(&x), EngineError::NonFinite { channel: 1, sample: 3, .. }));
+        for way in [Recombine::Welch, Recombine::Stream] {
+            let x = vec![vec![0.0; 9]; 2];
+            assert!(matches!(
+                predict(&net, &x, 8, 5, way),
+                Err(EngineError::Setting { setting: "lstm.hop", .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn a_result_that_is_not_finite_is_an_error() {
+        let mut net = net(1, &[2], 2, 1);
+        net.fc_weight[2..].fill(f32::MAX);
+        net.fc_bias[1] = f32::MAX;
+        for way in [Recombine::Welch, Recombine::Stream] {
+            let x = [noise(1, 50, 2)[0].iter().map(|x| 100.0 * x).collect()];
+            assert!(matches!(
+                predict(&net, &x, 8, 4, way),
+                Err(EngineError::NonFiniteResult { channel: 1, .. })
+            ));
+        }
+    }
+}

@@ -1,0 +1,440 @@
+//! Sixteen `f32` lanes on each instruction set, and the door through which kernels enter one.
+//!
+//! This is the only file of the network with `unsafe` in it. It is sound because a [`Simd`] token
+//! of an instruction set can be made in [`dispatch`] only, after the machine was asked for it.
+//!
+//! Everything that runs on a token is `#[inline(always)]` and free of closures, so that it ends up
+//! inside the one function that carries the `target_feature` attribute.
+
+use super::isa::Isa;
+
+/// Lanes of a vector; in the grouped kernels one lane is one window.
+pub(super) const LANES: usize = 16;
+
+/// Sixteen values, aligned to a cache line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub(super) struct Lanes(pub [f32; LANES]);
+
+impl Lanes {
+    /// All zero.
+    pub(super) const ZERO: Self = Self([0.0; LANES]);
+    /// All one.
+    pub(super) const ONE: Self = Self([1.0; LANES]);
+}
+
+/// Arithmetic on sixteen lanes.
+pub(super) trait Simd: Copy {
+    /// Sixteen lanes in registers.
+    type V: Copy;
+
+    /// The same value in all lanes.
+    fn splat(self, a: f32) -> Self::V;
+    /// From memory.
+    fn load(self, from: &Lanes) -> Self::V;
+    /// To memory.
+    fn store(self, to: &mut Lanes, a: Self::V);
+    /// `a + b`.
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a - b`.
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a * b`.
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a * b + c`, rounded once where the machine can do that fast.
+    fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// `c - a * b`, rounded once where the machine can do that fast.
+    fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// Between `-limit` and `limit`; NaN stays NaN.
+    fn clamp(self, a: Self::V, limit: f32) -> Self::V;
+    /// To the nearest integer; `|a| < 2^22`.
+    fn round(self, a: Self::V) -> Self::V;
+    /// `a * 2^n` for integers `-126 <= n <= 126`.
+    fn scale(self, a: Self::V, n: Self::V) -> Self::V;
+    /// `1 / a` within two units in the last place, for normal `1 <= a < 2^126`.
+    fn recip(self, a: Self::V) -> Self::V;
+    /// Sum over the lanes, always in the same tree: 8, 4, 2, 1 lanes apart.
+    fn sum(self, a: Self::V) -> f32;
+}
+
+/// Work that runs on some instruction set. `run` must be `#[inline(always)]`.
+pub(super) trait Kernel {
+    /// What comes out.
+    type Out;
+    /// Does the work.
+    fn run<S: Simd>(self, simd: S) -> Self::Out;
+}
+
+/// Runs `kernel` on `isa`.
+///
+/// # Panics
+/// If the machine lacks `isa`: [`Isa::choose`] never answers such a one, so that would be our bug.
+pub(super) fn dispatch<K: Kernel>(isa: Isa, kernel: K) -> K::Out {
+    assert!(isa.is_available(), "this machine lacks {}", isa.name());
+    match isa {
+        Isa::Portable => kernel.run(Portable),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the features were asserted above.
+        Isa::Avx2 => unsafe { x86::on_avx2(kernel) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Isa::Avx512 => unsafe { x86::on_avx512(kernel) },
+        #[cfg(not(target_arch = "x86_64"))]
+        Isa::Avx2 | Isa::Avx512 => unreachable!("asserted above"),
+    }
+}
+
+/// Plain arrays; the compiler uses what the target has.
+#[derive(Clone, Copy)]
+struct Portable;
+
+/// One lane after another.
+macro_rules! lanewise {
+    ($i:ident => $value:expr) => {{
+        let mut to = [0.0_f32; LANES];
+        for $i in 0..LANES {
+            to[$i] = $value;
+        }
+        to
+    }};
+}
+
+impl Simd for Portable {
+    type V = [f32; LANES];
+
+    #[inline(always)]
+    fn splat(self, a: f32) -> Self::V {
+        [a; LANES]
+    }
+    #[inline(always)]
+    fn load(self, from: &Lanes) -> Self::V {
+        from.0
+    }
+    #[inline(always)]
+    fn store(self, to: &mut Lanes, a: Self::V) {
+        to.0 = a;
+    }
+    #[inline(always)]
+    fn add(self, a: Self::V, b: Self::V) -> Self::V {
+        lanewise!(i => a[i] + b[i])
+    }
+    #[inline(always)]
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V {
+        lanewise!(i => a[i] - b[i])
+    }
+    #[inline(always)]
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V {
+        lanewise!(i => a[i] * b[i])
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+        // f32::mul_add would be a library call on machines without FMA.
+        lanewise!(i => a[i] * b[i] + c[i])
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+        lanewise!(i => c[i] - a[i] * b[i])
+    }
+    #[inline(always)]
+    fn clamp(self, a: Self::V, limit: f32) -> Self::V {
+        lanewise!(i => if a[i] > limit { limit } else if a[i] < -limit { -limit } else { a[i] })
+    }
+    #[inline(always)]
+    fn round(self, a: Self::V) -> Self::V {
+        // Adding 1.5 * 2^23 leaves no bits for the fraction.
+        lanewise!(i => (a[i] + 12_582_912.0) - 12_582_912.0)
+    }
+    #[inline(always)]
+    fn scale(self, a: Self::V, n: Self::V) -> Self::V {
+        // In 1.5 * 2^23 + n the low bits are n; shifted into the exponent they give 2^n.
+        lanewise!(i => a[i] * f32::from_bits(
+            ((n[i] + 12_582_912.0).to_bits() << 23).wrapping_add(127 << 23)
+        ))
+    }
+    #[inline(always)]
+    fn recip(self, a: Self::V) -> Self::V {
+        lanewise!(i => 1.0 / a[i])
+    }
+    #[inline(always)]
+    fn sum(self, a: Self::V) -> f32 {
+        let mut a = a;
+        for apart in [8, 4, 2, 1] {
+            for i in 0..apart {
+                a[i] += a[i + apart];
+            }
+        }
+        a[0]
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use std::arch::x86_64::*;
+
+    use super::{Kernel, Lanes, Simd};
+
+    /// # Safety
+    /// The machine must have AVX2 and FMA.
+    #[target_feature(enable = "avx2,fma")]
+    pub(super) unsafe fn on_avx2<K: Kernel>(kernel: K) -> K::Out {
+        kernel.run(Avx2(()))
+    }
+
+    /// # Safety
+    /// The machine must have AVX-512 F, AVX2 and FMA.
+    #[target_feature(enable = "avx512f,avx2,fma")]
+    pub(super) unsafe fn on_avx512<K: Kernel>(kernel: K) -> K::Out {
+        kernel.run(Avx512(()))
+    }
+
+    /// Proof that the machine has AVX2 and FMA; the private field keeps others from making one.
+    #[derive(Clone, Copy)]
+    struct Avx2(());
+
+    /// Proof that the machine has AVX-512 F; the private field keeps others from making one.
+    #[derive(Clone, Copy)]
+    struct Avx512(());
+
+    /// Calls an intrinsic: sound because the token proves that the machine has it.
+    macro_rules! op {
+        ($e:expr) => {
+            // SAFETY: the token in `self` proves the features; pointers come from references.
+            unsafe { $e }
+        };
+    }
+
+    /// Nearest, without exceptions.
+    const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
+
+    /// Sum of eight lanes, 4, 2, 1 apart.
+    #[inline(always)]
+    fn sum_of_8(_proof: Avx2, a: __m256) -> f32 {
+        op!({
+            let four = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+        })
+    }
+
+    impl Simd for Avx2 {
+        type V = (__m256, __m256);
+
+        #[inline(always)]
+        fn splat(self, a: f32) -> Self::V {
+            let v = op!(_mm256_set1_ps(a));
+            (v, v)
+        }
+        #[inline(always)]
+        fn load(self, from: &Lanes) -> Self::V {
+            let p = from.0.as_ptr();
+            op!((_mm256_load_ps(p), _mm256_load_ps(p.add(8))))
+        }
+        #[inline(always)]
+        fn store(self, to: &mut Lanes, a: Self::V) {
+            let p = to.0.as_mut_ptr();
+            op!({
+                _mm256_store_ps(p, a.0);
+                _mm256_store_ps(p.add(8), a.1);
+            });
+        }
+        #[inline(always)]
+        fn add(self, a: Self::V, b: Self::V) -> Self::V {
+            op!((_mm256_add_ps(a.0, b.0), _mm256_add_ps(a.1, b.1)))
+        }
+        #[inline(always)]
+        fn sub(self, a: Self::V, b: Self::V) -> Self::V {
+            op!((_mm256_sub_ps(a.0, b.0), _mm256_sub_ps(a.1, b.1)))
+        }
+        #[inline(always)]
+        fn mul(self, a: Self::V, b: Self::V) -> Self::V {
+            op!((_mm256_mul_ps(a.0, b.0), _mm256_mul_ps(a.1, b.1)))
+        }
+        #[inline(always)]
+        fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            op!((_mm256_fmadd_ps(a.0, b.0, c.0), _mm256_fmadd_ps(a.1, b.1, c.1)))
+        }
+        #[inline(always)]
+        fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            op!((_mm256_fnmadd_ps(a.0, b.0, c.0), _mm256_fnmadd_ps(a.1, b.1, c.1)))
+        }
+        #[inline(always)]
+        fn clamp(self, a: Self::V, limit: f32) -> Self::V {
+            // min and max answer their second operand when one is NaN.
+            op!({
+                let (lo, hi) = (_mm256_set1_ps(-limit), _mm256_set1_ps(limit));
+                (_mm256_max_ps(lo, _mm256_min_ps(hi, a.0)), _mm256_max_ps(lo, _mm256_min_ps(hi, a.1)))
+            })
+        }
+        #[inline(always)]
+        fn round(self, a: Self::V) -> Self::V {
+            op!((_mm256_round_ps::<NEAREST>(a.0), _mm256_round_ps::<NEAREST>(a.1)))
+        }
+        #[inline(always)]
+        fn scale(self, a: Self::V, n: Self::V) -> Self::V {
+            op!({
+                let one = _mm256_set1_epi32(127);
+                let p0 = _mm256_slli_epi32::<23>(_mm256_add_epi32(_mm256_cvtps_epi32(n.0), one));
+                let p1 = _mm256_slli_epi32::<23>(_mm256_add_epi32(_mm256_cvtps_epi32(n.1), one));
+                (_mm256_mul_ps(a.0, _mm256_castsi256_ps(p0)), _mm256_mul_ps(a.1, _mm256_castsi256_ps(p1)))
+            })
+        }
+        #[inline(always)]
+        fn recip(self, a: Self::V) -> Self::V {
+            // A true division: the estimate of this instruction set differs between makers.
+            op!({
+                let one = _mm256_set1_ps(1.0);
+                (_mm256_div_ps(one, a.0), _mm256_div_ps(one, a.1))
+            })
+        }
+        #[inline(always)]
+        fn sum(self, a: Self::V) -> f32 {
+            sum_of_8(self, op!(_mm256_add_ps(a.0, a.1)))
+        }
+    }
+
+    impl Simd for Avx512 {
+        type V = __m512;
+
+        #[inline(always)]
+        fn splat(self, a: f32) -> Self::V {
+            op!(_mm512_set1_ps(a))
+        }
+        #[inline(always)]
+        fn load(self, from: &Lanes) -> Self::V {
+            op!(_mm512_load_ps(from.0.as_ptr()))
+        }
+        #[inline(always)]
+        fn store(self, to: &mut Lanes, a: Self::V) {
+            op!(_mm512_store_ps(to.0.as_mut_ptr(), a));
+        }
+        #[inline(always)]
+        fn add(self, a: Self::V, b: Self::V) -> Self::V {
+            op!(_mm512_add_ps(a, b))
+        }
+        #[inline(always)]
+        fn sub(self, a: Self::V, b: Self::V) -> Self::V {
+            op!(_mm512_sub_ps(a, b))
+        }
+        #[inline(always)]
+        fn mul(self, a: Self::V, b: Self::V) -> Self::V {
+            op!(_mm512_mul_ps(a, b))
+        }
+        #[inline(always)]
+        fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            op!(_mm512_fmadd_ps(a, b, c))
+        }
+        #[inline(always)]
+        fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            op!(_mm512_fnmadd_ps(a, b, c))
+        }
+        #[inline(always)]
+        fn clamp(self, a: Self::V, limit: f32) -> Self::V {
+            // min and max answer their second operand when one is NaN.
+            op!(_mm512_max_ps(_mm512_set1_ps(-limit), _mm512_min_ps(_mm512_set1_ps(limit), a)))
+        }
+        #[inline(always)]
+        fn round(self, a: Self::V) -> Self::V {
+            op!(_mm512_roundscale_ps::<NEAREST>(a))
+        }
+        #[inline(always)]
+        fn scale(self, a: Self::V, n: Self::V) -> Self::V {
+            op!(_mm512_scalef_ps(a, n))
+        }
+        #[inline(always)]
+        fn recip(self, a: Self::V) -> Self::V {
+            // The 14-bit estimate is defined bit for bit; one Newton step takes it to f32.
+            op!({
+                let r = _mm512_rcp14_ps(a);
+                let error = _mm512_fnmadd_ps(a, r, _mm512_set1_ps(1.0));
+                _mm512_fmadd_ps(r, error, r)
+            })
+        }
+        #[inline(always)]
+        fn sum(self, a: Self::V) -> f32 {
+            let eight = op!(_mm256_add_ps(
+                _mm512_castps512_ps256(a),
+                _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(a))),
+            ));
+            sum_of_8(Avx2(()), eight)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Applies every operation to fixed lanes.
+    struct Everything;
+
+    impl Kernel for Everything {
+        type Out = Vec<Lanes>;
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Vec<Lanes> {
+            let mut lanes = [Lanes::ZERO; 3];
+            for i in 0..LANES {
+                lanes[0].0[i] = 1.0 + 0.37 * i as f32;
+                lanes[1].0[i] = -3.0 + 0.61 * i as f32;
+                lanes[2].0[i] = i as f32 * 4.0 - 30.0;
+            }
+            let (a, b, n) = (s.load(&lanes[0]), s.load(&lanes[1]), s.load(&lanes[2]));
+            let results = [
+                s.splat(2.5),
+                s.add(a, b),
+                s.sub(a, b),
+                s.mul(a, b),
+                s.mul_add(a, b, n),
+                s.neg_mul_add(a, b, n),
+                s.clamp(b, 2.0),
+                s.round(b),
+                s.scale(a, n),
+                s.recip(a),
+                s.splat(s.sum(a)),
+            ];
+            let mut out = vec![Lanes::ZERO; results.len()];
+            for (to, v) in out.iter_mut().zip(results) {
+                s.store(to, v);
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_computes_what_the_portable_one_does() {
+        let expected = dispatch(Isa::Portable, Everything);
+        let sum: f32 = (0..LANES).map(|i| 1.0 + 0.37 * i as f32).sum();
+        assert!((expected[10].0[3] - sum).abs() < 1e-4);
+        for isa in [Isa::Avx2, Isa::Avx512] {
+            if !isa.is_available() {
+                println!("skipped {}: not on this machine", isa.name());
+                continue;
+            }
+            let found = dispatch(isa, Everything);
+            assert_eq!(found.len(), expected.len());
+            for (op, (f, e)) in found.iter().zip(&expected).enumerate() {
+                for (f, e) in f.0.iter().zip(&e.0) {
+                    assert!((f - e).abs() <= 3e-7 * e.abs().max(1.0), "{} op {op}: {f} {e}", isa.name());
+                }
+            }
+        }
+    }
+
+    /// Clamps NaN.
+    struct ClampNan;
+
+    impl Kernel for ClampNan {
+        type Out = f32;
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> f32 {
+            let mut to = Lanes::ZERO;
+            s.store(&mut to, s.clamp(s.splat(f32::NAN), 1.0));
+            to.0[5]
+        }
+    }
+
+    #[test]
+    fn clamping_does_not_hide_a_value_that_is_not_a_number() {
+        for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
+            assert!(dispatch(isa, ClampNan).is_nan(), "{}", isa.name());
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! The thread between a job's worker and its work: progress one way, the wish to stop the other.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use crate::engine::Progress;
+
+/// Why work must stop before its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Stop {
+    /// Somebody cancelled the job.
+    Cancelled = 1,
+    /// The service stops.
+    Shutdown = 2,
+    /// The lease, or the job, is gone.
+    Lost = 3,
+}
+
+/// Shared by the worker, its work, and whoever cancels.
+#[derive(Debug, Default)]
+pub(super) struct Control {
+    /// 0, or the first [`Stop`].
+    stop: AtomicU8,
+    progress: Mutex<(String, f64)>,
+}
+
+impl Control {
+    /// Asks the work to stop; the first reason stays.
+    pub(super) fn stop(&self, why: Stop) {
+        // Failing means that a reason is there already.
+        let _ = self.stop.compare_exchange(0, why as u8, Ordering::Relaxed, Ordering::Relaxed);
+    }
+
+    /// Why the work is to stop, if it is.
+    pub(super) fn stopped(&self) -> Option<Stop> {
+        [Stop::Cancelled, Stop::Shutdown, Stop::Lost]
+            .into_iter()
+            .find(|why| *why as u8 == self.stop.load(Ordering::Relaxed))
+    }
+
+    /// The engine's callback: notes the progress, breaks when the work is to stop.
+    pub(super) fn watch(&self, progress: Progress<'_>) -> ControlFlow<()> {
+        self.report(progress.stage, progress.fraction);
+        if self.stopped().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// Notes the progress.
+    pub(super) fn report(&self, stage: &str, fraction: f64) {
+        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        if progress.0 != stage {
+            stage.clone_into(&mut progress.0);
+        }
+        progress.1 = fraction;
+    }
+
+    /// Stage and fraction as last reported.
+    pub(super) fn progress(&self) -> (String, f64) {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_reason_to_stop_stays_and_breaks_the_work() {
+        let control = Control::default();
+        assert!(control.watch(Progress { stage: "FRF", fraction: 0.5 }).is_continue());
+        control.stop(Stop::Shutdown);
+        control.stop(Stop::Cancelled);
+        assert_eq!(control.stopped(), Some(Stop::Shutdown));
+        assert!(control.watch(Progress { stage: "LSTM", fraction: 0.6 }).is_break());
+        assert_eq!(control.progress(), ("LSTM".into(), 0.6));
+    }
+}

@@ -1,0 +1,164 @@
+use super::testing::{plan_of, run};
+use super::*;
+use RunKind::{Noise, Service};
+use Split::{Test, Training, Validation};
+
+fn ids(runs: &[Run]) -> Vec<u128> {
+    runs.iter().map(|run| run.id.as_u128()).collect()
+}
+
+fn tagged(mut run: Run, tag: &str) -> Run {
+    run.tags.push(tag.into());
+    run
+}
+
+/// The same upload once more.
+fn again(id: u128, split: Split, original: &Run) -> Run {
+    Run {
+        sha256: original.sha256.clone(),
+        duplicate_of: Some(original.id),
+        ..run(id, original.kind, split, original.samples)
+    }
+}
+
+/// What is wrong with a fit: the problem's code, and the first place that it names.
+fn refused(runs: &[Run], request: &str) -> (String, FieldError) {
+    let problem = plan_of(runs, request).unwrap_err().problem();
+    (problem.code, problem.errors[0].clone())
+}
+
+#[test]
+fn a_fit_takes_noise_runs_of_the_training_split_and_all_validation_runs() {
+    let runs = [
+        run(1, Noise, Training, 100),
+        run(2, Service, Training, 100),
+        run(3, Noise, Validation, 100),
+        run(4, Service, Validation, 100),
+        run(5, Noise, Test, 100),
+    ];
+    let plan = plan_of(&runs, r#"{"kind": "hybrid2"}"#).unwrap();
+    assert_eq!((ids(&plan.training), ids(&plan.validation)), (vec![1], vec![3, 4]));
+    assert_eq!(plan.frf, None);
+    let resolved =
+        |ids: &[u128]| Some(RunSelection::Ids(ids.iter().copied().map(RunId::from_u128).collect()));
+    assert_eq!(plan.request.runs, resolved(&[1]));
+    assert_eq!(plan.request.validation_runs, resolved(&[3, 4]));
+    assert_eq!(plan.request.inputs, Some(vec!["u".into()]));
+    assert_eq!(plan.lineage().validation.len(), 2);
+    assert_eq!(plan.lineage().training[0].to_sample, 100, "nothing is held out of training runs");
+}
+
+#[test]
+fn selections_by_kind_tag_and_split_and_an_empty_list_of_kinds() {
+    let runs = [
+        tagged(run(1, Noise, Training, 9), "a"),
+        tagged(tagged(run(2, Service, Training, 9), "a"), "b"),
+        run(3, Noise, Validation, 9),
+    ];
+    let training = |selection: &str| {
+        let request = format!(r#"{{"kind": "lstm", "runs": {selection}}}"#);
+        plan_of(&runs, &request).map(|plan| ids(&plan.training)).unwrap_or_default()
+    };
+    assert_eq!(training(r#"{"kinds": []}"#), [1, 2]);
+    assert_eq!(training(r#"{"tags": ["a"]}"#), [1]);
+    assert_eq!(training(r#"{"kinds": ["service", "noise"], "tags": ["a", "b"]}"#), [2]);
+    assert_eq!(training(r#"{"split": "validation"}"#), [3]);
+    assert_eq!(training(r#"{"tags": ["c"]}"#), [] as [u128; 0]);
+}
+
+#[test]
+fn the_frf_part_may_use_other_runs() {
+    let runs = [run(1, Noise, Training, 9), tagged(run(2, Noise, Training, 9), "linear")];
+    let frf_runs = r#""frf": {"runs": {"tags": ["linear"]}}"#;
+    let hybrid = plan_of(&runs, &format!(r#"{{"kind": "hybrid1", {frf_runs}}}"#)).unwrap();
+    assert_eq!((ids(&hybrid.training), ids(&hybrid.frf.unwrap())), (vec![1, 2], vec![2]));
+    // An FRF has no other part, an LSTM has no FRF part.
+    let frf = plan_of(&runs, &format!(r#"{{"kind": "frf", {frf_runs}}}"#)).unwrap();
+    assert_eq!((ids(&frf.training), frf.frf), (vec![2], None));
+    let lstm = plan_of(&runs, &format!(r#"{{"kind": "lstm", {frf_runs}}}"#)).unwrap();
+    assert_eq!((ids(&lstm.training), lstm.frf), (vec![1, 2], None));
+    let same = plan_of(&runs[1..], &format!(r#"{{"kind": "hybrid1", {frf_runs}}}"#)).unwrap();
+    assert_eq!(same.frf, None, "the same runs are not loaded twice");
+}
+
+#[test]
+fn a_fit_without_runs_says_which_selection_is_empty() {
+    let runs = [run(1, Service, Training, 9)];
+    assert_eq!(refused(&[], r#"{"kind": "frf"}"#).1.pointer, "/runs");
+    let (code, place) = refused(&runs, r#"{"kind": "frf"}"#);
+    assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.no_runs", "/runs"));
+    let runs = [run(1, Noise, Training, 9)];
+    let (_, place) = refused(&runs, r#"{"kind": "frf", "frf": {"runs": {"tags": ["no"]}}}"#);
+    assert_eq!(place.pointer, "/frf/runs");
+    let (_, place) = refused(&runs, r#"{"kind": "frf", "validation_runs": {"tags": ["no"]}}"#);
+    assert_eq!(place.pointer, "/validation_runs");
+    // The contract's default may be spelled out, and falls back to holding out.
+    let plan = plan_of(&runs, r#"{"kind": "frf", "validation_runs": {"split": "validation"}}"#).unwrap();
+    assert_eq!(plan.validation, []);
+}
+
+#[test]
+fn an_unknown_run_is_named() {
+    let runs = [run(1, Noise, Training, 9)];
+    let request = format!(r#"{{"kind": "frf", "runs": ["{}", "{}"]}}"#, runs[0].id, RunId::from_u128(9));
+    let (code, place) = refused(&runs, &request);
+    assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.invalid", "/runs/1"));
+}
+
+#[test]
+fn a_run_that_lacks_a_channel_is_named_with_the_channel() {
+    let mut partial = run(2, Noise, Training, 9);
+    partial.channels = vec!["u".into()];
+    let runs = [run(1, Noise, Training, 9), partial];
+    let (code, place) = refused(&runs, r#"{"kind": "frf"}"#);
+    assert_eq!((code.as_str(), place.channel.as_deref()), ("fit.missing_channel", Some("y")));
+    assert!(place.limit.unwrap().contains(&runs[1].id.to_string()));
+}
+
+#[test]
+fn a_channel_that_is_constant_in_every_run_is_named_and_one_that_moves_once_is_not() {
+    let mut dead = run(1, Noise, Training, 9);
+    dead.quality.dead_channels = vec!["u".into()];
+    let (code, place) = refused(std::slice::from_ref(&dead), r#"{"kind": "frf"}"#);
+    assert_eq!((code.as_str(), place.channel.as_deref()), ("signal.dead_channel", Some("u")));
+    assert!(plan_of(&[dead, run(2, Noise, Training, 9)], r#"{"kind": "frf"}"#).is_ok());
+}
+
+#[test]
+fn test_data_never_enter_a_fit_under_whatever_name() {
+    let test = run(1, Noise, Test, 9);
+    let request = |id: RunId| format!(r#"{{"kind": "frf", "runs": ["{id}"]}}"#);
+    let (code, _) = refused(std::slice::from_ref(&test), &request(test.id));
+    assert_eq!(code, "fit.test_run");
+    // Test bytes that were uploaded again for training.
+    let disguised = [test.clone(), again(2, Training, &test)];
+    assert_eq!(refused(&disguised, &request(disguised[1].id)).0, "fit.test_run");
+    assert_eq!(refused(&disguised, r#"{"kind": "frf"}"#).0, "fit.no_runs");
+    // Training bytes that were uploaded again for a test.
+    let original = run(3, Noise, Training, 9);
+    let both = [original.clone(), again(4, Test, &original)];
+    assert_eq!(refused(&both, r#"{"kind": "frf"}"#).0, "fit.test_run");
+    let free = run(5, Noise, Training, 9);
+    let frf =
+        format!(r#"{{"kind": "hybrid1", "runs": ["{}"], "frf": {{"runs": ["{}"]}}}}"#, free.id, test.id);
+    assert_eq!(refused(&[free, test], &frf).0, "fit.test_run");
+}
+
+#[test]
+fn a_measurement_enters_once_however_often_it_was_uploaded() {
+    let first = run(1, Noise, Training, 9);
+    let runs = [first.clone(), again(2, Training, &first), run(3, Noise, Training, 9)];
+    assert_eq!(ids(&plan_of(&runs, r#"{"kind": "frf"}"#).unwrap().training), [1, 3]);
+    let both = format!(r#"{{"kind": "frf", "runs": ["{}", "{}"]}}"#, runs[1].id, runs[0].id);
+    assert_eq!(ids(&plan_of(&runs, &both).unwrap().training), [1]);
+}
+
+#[test]
+fn no_run_is_trained_on_and_validated_on() {
+    let runs = [run(1, Noise, Training, 9), run(2, Noise, Validation, 9)];
+    let (code, place) = refused(&runs, r#"{"kind": "frf", "validation_runs": {"split": "training"}}"#);
+    assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.invalid", "/validation_runs"));
+    // Validation runs that nobody asked for give way.
+    let plan = plan_of(&runs, r#"{"kind": "frf", "runs": {"split": "validation"}}"#).unwrap();
+    assert_eq!((ids(&plan.training), plan.validation), (vec![2], vec![]));
+}

@@ -1,0 +1,192 @@
+//! Why a job did not succeed: as a problem that its row keeps, and whether to try again.
+
+use crate::compute::ComputeError;
+use crate::domain::{FieldError, FitChannels, Problem};
+use crate::engine::EngineError;
+use crate::storage::StoreError;
+
+/// Codes that only jobs have; those of the engine's errors are the contract's for every request.
+pub mod codes {
+    /// The fit's channels, runs or settings do not suit the rig (422).
+    pub const FIT_INVALID: &str = "fit.invalid";
+    /// A selected run lacks a channel (422).
+    pub const FIT_MISSING_CHANNEL: &str = "fit.missing_channel";
+    /// A run of the test split was named (422).
+    pub const FIT_TEST_RUN: &str = "fit.test_run";
+    /// No run matches a selection (409).
+    pub const FIT_NO_RUNS: &str = "fit.no_runs";
+    /// The rig was deleted (404).
+    pub const RIG_NOT_FOUND: &str = "rig.not_found";
+    /// The fit's model cannot be activated (422).
+    pub const MODEL_NOT_FORWARD: &str = "model.not_forward";
+    /// A defect of ours ended the job (500).
+    pub const JOB_PANICKED: &str = "job.panicked";
+    /// The job's worker died too often (500).
+    pub const JOB_INTERRUPTED: &str = "job.interrupted";
+    /// This version of the program does not know the job's kind or request (500).
+    pub const JOB_UNKNOWN: &str = "job.unknown";
+    /// Stored data are damaged (500).
+    pub const STORE_DAMAGED: &str = "store.damaged";
+    /// The store is out of reach (503).
+    pub const STORE_UNAVAILABLE: &str = "store.unavailable";
+    /// The disk is full (507).
+    pub const STORE_FULL: &str = "store.full";
+}
+
+/// How a job's work ended without a result.
+#[derive(Debug)]
+pub(super) enum JobError {
+    /// It was asked to stop.
+    Stopped,
+    /// Trying again would end the same way.
+    Failed(Problem),
+    /// Another attempt may succeed.
+    Retry(Problem),
+}
+
+impl From<StoreError> for JobError {
+    fn from(error: StoreError) -> Self {
+        tracing::error!(%error, "the store failed a job");
+        // What the store says names paths and rows: it is for the log.
+        match error {
+            StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. } | StoreError::Row { .. } => {
+                let detail = "Data that the job needs are damaged; they are not used.";
+                Self::Failed(Problem::new(500, codes::STORE_DAMAGED, "Stored data are damaged", detail))
+            }
+            error if error.is_disk_full() => {
+                let detail = "The disk is full; the job's result could not be stored.";
+                Self::Retry(Problem::new(507, codes::STORE_FULL, "The disk is full", detail))
+            }
+            _ => {
+                let detail = "The store failed while the job was running.";
+                Self::Retry(Problem::new(503, codes::STORE_UNAVAILABLE, "The store is out of reach", detail))
+            }
+        }
+    }
+}
+
+impl From<ComputeError> for JobError {
+    fn from(error: ComputeError) -> Self {
+        match error {
+            ComputeError::Panicked(message) => panicked(&message),
+            ComputeError::Busy { .. } | ComputeError::Threads(_) => {
+                tracing::error!(%error, "a job got no threads");
+                Self::Retry(Problem::new(503, "busy", "Busy", "There were no threads for the job."))
+            }
+        }
+    }
+}
+
+/// A panic: our defect, in the log in full and in the row by name.
+pub(super) fn panicked(message: &str) -> JobError {
+    tracing::error!(panic = message, "a job panicked: this is a bug");
+    let detail = "A defect of the program ended the job; its log says more.";
+    JobError::Failed(Problem::new(500, codes::JOB_PANICKED, "The job failed by a defect", detail))
+}
+
+/// What the engine refused about a fit, its channel numbers turned into names.
+pub(super) fn of_engine(error: &EngineError, channels: &FitChannels) -> JobError {
+    if *error == EngineError::Cancelled {
+        return JobError::Stopped;
+    }
+    let (code, title, place) = describe(error, channels);
+    let detail = match &place.channel {
+        Some(channel) => format!("{error} (channel {channel:?})."),
+        None => format!("{error}."),
+    };
+    JobError::Failed(Problem::new(422, code, title, detail).with(vec![place]))
+}
+
+/// Code, title and place: the same as where a request meets the error.
+fn describe(error: &EngineError, channels: &FitChannels) -> (&'static str, &'static str, FieldError) {
+    let on = |what: &str, index: usize| {
+        let outputs = what.contains("output") || what.contains("response");
+        let names = if outputs { &channels.outputs } else { &channels.inputs };
+        let pointer = if outputs { "/outputs" } else { "/inputs" };
+        let place = FieldError { pointer: pointer.into(), ..FieldError::default() };
+        place.on_channel(names.get(index).cloned().unwrap_or_else(|| index.to_string()))
+    };
+    let runs = |limit: String| FieldError::new("/runs", limit);
+    match error {
+        EngineError::UnequalLength { what, channel, expected, .. } => (
+            "signal.unequal_lengths",
+            "Channels differ in length",
+            FieldError { limit: Some(format!("{expected} samples")), ..on(what, *channel) },
+        ),
+        EngineError::ChannelCount { expected, .. } => {
+            ("signal.channel_count", "Another number of channels", runs(format!("{expected} channels")))
+        }
+        EngineError::NonFinite { what, channel, sample } => (
+            "signal.non_finite",
+            "NaN or infinity",
+            FieldError { sample: Some(*sample as u64), ..on(what, *channel) },
+        ),
+        EngineError::SampleRate { expected_hz, .. } => {
+            ("signal.sample_rate", "Another sample rate", runs(format!("{expected_hz} Hz")))
+        }
+        EngineError::TooShort { needed, .. } => {
+            ("signal.too_short", "Too few samples", runs(format!("at least {needed} samples")))
+        }
+        EngineError::DeadChannel { what, channel } => {
+            ("signal.dead_channel", "A constant channel where power is needed", on(what, *channel))
+        }
+        EngineError::Setting { setting, limit, .. } => (
+            "setting.out_of_range",
+            "A setting outside its limits",
+            FieldError::new(format!("/{}", setting.replace('.', "/")), limit),
+        ),
+        EngineError::TooFewAverages { drives, .. } => (
+            "frf.too_few_averages",
+            "Too few averages",
+            FieldError::new("/frf/segment_len", format!("more than {drives} averages")),
+        ),
+        EngineError::Diverged { .. } => (
+            "training.diverged",
+            "Training diverged",
+            FieldError::new("/lstm/learning_rate", "a lower learning rate"),
+        ),
+        EngineError::NonFiniteResult { channel, sample, .. } => (
+            "result.non_finite",
+            "The result is not finite",
+            FieldError { sample: Some(*sample as u64), ..on("output", *channel) },
+        ),
+        // Of what a fit calls only these are left; the message says which.
+        other => ("fit.invalid", "The fit does not suit the rig", runs(other.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channels() -> FitChannels {
+        FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into(), "z".into()] }
+    }
+
+    #[test]
+    fn a_channel_number_becomes_the_name_of_an_input_or_output() {
+        for (what, channel, name) in [("frf inputs", 0, "u"), ("training outputs", 1, "z")] {
+            let JobError::Failed(problem) =
+                of_engine(&EngineError::DeadChannel { what, channel }, &channels())
+            else {
+                panic!("trying again would not help")
+            };
+            assert_eq!((problem.code.as_str(), problem.status), ("signal.dead_channel", 422));
+            assert_eq!(problem.errors[0].channel.as_deref(), Some(name));
+            assert!(problem.detail.contains(name), "{}", problem.detail);
+        }
+    }
+
+    #[test]
+    fn cancelled_work_is_no_failure() {
+        assert!(matches!(of_engine(&EngineError::Cancelled, &channels()), JobError::Stopped));
+    }
+
+    #[test]
+    fn the_store_is_tried_again_unless_its_data_are_damaged() {
+        let damaged = StoreError::ObjectMissing { digest: "ab".into() };
+        assert!(matches!(JobError::from(damaged), JobError::Failed(p) if p.code == codes::STORE_DAMAGED));
+        let busy = StoreError::Database(sqlx::Error::PoolTimedOut);
+        assert!(matches!(JobError::from(busy), JobError::Retry(p) if p.code == codes::STORE_UNAVAILABLE));
+    }
+}

@@ -1,0 +1,166 @@
+//! Dependencies point one way (README, "How the pieces fit"): this test reads the sources.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Layers from the bottom up. A module may name those before it and itself; those that share a
+/// layer do not know each other.
+const LAYERS: &[&[&str]] = &[
+    &["engine"],
+    &["domain"],
+    &["formats", "storage"],
+    &["compute"],
+    &["models"],
+    &["jobs"],
+    &["http", "ui"],
+    &["config", "telemetry", "app", "demo"],
+];
+
+/// What a layer must do without, beside the layers above it.
+const FOREIGN: &[(&str, &[&str])] = &[
+    (
+        "engine",
+        &["sqlx", "axum", "tokio", "object_store", "jiff", "uuid", "futures", "tower", "hyper", "reqwest"],
+    ),
+    ("domain", &["sqlx", "axum", "tokio", "object_store", "tower", "hyper", "reqwest"]),
+    ("formats", &["sqlx", "axum", "tokio", "object_store", "tower", "hyper", "reqwest"]),
+    ("storage", &["axum", "tower", "hyper", "reqwest"]),
+    ("models", &["sqlx", "axum", "object_store", "tower", "hyper", "reqwest"]),
+    ("jobs", &["sqlx", "axum", "object_store", "tower", "hyper", "reqwest"]),
+    ("http", &["sqlx", "object_store", "reqwest"]),
+];
+
+/// Words that begin a statement of SQL; only `storage` may hold them in a string.
+const SQL: &[&str] = &["SELECT ", "INSERT INTO ", "UPDATE ", "DELETE FROM ", "PRAGMA "];
+
+fn sources(root: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut directories = vec![root.to_owned()];
+    while let Some(directory) = directories.pop() {
+        for entry in fs::read_dir(&directory).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                directories.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Every source below `src` with the top-level module that it belongs to, and its text without
+/// comments and without what is compiled for tests only (which stands at the end of a file).
+fn modules() -> Vec<(String, PathBuf, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    sources(&root)
+        .into_iter()
+        .filter(|path| !path.ends_with("tests.rs") && !path.ends_with("testing.rs"))
+        .filter(|path| !path.components().any(|part| part.as_os_str() == "tests"))
+        .map(|path| {
+            let inside = path.strip_prefix(&root).unwrap();
+            let first = inside.components().next().unwrap().as_os_str().to_str().unwrap();
+            let module = first.trim_end_matches(".rs").to_owned();
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
+            let code: String = code
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"))
+                .flat_map(|line| [line, "\n"])
+                .collect();
+            (module, path, code)
+        })
+        .collect()
+}
+
+/// Top-level modules that the code names: `crate::a`, `crate::{a, b::c}`, `rigcast::a`.
+fn named(code: &str) -> BTreeSet<String> {
+    let word =
+        |text: &str| -> String { text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
+    let mut names = BTreeSet::new();
+    for (at, prefix) in code.match_indices("crate::").chain(code.match_indices("rigcast::")) {
+        let rest = &code[at + prefix.len()..];
+        let Some(list) = rest.strip_prefix('{') else {
+            names.insert(word(rest));
+            continue;
+        };
+        let mut depth = 0;
+        let mut start = true;
+        for (i, c) in list.char_indices() {
+            match c {
+                '{' => depth += 1,
+                '}' if depth == 0 => break,
+                '}' => depth -= 1,
+                ',' if depth == 0 => start = true,
+                c if start && depth == 0 && !c.is_whitespace() => {
+                    names.insert(word(&list[i..]));
+                    start = false;
+                }
+                _ => {}
+            }
+        }
+    }
+    names
+}
+
+fn layer(module: &str) -> Option<usize> {
+    LAYERS.iter().position(|layer| layer.contains(&module))
+}
+
+#[test]
+fn no_module_names_one_above_or_beside_it() {
+    let mut wrong = Vec::new();
+    for (module, path, code) in modules() {
+        if module == "lib" || module == "main" {
+            continue;
+        }
+        let own = layer(&module).unwrap_or_else(|| panic!("{module} has no layer: add it to LAYERS"));
+        for name in named(&code) {
+            if name != module && layer(&name).is_some_and(|other| other > own || (other == own && own < 7)) {
+                wrong.push(format!("{} names {name}", path.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_layer_does_without_the_crates_of_others() {
+    let mut wrong = Vec::new();
+    for (module, path, code) in modules() {
+        for crates in FOREIGN.iter().filter(|(layer, _)| *layer == module).map(|(_, crates)| crates) {
+            for name in *crates {
+                let direct = format!("{name}::");
+                let uses = code.match_indices(&direct).any(|(at, _)| {
+                    let before = code[..at].chars().next_back();
+                    before.is_none_or(|c| !(c.is_alphanumeric() || c == '_' || c == ':'))
+                });
+                if uses {
+                    wrong.push(format!("{} uses {name}", path.display()));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_sql_string_is_in_storage() {
+    let mut wrong = Vec::new();
+    for (module, path, code) in modules() {
+        let holds_sql = SQL.iter().any(|word| code.contains(&format!("\"{word}")));
+        if module != "storage" && holds_sql {
+            wrong.push(path.display().to_string());
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_reader_of_imports_sees_lists_and_paths() {
+    let code = "use crate::{engine::{Signal, x}, storage::Store};\nlet a = crate::jobs::fit::check;";
+    let found: Vec<String> = named(code).into_iter().collect();
+    assert_eq!(found, ["engine", "jobs", "storage"]);
+}
