@@ -63,7 +63,8 @@ impl App {
     /// A data directory that is in use, damaged or from a newer version; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
         let store = Store::open(&config.data_dir).await?;
-        let compute = Compute::new(&ComputeSettings::default())?;
+        let settings = ComputeSettings { fit_permits: config.workers.into(), ..ComputeSettings::default() };
+        let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
         let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
         let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;

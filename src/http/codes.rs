@@ -92,6 +92,13 @@ codes! {
 
     // Fits and jobs.
     JOB_NOT_FOUND = "job.not_found", 404, "No such job";
+    FIT_NO_RUNS = "fit.no_runs", 409, "No run matches the selection";
+    FIT_INVALID = "fit.invalid", 422, "The fit does not suit the rig";
+    FIT_MISSING_CHANNEL = "fit.missing_channel", 422, "A run lacks a channel of the fit";
+    FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
+    JOB_PANICKED = "job.panicked", 500, "The job failed by a defect";
+    JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
+    JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
 
     // Models.
     MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";

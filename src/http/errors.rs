@@ -196,6 +196,23 @@ mod tests {
     }
 
     #[test]
+    fn every_code_of_jobs_is_one_of_the_contract() {
+        let sources =
+            [include_str!("../jobs/problem.rs"), include_str!("../jobs/fit_plan.rs"), include_str!("../storage/jobs.rs")];
+        let is_code = |word: &&str| {
+            word.split_once('.').is_some_and(|(a, b)| {
+                [a, b].iter().all(|part| part.len() > 1 && part.bytes().all(|c| c.is_ascii_lowercase() || c == b'_'))
+            })
+        };
+        let code = sources.iter().filter_map(|text| text.split("#[cfg(test)]").next());
+        let found: Vec<&str> = code.flat_map(|text| text.split('"')).filter(is_code).collect();
+        assert!(found.len() > 15, "the jobs' codes are found in their source: {found:?}");
+        for name in found {
+            assert!(codes::find(name).is_some(), "{name} is missing");
+        }
+    }
+
+    #[test]
     fn a_files_channel_without_a_name_gets_that_of_its_column() {
         let channel = ChannelAt { index: 1, name: None };
         let error = FormatError::NonFinite { channel, sample: 4, row: None, column: None };

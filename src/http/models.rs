@@ -40,7 +40,10 @@ pub async fn show(State(http): State<Shared>, OfModel(rig, version): OfModel, _:
 /// `DELETE /v1/rigs/{rig}/models/{version}`
 pub async fn remove(State(http): State<Shared>, OfModel(rig, version): OfModel, _: NoParams) -> Answer {
     match http.store.delete_model(&rig, version).await? {
-        ModelDelete::Deleted => Ok(StatusCode::NO_CONTENT.into_response()),
+        ModelDelete::Deleted => {
+            http.models.forget(&rig, Some(version));
+            Ok(StatusCode::NO_CONTENT.into_response())
+        }
         ModelDelete::Missing => Err(no_model(&version.to_string())),
         ModelDelete::Active => {
             let detail =

@@ -71,11 +71,11 @@ pub async fn change(
 
 /// `DELETE /v1/rigs/{rig}`
 pub async fn remove(State(http): State<Shared>, OfRig(id): OfRig, _: NoParams) -> Answer {
-    if http.store.delete_rig(&id).await? {
-        Ok(StatusCode::NO_CONTENT.into_response())
-    } else {
-        Err(no_rig(id.as_str()))
+    if !http.store.delete_rig(&id).await? {
+        return Err(no_rig(id.as_str()));
     }
+    http.models.forget(&id, None);
+    Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 fn tagged(rig: &Rig) -> Answer {

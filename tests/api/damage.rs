@@ -32,10 +32,11 @@ async fn a_published_history_gets_its_published_counts_and_damage() {
 #[tokio::test]
 async fn targets_give_ratios_and_groups_give_multi_rain() {
     let app = TestApp::start();
+    let zeros = vec![0.0; 9];
     let double: Vec<f64> = ASTM.iter().map(|v| 2.0 * v).collect();
     let request = json!({
-        "predicted": signals(json!({"x": double, "y": double, "z": double, "still": [0.0; 9]})),
-        "target": signals(json!({"x": ASTM, "y": ASTM, "z": ASTM, "still": [0.0; 9]})),
+        "predicted": signals(json!({"x": double, "y": double, "z": double, "still": zeros})),
+        "target": signals(json!({"x": ASTM, "y": ASTM, "z": ASTM, "still": zeros})),
         "groups": {"force": ["x", "y", "z"]},
     });
     let answer = app.post_json("/v1/damage", &request).await.expect(200).json();
