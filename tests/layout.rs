@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 /// Layers from the bottom up. A module may name those before it and itself; those that share a
 /// layer do not know each other.
 const LAYERS: &[&[&str]] = &[
-    &["engine"],
+    &["engine", "telemetry"],
     &["domain"],
     &["formats", "storage"],
     &["compute"],
     &["models"],
     &["jobs"],
     &["http", "ui"],
-    &["config", "telemetry", "app", "demo"],
+    &["config", "app", "demo"],
 ];
 
 /// What a layer must do without, beside the layers above it.
