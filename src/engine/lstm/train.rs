@@ -342,7 +342,7 @@ mod tests {
             for (stretch, from) in validation.iter().zip([137, 16, 16]) {
                 let n = stretch.x[0].len();
                 for first in (from..n).step_by(48) {
-                    let x = vec![stretch.x[0][first - 16..n.min(first + 48)].to_vec()];
+                    let x = [stretch.x[0][first - 16..n.min(first + 48)].to_vec()];
                     // One window from a zero state: a stream whose pre-roll cannot be had, so the
                     // twin.
                     let twin = super::super::reference::Twin::of(&trained.net);
@@ -409,22 +409,25 @@ mod tests {
         };
         let good = lag(200, 1, 0);
         assert!(matches!(
-            go(&[good.clone(), lag(63, 2, 0)], &[good.clone()]),
+            go(&[good.clone(), lag(63, 2, 0)], std::slice::from_ref(&good)),
             EngineError::TooShort { what, needed: 64, found: 63 } if what.contains("lstm.window_len")
         ));
-        assert!(matches!(go(&[], &[good.clone()]), EngineError::TooShort { found: 0, .. }));
-        assert!(matches!(go(&[good.clone()], &[]), EngineError::TooShort { found: 0, .. }));
-        assert!(matches!(go(&[good.clone()], &[lag(50, 1, 50)]), EngineError::TooShort { found: 0, .. }));
+        assert!(matches!(go(&[], std::slice::from_ref(&good)), EngineError::TooShort { found: 0, .. }));
+        assert!(matches!(go(std::slice::from_ref(&good), &[]), EngineError::TooShort { found: 0, .. }));
+        assert!(matches!(
+            go(std::slice::from_ref(&good), &[lag(50, 1, 50)]),
+            EngineError::TooShort { found: 0, .. }
+        ));
         let mut bad = good.clone();
         bad.y[1][17] = f32::NAN;
         assert!(matches!(
-            go(&[good.clone(), bad], &[good.clone()]),
+            go(&[good.clone(), bad], std::slice::from_ref(&good)),
             EngineError::NonFinite { what: "LSTM output", channel: 1, sample: 17 }
         ));
         let mut bad = good.clone();
         bad.y.iter_mut().for_each(|y| y.truncate(150));
         assert!(matches!(
-            go(&[bad], &[good.clone()]),
+            go(&[bad], std::slice::from_ref(&good)),
             EngineError::UnequalLength { expected: 200, found: 150, .. }
         ));
         let mut large = settings.clone();
