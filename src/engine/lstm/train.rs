@@ -474,4 +474,82 @@ mod tests {
             println!("batch {batch_size}: {:.0} windows/s", (settings.epochs * 2342) as f64 / s);
         }
     }
+
+    /// `cargo test --release --lib lstm::train::tests::silverbox -- --ignored --nocapture`: the recipe
+    /// for one network on measured data, which is not in the repository.
+    #[test]
+    #[ignore = "measures for a minute, does not judge"]
+    fn silverbox() {
+        let shared = std::env::var("RIGCAST_SHARED").unwrap_or_else(|_| "../shared".into());
+        let folder = format!("{shared}/data/silverbox");
+        if !std::path::Path::new(&folder).is_dir() {
+            println!("skipped: no {folder}");
+            return;
+        }
+        let read = |name: &str| -> [Vec<f64>; 2] {
+            let mut columns = [Vec::new(), Vec::new()];
+            let mut file = csv::Reader::from_path(format!("{folder}/{name}.csv")).unwrap();
+            for record in file.records() {
+                for (column, cell) in columns.iter_mut().zip(&record.unwrap()) {
+                    column.push(cell.parse().unwrap());
+                }
+            }
+            columns
+        };
+        let scale = |v: &[f64]| {
+            let mean = v.iter().sum::<f64>() / v.len() as f64;
+            (mean, (v.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / v.len() as f64).sqrt())
+        };
+        let z =
+            |v: &[f64], (mean, std): (f64, f64)| vec![v.iter().map(|v| ((v - mean) / std) as f32).collect()];
+        let [drive, response] = read("train");
+        let (x_scale, y_scale) = (scale(&drive), scale(&response));
+        let part = |range: std::ops::Range<usize>, score_from| Stretch {
+            x: z(&drive[range.clone()], x_scale),
+            y: z(&response[range], y_scale),
+            score_from,
+        };
+        let n = drive.len();
+        let held_out = n - n / 10;
+        let number = |name: &str, default: usize| {
+            std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
+        };
+        let settings = LstmSettings {
+            blocks: vec![number("CELLS", 32)],
+            window_len: 512,
+            hop: number("HOP", 128),
+            batch_size: 16,
+            warmup_steps: 100,
+            epochs: number("EPOCHS", 200),
+            ..settings()
+        };
+        let begin = std::time::Instant::now();
+        let trained = train(
+            &[part(0..held_out, 0)],
+            &[part(held_out - 8192..n, 8192)],
+            1,
+            1,
+            &settings,
+            number("SEED", 1) as u64,
+            &unwatched,
+        )
+        .unwrap();
+        let mv = |mse: f64| 1e3 * y_scale.1 * mse.sqrt();
+        println!(
+            "{:.0} s, best epoch {}, validation {:.3} mV",
+            begin.elapsed().as_secs_f64(),
+            trained.best_epoch,
+            mv(trained.validation_mse)
+        );
+        for name in ["test_multisine", "test_arrow"] {
+            let [drive, response] = read(name);
+            let (x, y) = (z(&drive, x_scale), z(&response, y_scale));
+            for way in [Recombine::Welch, Recombine::Stream] {
+                let found = super::super::predict(&trained.net, &x, 512, 128, way).unwrap();
+                let errors: Vec<f64> =
+                    found[0].iter().zip(&y[0]).skip(50).map(|(a, b)| f64::from(a - b).powi(2)).collect();
+                println!("{name} {way:?}: {:.3} mV", mv(errors.iter().sum::<f64>() / errors.len() as f64));
+            }
+        }
+    }
 }
