@@ -4,8 +4,6 @@
 //! The way back writes the errors of the gate pre-activations per step; the gradient of the weights
 //! is then one product of errors and step vectors over all steps and lanes.
 
-use std::ops::Range;
-
 use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
@@ -79,6 +77,8 @@ pub(super) struct Group {
     blocks: Vec<Kept>,
     /// `[step][output]`, what the outputs should be.
     target: Vec<Lanes>,
+    /// `[window][step]` of one channel on its way into the lanes.
+    rows: Vec<f32>,
     /// 1 for lanes that hold a window.
     used: Lanes,
     /// Gradient of the loss times the scale that was asked for, in the order of the weights.
@@ -109,7 +109,7 @@ impl Group {
                 block.stride() + (KEPT + 1) * block.padded_cells() + errors(shape, b)
             })
             .sum();
-        (steps + 1) * (per_step + shape.outputs) * size_of::<Lanes>()
+        (steps + 1) * (per_step + shape.outputs + 1) * size_of::<Lanes>()
     }
 
     /// Memory for windows of `steps` samples.
@@ -135,6 +135,7 @@ impl Group {
             burn_in,
             blocks,
             target: vec![Lanes::ZERO; steps * shape.outputs],
+            rows: vec![0.0; LANES * steps],
             used: Lanes::ZERO,
             gradient: vec![0.0; shape.len()],
             squared_error: 0.0,
@@ -145,37 +146,38 @@ impl Group {
     /// within the signals.
     pub(super) fn set_windows<'a>(
         &mut self,
-        windows: impl ExactSizeIterator<Item = (&'a [Vec<f32>], &'a [Vec<f32>], usize)>,
+        windows: impl Iterator<Item = (&'a [Vec<f32>], &'a [Vec<f32>], usize)>,
     ) {
-        let count = windows.len();
-        assert!(count <= LANES, "a group has {LANES} lanes");
-        let (stride, outputs) = (self.shape.blocks[0].stride(), self.shape.outputs);
-        if count < LANES {
-            // Unused lanes are computed too, on zeros.
-            let inputs = self.shape.blocks[0].inputs;
-            self.blocks[0].z.chunks_exact_mut(stride).for_each(|z| z[..inputs].fill(Lanes::ZERO));
-            self.target.fill(Lanes::ZERO);
-        }
-        self.used = Lanes::ZERO;
-        self.used.0[..count].fill(1.0);
         let windows: Vec<_> = windows.collect();
-        // A few steps of all lanes at a time: their cache lines are then written whole.
-        for first in (0..self.steps).step_by(STEPS_PER_PASS) {
-            let steps = first..self.steps.min(first + STEPS_PER_PASS);
-            for (lane, &(x, y, start)) in windows.iter().enumerate() {
-                let from = start + first..start + steps.end;
-                gather(x, from.clone(), lane, stride, &mut self.blocks[0].z[first * stride..]);
-                gather(y, from, lane, outputs, &mut self.target[first * outputs..]);
+        assert!(windows.len() <= LANES, "a group has {LANES} lanes");
+        // Unused lanes are computed too, on zeros.
+        self.rows[windows.len() * self.steps..].fill(0.0);
+        self.used = Lanes::ZERO;
+        self.used.0[..windows.len()].fill(1.0);
+        let block = self.shape.blocks[0];
+        for channel in 0..block.inputs {
+            for ((x, _, start), row) in windows.iter().zip(self.rows.chunks_exact_mut(self.steps)) {
+                row.copy_from_slice(&x[channel][*start..][..self.steps]);
             }
+            transpose(&self.rows, self.steps, block.stride(), &mut self.blocks[0].z[channel..]);
+        }
+        for channel in 0..self.shape.outputs {
+            for ((_, y, start), row) in windows.iter().zip(self.rows.chunks_exact_mut(self.steps)) {
+                row.copy_from_slice(&y[channel][*start..][..self.steps]);
+            }
+            transpose(&self.rows, self.steps, self.shape.outputs, &mut self.target[channel..]);
         }
     }
 }
 
-/// Copies samples `from` of `x` into lane `lane` of `to`, which is `[step][stride]`.
-fn gather(x: &[Vec<f32>], from: Range<usize>, lane: usize, stride: usize, to: &mut [Lanes]) {
-    for (channel, x) in x.iter().enumerate() {
-        let places = to[channel..].iter_mut().step_by(stride);
-        places.zip(&x[from.clone()]).for_each(|(to, &x)| to.0[lane] = x);
+/// Sixteen rows of `steps` samples to lanes, `to` being `[step][stride]`.
+fn transpose(rows: &[f32], steps: usize, stride: usize, to: &mut [Lanes]) {
+    let mut row = rows.chunks_exact(steps);
+    let rows: [&[f32]; LANES] = std::array::from_fn(|_| row.next().expect("sixteen rows"));
+    for (t, to) in to.iter_mut().step_by(stride).take(steps).enumerate() {
+        for (to, row) in to.0.iter_mut().zip(rows) {
+            *to = row[t];
+        }
     }
 }
 
