@@ -3,10 +3,16 @@
 //! Dependencies point one way: `engine <- domain <- formats, storage <- compute, models <- jobs
 //! <- http <- app`. `tests/layout.rs` reads the imports and holds it.
 
+pub mod app;
+pub mod client;
 pub mod compute;
+pub mod config;
+pub mod demo;
 pub mod domain;
 pub mod engine;
 pub mod formats;
+pub mod http;
 pub mod jobs;
 pub mod models;
 pub mod storage;
+pub mod telemetry;

@@ -1,3 +1,66 @@
 //! The `rigcast` program.
 
-fn main() {}
+use std::process::ExitCode;
+
+use clap::Parser;
+use rigcast::app::App;
+use rigcast::config::{Cli, Command, ServeArgs};
+use rigcast::demo::DemoArgs;
+use rigcast::telemetry::{self, LogFormat};
+use tokio::net::TcpListener;
+use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{SignalKind, signal};
+
+type Failure = Box<dyn std::error::Error>;
+
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Serve(args) => serve(&args),
+        Command::Demo(args) => demo(args),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("rigcast: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(args: &ServeArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&args.log, args.log_format)?;
+    let config = args.check()?;
+    runtime()?.block_on(async {
+        // Signals are caught before anything is opened: a stop during the start is a clean one.
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let app = App::build(&config).await?;
+        let listener = TcpListener::bind(args.listen).await?;
+        let address = listener.local_addr()?;
+        tracing::info!(
+            http.address = %address,
+            data.dir = %config.data_dir.display(),
+            version = env!("CARGO_PKG_VERSION"),
+            "rigcast listens on http://{address}"
+        );
+        app.serve(listener, async move {
+            tokio::select! {
+                _ = terminate.recv() => {}
+                _ = interrupt.recv() => {}
+            }
+        })
+        .await;
+        Ok(())
+    })
+}
+
+fn demo(args: DemoArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&args.log, LogFormat::Text)?;
+    Ok(runtime()?.block_on(rigcast::demo::run(args))?)
+}
+
+/// At least two threads, so that one handler that takes long never stops the health check.
+fn runtime() -> std::io::Result<Runtime> {
+    let cores = std::thread::available_parallelism().map_or(2, usize::from);
+    Builder::new_multi_thread().worker_threads(cores.max(2)).thread_name("rigcast-http").enable_all().build()
+}

@@ -14,6 +14,7 @@ use crate::domain::{Model, RigId};
 use crate::engine::EngineError;
 use crate::engine::model::{RigModel, from_safetensors};
 use crate::storage::{Store, StoreError};
+use crate::telemetry::names;
 
 /// A model in memory. A prediction holds one of these from start to end.
 #[derive(Debug, Clone, PartialEq)]
@@ -155,6 +156,7 @@ impl Models {
         let read = self.compute.run(Class::Predict, move || from_safetensors(&bytes)).await?;
         let (rig, version) = (model.rig.clone(), model.version);
         let read = read.map_err(|source| ModelError::Weights { rig: rig.clone(), version, source })?;
+        metrics::counter!(names::MODEL_LOADS).increment(1);
         tracing::info!(rig.id = %rig, model.version = version, "loaded a model");
         Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), model: read }))
     }

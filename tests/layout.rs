@@ -7,13 +7,12 @@ use std::path::{Path, PathBuf};
 /// Layers from the bottom up. A module may name those before it and itself; those that share a
 /// layer do not know each other, but for the last, which puts the program together.
 const LAYERS: &[&[&str]] = &[
-    &["engine"],
+    &["engine", "telemetry"],
     &["domain"],
     &["formats", "storage"],
     &["compute"],
     &["models"],
     &["jobs"],
-    &["telemetry"],
     &["http", "ui"],
     &["config", "client", "app", "demo"],
 ];

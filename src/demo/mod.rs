@@ -7,6 +7,7 @@
 
 mod bars;
 mod scores;
+mod service;
 mod upload;
 
 use std::net::SocketAddr;
@@ -14,11 +15,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::{Value, json};
+use tokio::signal::unix::{SignalKind, signal};
 
-use crate::app::{AppError, TemporaryService};
+use crate::app::AppError;
 use crate::client::{Client, ClientError};
 use crate::engine::EngineError;
 use crate::engine::virtual_rig::VirtualRig;
+
+pub use service::LocalService;
 
 /// What the demo can be told.
 #[derive(Debug, Clone, Args)]
@@ -93,7 +97,7 @@ pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
     {
         return Err(DemoError::NotEmpty(dir.clone()));
     }
-    let service = TemporaryService::start_at(args.listen, args.data_dir.clone()).await?;
+    let service = LocalService::start(args.listen, args.data_dir.clone()).await?;
     let client = Client::new(&service.url())?;
     println!("Service on {}; data in {}", service.url(), service.data_dir().display());
     println!("Virtual rig, seed {}: {:.0} min of training noise, loads withheld\n", args.seed, args.minutes);
@@ -110,12 +114,20 @@ pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
          Multi-Rain damage of the forces (500 directions, k = 5, residue repeated); SL: mean over its levels."
     );
     if args.exit {
-        service.stop().await?;
-        return Ok(());
+        return service.stop().await;
     }
     println!("\nThe service stays up: {}/docs shows its contract. Ctrl-C ends it.", service.url());
-    service.until_signal().await?;
-    Ok(())
+    until_signal().await?;
+    service.stop().await
+}
+
+/// Waits for Ctrl-C or SIGTERM.
+async fn until_signal() -> std::io::Result<()> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::select! {
+        _ = terminate.recv() => Ok(()),
+        interrupted = tokio::signal::ctrl_c() => interrupted,
+    }
 }
 
 /// Simulates the whole test programme, all cores at work.
@@ -123,9 +135,10 @@ async fn simulate(args: &DemoArgs) -> Result<Vec<upload::DemoRun>, DemoError> {
     let (seed, minutes) = (args.seed, args.minutes);
     let bar = bars::steps("simulating the rig");
     let shown = bar.clone();
-    let runs = tokio::task::spawn_blocking(move || upload::record(&VirtualRig::draw(seed), seed, minutes, &shown))
-        .await
-        .map_err(|e| std::io::Error::other(e.to_string()))??;
+    let runs =
+        tokio::task::spawn_blocking(move || upload::record(&VirtualRig::draw(seed), seed, minutes, &shown))
+            .await
+            .map_err(|e| std::io::Error::other(e.to_string()))??;
     bar.finish();
     Ok(runs)
 }

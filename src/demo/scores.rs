@@ -43,7 +43,7 @@ pub async fn table(
     bar.finish();
 
     let mut table = Table::new();
-    table.load_preset(UTF8_FULL_CONDENSED);
+    table.load_style(UTF8_FULL_CONDENSED);
     table.set_header([vec!["", "model"], COLUMNS.to_vec()].concat());
     type Figure = (&'static str, fn(&Score) -> f64, fn(f64) -> String);
     let percent: fn(f64) -> String = |v| format!("{:.2} %", 100.0 * v);
@@ -55,7 +55,8 @@ pub async fn table(
     for (name, figure, print) in figures {
         for (i, (label, scores)) in rows.iter().enumerate() {
             let cells = COLUMNS.iter().map(|column| {
-                let of: Vec<f64> = scores.iter().filter(|(c, _)| c == column).map(|(_, s)| figure(s)).collect();
+                let of: Vec<f64> =
+                    scores.iter().filter(|(c, _)| c == column).map(|(_, s)| figure(s)).collect();
                 if of.is_empty() { "-".into() } else { print(of.iter().sum::<f64>() / of.len() as f64) }
             });
             let head = if i == 0 { name } else { "" };
@@ -96,7 +97,9 @@ async fn score_all(
 /// Mean RMS error over the channels whose name starts with `prefix`.
 fn mean_rms(answer: &Value, prefix: &str) -> f64 {
     let channels = answer["errors"]["channels"].as_object().into_iter().flatten();
-    let rms: Vec<f64> =
-        channels.filter(|(name, _)| name.starts_with(prefix)).filter_map(|(_, e)| e["rms"].as_f64()).collect();
+    let rms: Vec<f64> = channels
+        .filter(|(name, _)| name.starts_with(prefix))
+        .filter_map(|(_, e)| e["rms"].as_f64())
+        .collect();
     rms.iter().sum::<f64>() / rms.len() as f64
 }

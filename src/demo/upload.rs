@@ -8,7 +8,7 @@ use super::{DemoError, bars};
 use crate::client::{Client, ClientError};
 use crate::engine::virtual_rig::{ProgrammeRun, ProgrammeSettings, RunSplit, VirtualRig, programme};
 use crate::engine::{EngineError, Signal};
-use crate::formats::npy;
+use crate::formats::npy::{self, Dtype, Order};
 
 /// One recorded run of the virtual rig.
 pub struct DemoRun {
@@ -83,7 +83,9 @@ pub async fn all(client: &Client, rig: &str, runs: &[DemoRun]) -> Result<Uploade
         let mut query =
             vec![("name", run.name.as_str()), ("kind", run.kind.as_str()), ("split", run.split.as_str())];
         query.extend(run.tags.iter().map(|tag| ("tag", *tag)));
-        let answer = client.upload(rig, &query, "application/x-npy", npy::write_f64(&recording.recorded)).await?;
+        let file =
+            npy::write(recording.recorded.channels(), Dtype::F8, Order::C).map_err(std::io::Error::other)?;
+        let answer = client.upload(rig, &query, "application/x-npy", file).await?;
         let jobs = answer["jobs"].as_array().ok_or(ClientError::Missing("jobs"))?;
         uploaded.jobs.extend(jobs.iter().filter_map(|j| j.as_str()).map(String::from));
         if let Some(column) = recording.column() {

@@ -13,6 +13,7 @@ use tracing::Instrument;
 use crate::compute::Compute;
 use crate::domain::{Clock, JobId, JobKind, Problem};
 use crate::storage::{Beat, Claim, Outcome, Store, StoreError};
+use crate::telemetry::names;
 
 use super::JobSettings;
 use super::control::{Control, Stop};
@@ -129,7 +130,9 @@ impl Runner {
             // A task of its own: heartbeats must go on while the work waits for the store, and the
             // work while a heartbeat does.
             let work = Arc::clone(&self).perform(claim.clone(), Arc::clone(&control));
+            let started = Instant::now();
             let end = self.accompany(&claim, &control, tokio::spawn(work.in_current_span())).await;
+            note_duration(claim.job.kind, &end, started.elapsed());
             if let Err(error) = self.finish(&claim, &control, end).await {
                 // Its lease runs out, and then somebody takes it up again.
                 tracing::error!(%error, "the end of a job could not be written");
@@ -217,6 +220,19 @@ impl Runner {
         };
         tracing::info!(job.outcome = ?outcome, "a job ends without a result");
         self.store.finish_job(&claim.lease, outcome, (self.clock)()).await.map(drop)
+    }
+}
+
+/// Tells the metrics how long a fit ran, and how it ended.
+fn note_duration(kind: JobKind, end: &Result<(), JobError>, elapsed: Duration) {
+    if kind == JobKind::Fit {
+        let outcome = match end {
+            Ok(()) => "succeeded",
+            Err(JobError::Failed(_)) => "failed",
+            Err(JobError::Retry(_)) => "interrupted",
+            Err(JobError::Stopped) => "stopped",
+        };
+        metrics::histogram!(names::FIT_SECONDS, "outcome" => outcome).record(elapsed.as_secs_f64());
     }
 }
 

@@ -1,0 +1,132 @@
+//! The service as a whole: built from its settings, served until it is told to stop.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto;
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+
+use crate::compute::{Compute, ComputeError, ComputeSettings};
+use crate::config::Config;
+use crate::http::{self, Http};
+use crate::jobs::{JobSettings, Jobs};
+use crate::models::Models;
+use crate::storage::{Store, StoreError};
+use crate::telemetry;
+
+/// Models that stay in memory; one is below a megabyte.
+const MODEL_CACHE: usize = 64;
+
+/// How long answers under way may take after the wish to stop. Jobs then have the rest of the
+/// 30 seconds that a stop may take.
+const DRAIN: Duration = Duration::from_secs(20);
+
+/// How long a client may take to send the head of a request.
+const HEAD_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// Pause after an accept that failed for want of file handles, so that closing ones can catch up.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Why the service did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum AppError {
+    /// The store.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Threads.
+    #[error(transparent)]
+    Compute(#[from] ComputeError),
+}
+
+/// A service that is ready to be served; its jobs run already.
+pub struct App {
+    router: Router,
+    store: Store,
+    jobs: Jobs,
+    draining: watch::Sender<bool>,
+}
+
+/// The one place that reads the clock; everything below is handed this function.
+fn now() -> jiff::Timestamp {
+    jiff::Timestamp::now()
+}
+
+impl App {
+    /// Opens and locks the data directory, and starts the workers that run jobs.
+    ///
+    /// # Errors
+    /// A data directory that is in use, damaged or from a newer version; no threads.
+    pub async fn build(config: &Config) -> Result<Self, AppError> {
+        let store = Store::open(&config.data_dir).await?;
+        let settings = ComputeSettings { fit_permits: config.workers.into(), ..ComputeSettings::default() };
+        let compute = Compute::new(&settings)?;
+        let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
+        let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
+        let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;
+        let (draining, seen) = watch::channel(false);
+        let router = http::router(Arc::new(Http {
+            store: store.clone(),
+            jobs: jobs.clone(),
+            models,
+            compute,
+            limits: config.limits,
+            clock: now,
+            draining: seen,
+            metrics: telemetry::metrics_handle(),
+        }));
+        Ok(Self { router, store, jobs, draining })
+    }
+
+    /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
+    /// connection is accepted any more, answers under way are finished, running jobs go back
+    /// into the queue, the database is closed.
+    pub async fn serve(self, listener: TcpListener, shutdown: impl Future<Output = ()>) {
+        let connections = GracefulShutdown::new();
+        let mut shutdown = std::pin::pin!(shutdown);
+        loop {
+            tokio::select! {
+                accepted = listener.accept() => match accepted {
+                    Ok((stream, _)) => self.answer(stream, &connections),
+                    Err(error) => {
+                        tracing::warn!(error = %error, "a connection could not be accepted");
+                        tokio::time::sleep(ACCEPT_PAUSE).await;
+                    }
+                },
+                () = &mut shutdown => break,
+            }
+        }
+        tracing::info!("stopping: no more connections are accepted");
+        self.draining.send_replace(true);
+        drop(listener);
+        // Jobs stop while answers are finished; that also ends the streams that follow jobs.
+        let drained = tokio::time::timeout(DRAIN, connections.shutdown());
+        let (drained, ()) = tokio::join!(drained, self.jobs.shutdown());
+        if drained.is_err() {
+            tracing::warn!(drain_s = DRAIN.as_secs(), "connections were still open and are cut");
+        }
+        self.store.close().await;
+        tracing::info!("stopped");
+    }
+
+    /// Serves one connection on a task of its own.
+    fn answer(&self, stream: TcpStream, connections: &GracefulShutdown) {
+        // A failure costs a few milliseconds a request, no more.
+        let _ = stream.set_nodelay(true);
+        let mut server = auto::Builder::new(TokioExecutor::new());
+        server.http1().timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).half_close(true);
+        let service = TowerToHyperService::new(self.router.clone());
+        let connection = server.serve_connection(TokioIo::new(stream), service).into_owned();
+        let connection = connections.watch(connection);
+        tokio::spawn(async move {
+            if let Err(error) = connection.await {
+                // Clients that go away are everyday business.
+                tracing::debug!(error = %error, "a connection ended early");
+            }
+        });
+    }
+}

@@ -1,0 +1,140 @@
+//! What the program can be told: flags, each with an environment variable behind it.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::demo::DemoArgs;
+use crate::http::Limits;
+use crate::telemetry::LogFormat;
+
+/// The `rigcast` command line.
+#[derive(Debug, Parser)]
+#[command(version, about, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Answer HTTP requests and run jobs until told to stop (SIGTERM or Ctrl-C).
+    Serve(ServeArgs),
+    /// Show the whole job on a virtual rig: upload, fit, predict, compare.
+    Demo(DemoArgs),
+}
+
+/// How `rigcast serve` runs.
+#[derive(Debug, Clone, Args)]
+pub struct ServeArgs {
+    /// Address and port to listen on; port 0 takes a free one.
+    #[arg(long, env = "RIGCAST_LISTEN", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+
+    /// Directory of the registry, the signals and the weights; made if missing, locked while in use.
+    #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
+    pub data_dir: PathBuf,
+
+    /// Jobs that run at the same time; a fit uses all cores by itself.
+    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub workers: u16,
+
+    /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
+    #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
+    pub log: String,
+
+    /// How log lines look.
+    #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
+
+    /// Largest upload (run file or weights), bytes.
+    #[arg(long, env = "RIGCAST_UPLOAD_LIMIT_BYTES", default_value_t = Limits::default().upload_bytes)]
+    pub upload_limit_bytes: u64,
+
+    /// Largest JSON body, and largest NPY drive of a prediction, bytes.
+    #[arg(long, env = "RIGCAST_JSON_LIMIT_BYTES", default_value_t = Limits::default().json_bytes)]
+    pub json_limit_bytes: u64,
+
+    /// Listen beyond loopback although the service has no authentication: whoever reaches the
+    /// port may read and delete everything. For closed networks and containers only.
+    #[arg(long, env = "RIGCAST_ALLOW_UNAUTHENTICATED")]
+    pub allow_unauthenticated: bool,
+}
+
+/// Everything that [`crate::app::App::build`] needs to know.
+#[derive(Debug, Clone)]
+pub struct Config {
+    /// Directory of the registry, the signals and the weights.
+    pub data_dir: PathBuf,
+    /// Jobs that run at the same time.
+    pub workers: u16,
+    /// Largest bodies that are read.
+    pub limits: Limits,
+}
+
+/// A combination of settings that is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// Without authentication only loopback is safe.
+    #[error(
+        "refusing to listen on {0}: the service has no authentication, so everybody who reaches that address \
+         could read and delete everything; listen on 127.0.0.1, or say --allow-unauthenticated"
+    )]
+    OpenToNetwork(SocketAddr),
+}
+
+impl ServeArgs {
+    /// The settings of the service, once they have been found sound together.
+    ///
+    /// # Errors
+    /// [`ConfigError::OpenToNetwork`] for a listen address beyond loopback that was not asked for
+    /// in so many words.
+    pub fn check(&self) -> Result<Config, ConfigError> {
+        if !self.listen.ip().is_loopback() && !self.allow_unauthenticated {
+            return Err(ConfigError::OpenToNetwork(self.listen));
+        }
+        Ok(Config {
+            data_dir: self.data_dir.clone(),
+            workers: self.workers,
+            limits: Limits { json_bytes: self.json_limit_bytes, upload_bytes: self.upload_limit_bytes },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn serve(arguments: &[&str]) -> ServeArgs {
+        let cli = Cli::try_parse_from(["rigcast", "serve"].iter().chain(arguments)).expect("valid arguments");
+        match cli.command {
+            Command::Serve(args) => args,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_default_listens_on_loopback_with_the_contracts_limits() {
+        let args = serve(&[]);
+        assert_eq!(args.listen.to_string(), "127.0.0.1:8080");
+        let config = args.check().expect("loopback is fine");
+        assert_eq!(config.limits, Limits { json_bytes: 67_108_864, upload_bytes: 4_294_967_296 });
+        assert_eq!(config.data_dir, PathBuf::from("./rigcast-data"));
+    }
+
+    #[test]
+    fn a_wider_bind_must_be_asked_for_in_so_many_words() {
+        let message = serve(&["--listen", "0.0.0.0:80"]).check().expect_err("refused").to_string();
+        assert!(message.contains("--allow-unauthenticated"), "{message}");
+        assert!(serve(&["--listen", "0.0.0.0:80", "--allow-unauthenticated"]).check().is_ok());
+        assert!(serve(&["--listen", "[::1]:80"]).check().is_ok());
+    }
+
+    #[test]
+    fn no_workers_at_all_is_refused() {
+        assert!(Cli::try_parse_from(["rigcast", "serve", "--workers", "0"]).is_err());
+    }
+}

@@ -1,0 +1,173 @@
+//! Every problem code of the contract. `openapi.yaml` lists the same ones; a test compares.
+
+/// A kind of problem: what stays the same however often and wherever it happens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Code {
+    /// Stable name, for programs.
+    pub name: &'static str,
+    /// HTTP status.
+    pub status: u16,
+    /// The same for every problem of this kind, for people.
+    pub title: &'static str,
+}
+
+/// Defines the constants and the table of all of them in one go, so that neither lacks one.
+macro_rules! codes {
+    ($($constant:ident = $name:literal, $status:literal, $title:literal;)*) => {
+        $(
+            #[doc = concat!("`", $name, "`: ", $title, ".")]
+            pub const $constant: Code = Code { name: $name, status: $status, title: $title };
+        )*
+
+        /// All codes.
+        pub const ALL: &[Code] = &[$($constant),*];
+    };
+}
+
+codes! {
+    // The request as such.
+    REQUEST_MALFORMED = "request.malformed", 400, "The request cannot be read";
+    ROUTE_NOT_FOUND = "route.not_found", 404, "No such route";
+    METHOD_NOT_ALLOWED = "method.not_allowed", 405, "Method not allowed";
+    ACCEPT_NOT_ACCEPTABLE = "accept.not_acceptable", 406, "No acceptable representation";
+    CONTENT_TYPE_UNSUPPORTED = "content_type.unsupported", 415, "Unsupported media type";
+    CONTENT_ENCODING_UNSUPPORTED = "content_encoding.unsupported", 415, "Unsupported content encoding";
+    QUERY_UNKNOWN_PARAMETER = "query.unknown_parameter", 422, "Unknown query parameter";
+    QUERY_INVALID = "query.invalid", 422, "Invalid query parameter";
+
+    // Its body.
+    BODY_INCOMPLETE = "body.incomplete", 400, "The body ended early";
+    BODY_SYNTAX = "body.syntax", 400, "The body is not JSON";
+    BODY_TOO_DEEP = "body.too_deep", 400, "The body is nested too deeply";
+    BODY_TOO_LARGE = "body.too_large", 413, "The body is too large";
+    BODY_UNKNOWN_FIELD = "body.unknown_field", 422, "Unknown field";
+    BODY_MISSING_FIELD = "body.missing_field", 422, "Missing field";
+    BODY_INVALID_VALUE = "body.invalid_value", 422, "Invalid value";
+    DIGEST_MALFORMED = "digest.malformed", 400, "Content-Digest cannot be read";
+    DIGEST_MISMATCH = "digest.mismatch", 400, "The body is not what its digest says";
+
+    // Preconditions.
+    IF_MATCH_MALFORMED = "if_match.malformed", 400, "If-Match cannot be read";
+    IF_MATCH_STALE = "if_match.stale", 412, "The resource has changed";
+    IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
+
+    // Rigs.
+    RIG_NOT_FOUND = "rig.not_found", 404, "No such rig";
+    RIG_EXISTS = "rig.exists", 409, "The rig exists already";
+    RIG_CHANNELS_FIXED = "rig.channels_fixed", 409, "Channels are fixed once a run exists";
+    RIG_CHANGED = "rig.changed", 409, "The rig changed meanwhile";
+    RIG_INVALID = "rig.invalid", 422, "The rig does not make sense";
+
+    // Runs.
+    RUN_NOT_FOUND = "run.not_found", 404, "No such run";
+    RUN_FITTED_ON = "run.fitted_on", 409, "Models were fitted on the run";
+    RUN_INVALID = "run.invalid", 422, "The run does not suit the rig";
+    RUN_UNKNOWN_CHANNEL = "run.unknown_channel", 422, "The rig has no such channel";
+    RUN_CHANNEL_COUNT = "run.channel_count", 422, "Columns and channel names differ in number";
+    RUN_SAMPLE_RATE = "run.sample_rate", 422, "Another sample rate than the rig's";
+    RUN_EMPTY = "run.empty", 422, "No samples";
+    RUN_NO_CHANNELS = "run.no_channels", 422, "No channels";
+    RUN_TOO_MANY_CHANNELS = "run.too_many_channels", 422, "Too many channels";
+    RUN_DUPLICATE_CHANNEL = "run.duplicate_channel", 422, "A channel comes twice";
+    RUN_UNEQUAL_LENGTHS = "run.unequal_lengths", 422, "Channels differ in length";
+    RUN_NON_FINITE = "run.non_finite", 422, "NaN or infinity";
+
+    // Files.
+    CSV_ENCODING = "csv.encoding", 400, "The text is not UTF-8";
+    CSV_HEADER = "csv.header", 422, "The header row cannot be one";
+    CSV_NOT_A_NUMBER = "csv.not_a_number", 422, "A cell is not a number";
+    CSV_RAGGED_ROW = "csv.ragged_row", 422, "Rows differ in their number of cells";
+    CSV_UNEVEN_TIME = "csv.uneven_time", 422, "Time does not rise in even steps";
+    CSV_TIME_COLUMN = "csv.time_column", 422, "The time column cannot be read";
+    NPY_HEADER = "npy.header", 400, "The NPY header cannot be read";
+    NPY_DTYPE = "npy.dtype", 422, "An NPY dtype that is not read";
+    NPY_SHAPE = "npy.shape", 422, "An NPY shape that is not read";
+    NPY_TRUNCATED = "npy.truncated", 400, "The NPY header declares more than the file has";
+    NPY_TRAILING_BYTES = "npy.trailing_bytes", 400, "The NPY file has more than its header declares";
+    JSON_INVALID = "json.invalid", 400, "The file is not JSON of the right form";
+    JSON_UNKNOWN_FIELD = "json.unknown_field", 422, "Unknown field";
+    JSON_DUPLICATE_FIELD = "json.duplicate_field", 422, "A field comes twice";
+    JSON_MISSING_FIELD = "json.missing_field", 422, "Missing field";
+    JSON_NOT_A_NUMBER = "json.not_a_number", 422, "An element is not a number";
+
+    // Fits and jobs.
+    JOB_NOT_FOUND = "job.not_found", 404, "No such job";
+    FIT_NO_RUNS = "fit.no_runs", 409, "No run matches the selection";
+    FIT_INVALID = "fit.invalid", 422, "The fit does not suit the rig";
+    FIT_MISSING_CHANNEL = "fit.missing_channel", 422, "A run lacks a channel of the fit";
+    FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
+    JOB_PANICKED = "job.panicked", 500, "The job failed by a defect";
+    JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
+    JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
+
+    // Models.
+    MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";
+    MODEL_ACTIVE = "model.active", 409, "The model is active";
+    MODEL_NONE_ACTIVE = "model.none_active", 409, "The rig has no active model";
+    MODEL_NOT_FORWARD = "model.not_forward", 422, "The model is no forward model of the rig";
+    MODEL_UNKNOWN_CHANNEL = "model.unknown_channel", 422, "The rig has no such channel";
+    MODEL_SAMPLE_RATE = "model.sample_rate", 422, "Another sample rate than the rig's";
+    MODEL_DAMAGED = "model.damaged", 500, "The stored model cannot be read";
+    WEIGHTS_MALFORMED = "weights.malformed", 422, "The weight file cannot be read";
+    WEIGHTS_SHAPE = "weights.shape", 422, "A tensor has the wrong shape";
+
+    // Predictions and damage.
+    PREDICT_MISSING_CHANNEL = "predict.missing_channel", 422, "A channel is missing";
+    PREDICT_UNKNOWN_CHANNEL = "predict.unknown_channel", 422, "A channel that the model does not have";
+    PREDICT_SAMPLE_RATE = "predict.sample_rate", 422, "Another sample rate than the model's";
+    PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
+    PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
+    DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that was not sent";
+    DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";
+
+    // What the engine finds.
+    SIGNAL_EMPTY = "signal.empty", 422, "No samples";
+    SIGNAL_UNEQUAL_LENGTHS = "signal.unequal_lengths", 422, "Channels differ in length";
+    SIGNAL_CHANNEL_COUNT = "signal.channel_count", 422, "Another number of channels";
+    SIGNAL_NON_FINITE = "signal.non_finite", 422, "NaN or infinity";
+    SIGNAL_SAMPLE_RATE = "signal.sample_rate", 422, "Another sample rate";
+    SIGNAL_TOO_SHORT = "signal.too_short", 422, "Too few samples";
+    SIGNAL_DEAD_CHANNEL = "signal.dead_channel", 422, "A constant channel where power is needed";
+    SETTING_OUT_OF_RANGE = "setting.out_of_range", 422, "A setting outside its limits";
+    FRF_TOO_FEW_AVERAGES = "frf.too_few_averages", 422, "Too few averages";
+    FRF_DEPENDENT_INPUTS = "frf.dependent_inputs", 422, "Inputs depend on each other";
+    TRAINING_DIVERGED = "training.diverged", 422, "Training diverged";
+    RESULT_NON_FINITE = "result.non_finite", 422, "The result is not finite";
+
+    // Our side.
+    INTERNAL = "internal", 500, "Internal error";
+    BUSY = "busy", 503, "Busy";
+    DRAINING = "draining", 503, "Shutting down";
+    STORE_DAMAGED = "store.damaged", 500, "Stored data are damaged";
+    STORE_UNAVAILABLE = "store.unavailable", 503, "The store is out of reach";
+    STORE_FULL = "store.full", 507, "The disk is full";
+}
+
+/// The code of this name.
+pub fn find(name: &str) -> Option<Code> {
+    ALL.iter().copied().find(|code| code.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_statuses_are_errors() {
+        let mut names: Vec<_> = ALL.iter().map(|c| c.name).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), ALL.len());
+        for code in ALL {
+            assert!((400..600).contains(&code.status), "{}", code.name);
+            assert!(
+                axum::http::StatusCode::from_u16(code.status).is_ok_and(|s| s.canonical_reason().is_some())
+            );
+            assert!(
+                code.name
+                    .bytes()
+                    .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'.' || b == b'_')
+            );
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! The contract and the pages to try it out, both compiled in: they work without internet.
+
+use std::sync::LazyLock;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::Request;
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{StatusCode, Uri};
+use axum::response::IntoResponse;
+use swagger_ui_dist::{ApiDefinition, OpenApiSource};
+use tower::ServiceExt;
+
+use super::params::NoParams;
+use super::problem::{self, Answer, Problem};
+
+/// The contract, as it is in the repository.
+pub const OPENAPI: &str = include_str!("../../openapi.yaml");
+
+/// `GET /openapi.yaml`
+pub async fn openapi(_: NoParams) -> Answer {
+    Ok(([(CONTENT_TYPE, "application/yaml")], OPENAPI).into_response())
+}
+
+/// `GET /docs` and what its page needs below.
+pub async fn docs(_: NoParams, uri: Uri) -> Answer {
+    static PAGES: LazyLock<Router> = LazyLock::new(|| {
+        swagger_ui_dist::generate_routes(ApiDefinition {
+            uri_prefix: "/docs",
+            api_definition: OpenApiSource::Uri("/openapi.yaml"),
+            title: Some("Rigcast"),
+        })
+    });
+    let mut request = Request::new(Body::empty());
+    // The path alone: the page repeats its address, and a client may write anything in front of it.
+    *request.uri_mut() = uri.path().parse().map_err(Problem::internal)?;
+    let response = PAGES.clone().oneshot(request).await.map_err(Problem::internal)?;
+    if response.status() == StatusCode::NOT_FOUND { Err(problem::no_route(uri).await) } else { Ok(response) }
+}

@@ -1,0 +1,237 @@
+//! What the layers below refuse, as problems: the only place that knows both.
+
+use super::codes;
+use super::problem::{FieldError, Problem};
+use crate::compute::ComputeError;
+use crate::engine::EngineError;
+use crate::formats::FormatError;
+use crate::jobs::FitProblem;
+use crate::models::ModelError;
+use crate::storage::StoreError;
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        if error.is_disk_full() {
+            return Self::new(codes::STORE_FULL, "The disk is full; nothing was stored.").because(error);
+        }
+        match error {
+            StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. } => {
+                Self::new(codes::STORE_DAMAGED, "Stored data are damaged; they are not served.")
+                    .because(error)
+            }
+            error => Self::internal(error),
+        }
+    }
+}
+
+impl From<ComputeError> for Problem {
+    fn from(error: ComputeError) -> Self {
+        match error {
+            ComputeError::Busy { .. } => {
+                Self::new(codes::BUSY, "Too much work is waiting already; try again.")
+                    .because(error)
+                    .retry_after(1)
+            }
+            error => Self::internal(error),
+        }
+    }
+}
+
+impl From<ModelError> for Problem {
+    fn from(error: ModelError) -> Self {
+        match error {
+            ModelError::Store(error) => error.into(),
+            ModelError::Compute(error) => error.into(),
+            error @ ModelError::Weights { .. } => {
+                Self::new(codes::MODEL_DAMAGED, "The stored weights cannot be read as a model.")
+                    .because(error)
+            }
+        }
+    }
+}
+
+impl From<FitProblem> for Problem {
+    fn from(error: FitProblem) -> Self {
+        match error {
+            FitProblem::Store(error) => error.into(),
+            error => error.problem().into(),
+        }
+    }
+}
+
+/// What the engine refused about signals whose channels are `names`, sent at `pointer`.
+pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
+    let name = |index: usize| names.get(index).cloned().unwrap_or_else(|| index.to_string());
+    let on = |index: usize| {
+        FieldError { pointer: pointer.into(), ..FieldError::default() }.on_channel(name(index))
+    };
+    let limit = |text: String| FieldError::new(pointer, text);
+    let (code, place) = match error {
+        EngineError::UnequalLength { channel, expected, .. } => {
+            let place = FieldError { limit: Some(format!("{expected} samples")), ..on(*channel) };
+            (codes::SIGNAL_UNEQUAL_LENGTHS, place)
+        }
+        EngineError::ChannelCount { expected, .. } => {
+            (codes::SIGNAL_CHANNEL_COUNT, limit(format!("{expected} channels")))
+        }
+        EngineError::NonFinite { channel, sample, .. } => {
+            (codes::SIGNAL_NON_FINITE, FieldError { sample: Some(*sample as u64), ..on(*channel) })
+        }
+        EngineError::SampleRate { expected_hz, .. } => {
+            (codes::SIGNAL_SAMPLE_RATE, limit(format!("{expected_hz} Hz")))
+        }
+        EngineError::TooShort { needed, .. } => {
+            (codes::SIGNAL_TOO_SHORT, limit(format!("at least {needed} samples")))
+        }
+        EngineError::DeadChannel { channel, .. } => (codes::SIGNAL_DEAD_CHANNEL, on(*channel)),
+        EngineError::Setting { setting, limit, .. } => {
+            (codes::SETTING_OUT_OF_RANGE, FieldError::new(format!("/{}", setting.replace('.', "/")), limit))
+        }
+        EngineError::TooFewAverages { drives, .. } => (
+            codes::FRF_TOO_FEW_AVERAGES,
+            FieldError::new("/frf/segment_len", format!("more than {drives} averages")),
+        ),
+        EngineError::TensorShape { expected, .. } => {
+            (codes::WEIGHTS_SHAPE, limit(format!("shape {expected:?}")))
+        }
+        EngineError::Weights(_) => (codes::WEIGHTS_MALFORMED, limit("a safetensors file of a model".into())),
+        EngineError::Diverged { .. } => {
+            (codes::TRAINING_DIVERGED, FieldError::new("/lstm/learning_rate", "lower it"))
+        }
+        EngineError::NonFiniteResult { channel, sample, .. } => {
+            (codes::RESULT_NON_FINITE, FieldError { sample: Some(*sample as u64), ..on(*channel) })
+        }
+        EngineError::DamageOverflow { channel, .. } => (codes::RESULT_NON_FINITE, on(*channel)),
+        EngineError::DependentInputs { channel } => (
+            codes::FRF_DEPENDENT_INPUTS,
+            FieldError { limit: Some("independent inputs".into()), ..on(*channel) },
+        ),
+        // Only the virtual rig, which no request reaches, limits values.
+        EngineError::Cancelled | EngineError::OutOfRange { .. } => return Problem::internal(error),
+    };
+    Problem::new(code, named(error, &place)).with(place)
+}
+
+/// What a reader refused about a file whose columns would be `names`, did it not name them itself.
+pub fn format(error: &FormatError, names: &[String]) -> Problem {
+    let code = codes::find(error.code()).unwrap_or(codes::RUN_INVALID);
+    let named = error.channel().map(str::to_owned);
+    let place = FieldError {
+        pointer: String::new(),
+        channel: named.or_else(|| names.get(error.channel_index()?).cloned()),
+        sample: error.sample().map(|s| s as u64),
+        row: error.row(),
+        column: error.column().map(|c| c as u64),
+        limit: error.limit(),
+    };
+    Problem::new(code, format!("{error}.")).with(place)
+}
+
+/// The engine's words, with the channel's name beside its number.
+fn named(error: &EngineError, place: &FieldError) -> String {
+    match &place.channel {
+        Some(channel) => format!("{error} (channel {channel:?})."),
+        None => format!("{error}."),
+    }
+}
+
+/// A sentence that names the first of several places.
+pub fn summary(what: &str, errors: &[FieldError]) -> String {
+    let Some(first) = errors.first() else { return format!("{what}.") };
+    let place = match (&first.channel, first.pointer.as_str()) {
+        (Some(channel), _) => format!("channel {channel:?}"),
+        (None, "") => "the whole".to_owned(),
+        (None, pointer) => pointer.to_owned(),
+    };
+    let more = if errors.len() > 1 { format!(" (and {} more)", errors.len() - 1) } else { String::new() };
+    format!("{what}: {place}: {}{more}.", first.limit.as_deref().unwrap_or("not valid"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::ChannelAt;
+
+    fn document(problem: &Problem) -> serde_json::Value {
+        serde_json::from_slice(&problem.document("")).expect("JSON")
+    }
+
+    #[test]
+    fn a_channel_index_becomes_its_name() {
+        let error = EngineError::NonFinite { what: "drive", channel: 1, sample: 7 };
+        let problem = document(&engine(&error, &["a".into(), "b".into()], "/drive"));
+        assert_eq!(problem["code"], "signal.non_finite");
+        assert_eq!(
+            problem["errors"][0],
+            serde_json::json!({"pointer": "/drive", "channel": "b", "sample": 7})
+        );
+        assert!(problem["detail"].as_str().is_some_and(|d| d.contains("\"b\"")), "{problem}");
+    }
+
+    #[test]
+    fn a_setting_becomes_a_pointer_and_its_limit() {
+        let error = EngineError::Setting {
+            setting: "damage.slope",
+            found: "-1".into(),
+            limit: "above 0, at most 50".into(),
+        };
+        let problem = document(&engine(&error, &[], ""));
+        assert_eq!(
+            problem["errors"][0],
+            serde_json::json!({"pointer": "/damage/slope", "limit": "above 0, at most 50"})
+        );
+    }
+
+    #[test]
+    fn every_code_of_the_readers_is_one_of_the_contract() {
+        let source = include_str!("../formats/error.rs");
+        let codes: Vec<&str> = source
+            .lines()
+            .filter_map(|line| line.trim().split_once("=> \"")?.1.strip_suffix("\","))
+            .filter(|code| code.contains('.'))
+            .collect();
+        assert!(codes.len() > 20, "the readers' codes are found in their source: {codes:?}");
+        for code in codes {
+            assert!(codes::find(code).is_some(), "{code} is missing");
+        }
+    }
+
+    #[test]
+    fn every_code_of_jobs_is_one_of_the_contract() {
+        let sources = [
+            include_str!("../jobs/problem.rs"),
+            include_str!("../jobs/fit_plan.rs"),
+            include_str!("../storage/jobs.rs"),
+        ];
+        let is_code = |word: &&str| {
+            word.split_once('.').is_some_and(|(a, b)| {
+                [a, b]
+                    .iter()
+                    .all(|part| part.len() > 1 && part.bytes().all(|c| c.is_ascii_lowercase() || c == b'_'))
+            })
+        };
+        let code = sources.iter().filter_map(|text| text.split("#[cfg(test)]").next());
+        let found: Vec<&str> = code.flat_map(|text| text.split('"')).filter(is_code).collect();
+        assert!(found.len() > 15, "the jobs' codes are found in their source: {found:?}");
+        for name in found {
+            assert!(codes::find(name).is_some(), "{name} is missing");
+        }
+    }
+
+    #[test]
+    fn a_files_channel_without_a_name_gets_that_of_its_column() {
+        let channel = ChannelAt { index: 1, name: None };
+        let error = FormatError::NonFinite { channel, sample: 4, row: None, column: None };
+        let problem = document(&format(&error, &["u".into(), "y".into()]));
+        assert_eq!(problem["code"], "run.non_finite");
+        assert_eq!(problem["errors"][0], serde_json::json!({"pointer": "", "channel": "y", "sample": 4}));
+    }
+
+    #[test]
+    fn a_failure_of_ours_tells_the_client_nothing() {
+        let error = StoreError::Row { table: "rigs", key: "secret".into(), what: "broken".into() };
+        let problem = Problem::from(error);
+        assert!(problem.cause().is_some_and(|c| c.contains("secret")));
+        assert!(!document(&problem).to_string().contains("secret"));
+    }
+}

@@ -1,0 +1,48 @@
+//! Whether the process lives, and whether it should be sent requests.
+
+use axum::extract::State;
+use serde::Serialize;
+use serde_json::json;
+
+use super::params::{NoParams, Params};
+use super::problem::{Answer, Problem};
+use super::{Shared, codes, json};
+use crate::models::Degraded;
+
+#[derive(Debug, Serialize)]
+struct Ready {
+    status: &'static str,
+    degraded: Vec<Degraded>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    checks: Option<serde_json::Value>,
+}
+
+/// `GET /livez`: the event loop turns, and that is all it says.
+pub async fn live(_: NoParams) -> Answer {
+    json::answer(&json!({"status": "ok"}))
+}
+
+/// `GET /readyz`
+pub async fn ready(State(http): State<Shared>, mut params: Params) -> Answer {
+    let verbose = params.flag("verbose")?;
+    params.finish()?;
+    if *http.draining.borrow() {
+        return Err(Problem::new(codes::DRAINING, "The service is shutting down.").retry_after(5));
+    }
+    http.store.ping().await.map_err(|error| {
+        Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
+    })?;
+    let checks = if verbose { Some(checks(&http).await?) } else { None };
+    json::answer(&Ready { status: "ready", degraded: http.models.degraded(), checks })
+}
+
+async fn checks(http: &Shared) -> Answer<serde_json::Value> {
+    let jobs: serde_json::Map<_, _> = http
+        .store
+        .count_jobs()
+        .await?
+        .into_iter()
+        .map(|(state, n)| (state.as_str().to_owned(), n.into()))
+        .collect();
+    Ok(json!({"store": "ok", "draining": false, "jobs": jobs}))
+}

@@ -1,0 +1,115 @@
+//! The HTTP contract: routes, problem documents, one file a resource.
+//!
+//! Handlers parse, call and map. What needs the processor goes through [`crate::compute`]; what
+//! is wrong becomes a problem ([`problem`]), whose document the outermost layer ([`observe`])
+//! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal.
+
+mod active_model;
+mod body;
+pub mod codes;
+mod contract;
+mod damage;
+mod errors;
+mod etag;
+mod fits;
+mod health;
+mod jobs;
+mod json;
+mod lists;
+mod metrics;
+mod models;
+mod negotiate;
+mod observe;
+mod params;
+mod paths;
+mod predict;
+mod problem;
+mod rigs;
+pub mod routes;
+mod run_data;
+mod run_file;
+mod runs;
+mod signals;
+mod upload;
+
+use std::sync::Arc;
+
+use axum::Router;
+use metrics_exporter_prometheus::PrometheusHandle;
+use tokio::sync::watch;
+
+use crate::compute::{Class, Compute};
+use crate::domain::{self, Clock};
+use crate::jobs::Jobs;
+use crate::models::Models;
+use crate::storage::Store;
+use problem::Answer;
+
+/// Largest bodies that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// JSON bodies and NPY drives, bytes.
+    pub json_bytes: u64,
+    /// Run files and weights, bytes.
+    pub upload_bytes: u64,
+}
+
+impl Default for Limits {
+    /// 64 MiB and 4 GiB.
+    fn default() -> Self {
+        Self { json_bytes: 64 << 20, upload_bytes: 4 << 30 }
+    }
+}
+
+/// Everything that a handler may need.
+pub struct Http {
+    /// Registry and objects.
+    pub store: Store,
+    /// Jobs.
+    pub jobs: Jobs,
+    /// Loaded models.
+    pub models: Models,
+    /// The door to the processor.
+    pub compute: Compute,
+    /// Largest bodies.
+    pub limits: Limits,
+    /// The time.
+    pub clock: Clock,
+    /// True from the wish to stop on.
+    pub draining: watch::Receiver<bool>,
+    /// Renders the process' metrics.
+    pub metrics: PrometheusHandle,
+}
+
+/// As handlers get it.
+pub type Shared = Arc<Http>;
+
+impl Http {
+    fn now(&self) -> jiff::Timestamp {
+        (self.clock)()
+    }
+
+    fn new_id(&self) -> uuid::Uuid {
+        domain::new_id(self.now())
+    }
+
+    /// Does work that takes longer than a millisecond where it holds up nobody else.
+    async fn off_thread<T, F>(&self, work: F) -> Answer<T>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        self.compute.run(Class::Predict, work).await.map_err(Into::into)
+    }
+}
+
+/// The service, ready to be served.
+pub fn router(http: Shared) -> Router {
+    routes::ROUTES
+        .iter()
+        .fold(Router::new(), |router, route| router.route(route.path, (route.handler)()))
+        .fallback(problem::no_route)
+        .method_not_allowed_fallback(problem::no_method)
+        .layer(axum::middleware::from_fn_with_state(http.clone(), observe::observe))
+        .with_state(http)
+}

@@ -1,0 +1,98 @@
+//! Which of the representations on offer the client wants (RFC 9110, section 12.5.1).
+
+use axum::http::HeaderMap;
+use axum::http::header::ACCEPT;
+
+use super::codes;
+use super::problem::{Answer, FieldError, Problem};
+
+/// The offer that `Accept` likes best; without `Accept`, and among equals, the first.
+///
+/// # Errors
+/// `accept.not_acceptable` when it takes none of them.
+pub fn choose(headers: &HeaderMap, offers: &[&'static str]) -> Answer<&'static str> {
+    let accept: Vec<&str> = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).collect();
+    if accept.iter().all(|v| v.trim().is_empty()) {
+        return Ok(offers[0]);
+    }
+    let ranges: Vec<Range> = accept.iter().flat_map(|v| v.split(',')).filter_map(Range::parse).collect();
+    let mut best: Option<(&'static str, f32)> = None;
+    for offer in offers {
+        let quality = quality(&ranges, offer);
+        if quality > 0.0 && best.is_none_or(|(_, q)| quality > q) {
+            best = Some((offer, quality));
+        }
+    }
+    best.map(|(offer, _)| offer).ok_or_else(|| {
+        let offered = offers.join(", ");
+        let detail = format!("Accept takes none of the representations there are: {offered}.");
+        Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", offered))
+    })
+}
+
+/// One element of an `Accept` header.
+struct Range {
+    kind: String,
+    subtype: String,
+    quality: f32,
+}
+
+impl Range {
+    fn parse(element: &str) -> Option<Self> {
+        let mut parts = element.split(';').map(str::trim);
+        let (kind, subtype) = parts.next()?.split_once('/')?;
+        let quality = parts.find_map(|p| p.strip_prefix("q=")).map_or(Some(1.0), |q| q.parse().ok())?;
+        Some(Self { kind: kind.to_ascii_lowercase(), subtype: subtype.to_ascii_lowercase(), quality })
+    }
+
+    /// How closely it names a media type: 2 wholly, 1 by its first half, 0 as anything.
+    fn specificity(&self, offer: &str) -> Option<u8> {
+        let (kind, subtype) = offer.split_once('/')?;
+        match (self.kind.as_str(), self.subtype.as_str()) {
+            ("*", "*") => Some(0),
+            (k, "*") if k == kind => Some(1),
+            (k, s) if k == kind && s == subtype => Some(2),
+            _ => None,
+        }
+    }
+}
+
+/// The quality that the most specific range gives an offer; 0 when none names it.
+fn quality(ranges: &[Range], offer: &str) -> f32 {
+    ranges
+        .iter()
+        .filter_map(|r| r.specificity(offer).map(|s| (s, r.quality)))
+        .max_by_key(|&(s, _)| s)
+        .map_or(0.0, |(_, q)| q)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderValue;
+
+    const OFFERS: [&str; 3] = ["application/json", "text/csv", "application/x-npy"];
+
+    fn chosen(accept: &'static str) -> Option<&'static str> {
+        let mut headers = HeaderMap::new();
+        headers.insert(ACCEPT, HeaderValue::from_static(accept));
+        choose(&headers, &OFFERS).ok()
+    }
+
+    #[test]
+    fn the_best_liked_offer_wins_and_the_first_among_equals() {
+        assert_eq!(chosen("*/*"), Some("application/json"));
+        assert_eq!(chosen("text/*;q=0.5, application/x-npy"), Some("application/x-npy"));
+        assert_eq!(chosen("text/csv, application/json"), Some("application/json"));
+        assert_eq!(chosen("Text/CSV; charset=utf-8; q=0.3, */*;q=0.1"), Some("text/csv"));
+        assert_eq!(chosen("*/*, application/json;q=0"), Some("text/csv"));
+        assert_eq!(choose(&HeaderMap::new(), &OFFERS).ok(), Some("application/json"));
+    }
+
+    #[test]
+    fn an_accept_that_takes_nothing_on_offer_is_refused() {
+        assert_eq!(chosen("text/html"), None);
+        assert_eq!(chosen("application/json;q=0"), None);
+        assert_eq!(chosen("nonsense"), None);
+    }
+}

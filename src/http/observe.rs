@@ -1,0 +1,141 @@
+//! The outermost layer: request id, log line, metrics, and the body of every problem document.
+
+use std::panic::AssertUnwindSafe;
+use std::time::Instant;
+
+use axum::body::Body;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use futures::FutureExt;
+use tracing::Instrument;
+
+use super::Shared;
+use super::problem::{self, Problem};
+use crate::telemetry::names;
+
+/// Names a request in logs and answers.
+pub static X_REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
+/// Longest request id that is taken from a client.
+const MAX_ID_LEN: usize = 128;
+
+/// Wraps one request: nothing leaves the service without passing here.
+pub async fn observe(
+    State(http): State<Shared>,
+    matched: Option<MatchedPath>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let started = Instant::now();
+    let id = client_id(request.headers()).unwrap_or_else(|| http.new_id().to_string());
+    let method = method_label(request.method());
+    // A path nobody asked us to have must not become a label: clients could make any number of them.
+    let route = matched.as_ref().map_or("unmatched", MatchedPath::as_str).to_owned();
+    let span = tracing::info_span!(
+        "request",
+        http.method = method,
+        http.route = route,
+        request.id = id,
+        http.status = tracing::field::Empty,
+        duration_ms = tracing::field::Empty,
+    );
+    let response =
+        AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await.unwrap_or_else(
+            |panic| Problem::internal(format!("panic: {}", panic_text(&*panic))).into_response(),
+        );
+    let response = finish(response, &id, &span);
+
+    let status = response.status();
+    let elapsed = started.elapsed();
+    metrics::counter!(names::REQUESTS, "route" => route.clone(), "method" => method, "status" => status.as_str().to_owned())
+        .increment(1);
+    metrics::histogram!(names::REQUEST_SECONDS, "route" => route, "method" => method)
+        .record(elapsed.as_secs_f64());
+    span.record("http.status", status.as_u16());
+    span.record("duration_ms", elapsed.as_secs_f64() * 1e3);
+    span.in_scope(|| tracing::info!("answered"));
+    response
+}
+
+/// Puts id and safety headers on an answer and, if it is a problem, writes its document.
+fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
+    let status = response.status();
+    let mut problem = response.extensions_mut().remove::<Problem>();
+    if problem.is_none() && (status.is_client_error() || status.is_server_error()) {
+        problem = Some(Problem::of_status(status));
+    }
+    if let Some(problem) = problem {
+        if status.is_server_error() {
+            let cause = problem.cause().unwrap_or("none given");
+            span.in_scope(|| tracing::error!(problem.code = problem.code(), cause, "request failed"));
+        } else {
+            span.in_scope(|| tracing::debug!(problem.code = problem.code(), "request refused"));
+        }
+        *response.body_mut() = Body::from(problem.document(id));
+        response.headers_mut().remove(CONTENT_LENGTH);
+        response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(problem::MEDIA_TYPE));
+    }
+    let id = HeaderValue::from_str(id).expect("ids are letters, digits and four marks");
+    response.headers_mut().insert(X_REQUEST_ID.clone(), id);
+    response.headers_mut().insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
+}
+
+/// The client's own id, if it can be logged and sent back as it is.
+fn client_id(headers: &HeaderMap) -> Option<String> {
+    let id = headers.get(&X_REQUEST_ID)?.to_str().ok()?;
+    let sane = (1..=MAX_ID_LEN).contains(&id.len())
+        && id.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.' | b':'));
+    sane.then(|| id.to_owned())
+}
+
+fn method_label(method: &Method) -> &'static str {
+    match *method {
+        Method::GET => "GET",
+        Method::HEAD => "HEAD",
+        Method::POST => "POST",
+        Method::PUT => "PUT",
+        Method::PATCH => "PATCH",
+        Method::DELETE => "DELETE",
+        _ => "other",
+    }
+}
+
+fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("without a message")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(id: &str) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert(X_REQUEST_ID.clone(), HeaderValue::from_str(id).expect("header value"));
+        headers
+    }
+
+    #[test]
+    fn a_clients_id_is_taken_only_if_it_is_short_and_plain() {
+        assert_eq!(client_id(&headers("batch-7:drive_3.1")).as_deref(), Some("batch-7:drive_3.1"));
+        for odd in ["", "a b", "a\"b", "<id>", &"x".repeat(129)] {
+            assert_eq!(client_id(&headers(odd)), None, "{odd}");
+        }
+        assert_eq!(client_id(&HeaderMap::new()), None);
+    }
+
+    #[test]
+    fn an_answer_that_the_framework_refused_becomes_a_problem_document() {
+        let response =
+            finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none());
+        assert_eq!(response.headers()[CONTENT_TYPE], problem::MEDIA_TYPE);
+        assert_eq!(response.headers()["x-request-id"], "r-1");
+    }
+}

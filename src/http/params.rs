@@ -1,0 +1,142 @@
+//! Query parameters: each is taken by name, and whatever is left over is refused.
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use axum::extract::{FromRequestParts, Query};
+use axum::http::request::Parts;
+
+use super::codes;
+use super::problem::{Answer, FieldError, Problem};
+
+/// The parameters of a request that nobody has taken yet.
+#[derive(Debug)]
+pub struct Params(Vec<(String, String)>);
+
+/// For operations without parameters: any is refused.
+#[derive(Debug)]
+pub struct NoParams;
+
+impl Params {
+    /// Takes all values of a parameter that may be repeated.
+    pub fn all(&mut self, name: &str) -> Vec<String> {
+        self.0.extract_if(.., |(key, _)| key == name).map(|(_, value)| value).collect()
+    }
+
+    /// Takes a parameter that may be given once.
+    ///
+    /// # Errors
+    /// `query.invalid` when it is repeated.
+    pub fn one(&mut self, name: &str) -> Answer<Option<String>> {
+        let mut values = self.all(name);
+        match values.len() {
+            0 | 1 => Ok(values.pop()),
+            n => Err(invalid(name, format!("is given {n} times"), "once")),
+        }
+    }
+
+    /// Takes and parses a parameter; `limit` says in words what is allowed.
+    ///
+    /// # Errors
+    /// `query.invalid` when it is repeated or is no `T`.
+    pub fn parse<T: FromStr>(&mut self, name: &str, limit: &str) -> Answer<Option<T>> {
+        self.one(name)?
+            .map(|text| text.parse().map_err(|_| invalid(name, format!("is {text:?}"), limit)))
+            .transpose()
+    }
+
+    /// Takes a parameter that is a finite number.
+    ///
+    /// # Errors
+    /// `query.invalid` for anything else.
+    pub fn number(&mut self, name: &str, limit: &str) -> Answer<Option<f64>> {
+        let value = self.parse::<f64>(name, limit)?;
+        match value {
+            Some(v) if !v.is_finite() => Err(invalid(name, format!("is {v}"), limit)),
+            value => Ok(value),
+        }
+    }
+
+    /// Takes a parameter that is `true` or `false`; given without a value it is true.
+    ///
+    /// # Errors
+    /// `query.invalid` for anything else.
+    pub fn flag(&mut self, name: &str) -> Answer<bool> {
+        match self.one(name)?.as_deref() {
+            None | Some("false") => Ok(false),
+            Some("" | "true") => Ok(true),
+            Some(other) => Err(invalid(name, format!("is {other:?}"), "true or false")),
+        }
+    }
+
+    /// Ends the taking.
+    ///
+    /// # Errors
+    /// `query.unknown_parameter` naming the first that is left.
+    pub fn finish(self) -> Answer<()> {
+        match self.0.first() {
+            None => Ok(()),
+            Some((name, _)) => {
+                let detail = format!("There is no query parameter {name:?} here.");
+                Err(Problem::new(codes::QUERY_UNKNOWN_PARAMETER, detail).with_all(self.0.iter().map(
+                    |(name, _)| FieldError::new(format!("?{name}"), "not a parameter of this operation"),
+                )))
+            }
+        }
+    }
+}
+
+/// The refusal of a parameter's value.
+pub fn invalid(name: &str, found: impl Display, limit: &str) -> Problem {
+    Problem::new(codes::QUERY_INVALID, format!("Query parameter {name} {found}; it must be {limit}."))
+        .with(FieldError::new(format!("?{name}"), limit))
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for Params {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        Query::<Vec<(String, String)>>::try_from_uri(&parts.uri)
+            .map(|Query(pairs)| Self(pairs))
+            .map_err(|e| Problem::new(codes::REQUEST_MALFORMED, format!("The query cannot be read: {e}.")))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for NoParams {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        Params::from_request_parts(parts, state).await?.finish().map(|()| Self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn params(query: &str) -> Params {
+        let request = axum::http::Request::get(format!("/?{query}")).body(()).expect("a request");
+        Params::from_request_parts(&mut request.into_parts().0, &()).await.expect("a query")
+    }
+
+    #[tokio::test]
+    async fn what_nobody_took_is_refused_by_name() {
+        let mut params = params("tag=a&tag=b%20c&limt=3").await;
+        assert_eq!(params.all("tag"), ["a", "b c"]);
+        let problem = params.finish().expect_err("limt is unknown");
+        assert_eq!(problem.code(), codes::QUERY_UNKNOWN_PARAMETER.name);
+        assert!(String::from_utf8(problem.document("")).expect("text").contains("?limt"));
+    }
+
+    #[tokio::test]
+    async fn repeated_and_senseless_values_are_refused() {
+        assert!(params("a=1&a=2").await.one("a").is_err());
+        assert!(params("a=x").await.parse::<u32>("a", "a number").is_err());
+        for value in ["nan", "inf", "1e999", ""] {
+            assert!(params(&format!("a={value}")).await.number("a", "a number").is_err(), "{value}");
+        }
+        assert_eq!(params("a=1.5").await.number("a", "a number").expect("a number"), Some(1.5));
+        assert!(params("verbose").await.flag("verbose").expect("a flag"));
+        assert!(params("verbose=perhaps").await.flag("verbose").is_err());
+    }
+}

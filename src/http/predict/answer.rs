@@ -1,0 +1,229 @@
+//! Computes a prediction and writes it: all of it off the async threads.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::NPY;
+use super::inputs::{Drive, Target};
+use super::request::Include;
+use crate::domain::Rig;
+use crate::engine::Signal;
+use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
+use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
+use crate::engine::model::{ModelKind, Trust};
+use crate::formats;
+use crate::formats::npy::{Dtype, Order};
+use crate::http::problem::{Answer, FieldError, Problem};
+use crate::http::signals::Named;
+use crate::http::{codes, errors, json};
+use crate::models::LoadedModel;
+
+/// Everything that a prediction needs; it waits for nothing.
+#[derive(Debug)]
+pub struct Job {
+    /// The rig.
+    pub rig: Rig,
+    /// The model.
+    pub model: Arc<LoadedModel>,
+    /// Its inputs.
+    pub drive: Drive,
+    /// What is wanted.
+    pub target: Option<Target>,
+    /// Parts of the answer.
+    pub include: Include,
+    /// Settings of the damage.
+    pub damage: DamageSettings,
+    /// Media type of the answer.
+    pub media_type: &'static str,
+}
+
+/// An answer, but for its headers.
+#[derive(Debug)]
+pub struct Computed {
+    /// The body.
+    pub bytes: Vec<u8>,
+    /// Its media type.
+    pub media_type: &'static str,
+    /// Samples predicted, all outputs together.
+    pub samples: u64,
+    /// Share of samples at which every input is inside what the model was fitted on.
+    pub inside: f64,
+}
+
+/// The JSON body.
+#[derive(Debug, Serialize)]
+struct PredictAnswer<'a> {
+    model: ModelName<'a>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    response: Option<Named<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    damage: Option<DamageReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    errors: Option<ErrorReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    trust: Option<Trust>,
+}
+
+/// Errors by channel name.
+#[derive(Debug, Serialize)]
+struct ErrorReport {
+    settings: ErrorSettings,
+    channels: BTreeMap<String, ChannelErrors>,
+}
+
+#[derive(Debug, Serialize)]
+struct ModelName<'a> {
+    version: u32,
+    kind: ModelKind,
+    sha256: &'a str,
+}
+
+impl Job {
+    /// A prediction whose drive came as NPY: no target, no settings.
+    pub fn of_npy(rig: Rig, model: Arc<LoadedModel>, drive: Drive, media_type: &'static str) -> Self {
+        let include = Include { response: true, damage: false, errors: false, trust: true };
+        Self { rig, model, drive, target: None, include, damage: DamageSettings::default(), media_type }
+    }
+
+    /// The kind of model, as a metric's label.
+    pub fn kind(&self) -> &'static str {
+        match self.model.model.kind {
+            ModelKind::Frf => "frf",
+            ModelKind::Lstm => "lstm",
+            ModelKind::Hybrid1 => "hybrid1",
+            ModelKind::Hybrid2 => "hybrid2",
+        }
+    }
+
+    /// Predicts, compares, counts, writes.
+    ///
+    /// # Errors
+    /// Another sample rate than the model's, a target of another length, settings outside their
+    /// limits, a result that is not finite.
+    pub fn run(self) -> Answer<Computed> {
+        let Self { rig, model, drive, target, include, damage, media_type } = self;
+        let drive = parsed(drive, &model.model.inputs)?;
+        check_rate(&model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
+        if let Some(target) = &target {
+            check_rate(&model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
+            check_length(&drive, &target.signal)?;
+        }
+        let outputs = &model.model.outputs;
+        let response = model
+            .model
+            .predict(&drive)
+            .map_err(|error| errors::engine(&error, outputs, "/drive/channels"))?;
+        let trust = model
+            .model
+            .trust(&drive)
+            .map_err(|error| errors::engine(&error, &model.model.inputs, "/drive/channels"))?;
+        let samples = (response.n_samples() * response.n_channels()) as u64;
+        let inside = trust.inside;
+        if media_type == NPY {
+            let bytes = formats::npy::write(response.channels(), Dtype::F4, Order::C)
+                .map_err(|error| errors::format(&error, outputs))?;
+            return Ok(Computed { bytes, media_type, samples, inside });
+        }
+        let answer = PredictAnswer {
+            model: ModelName { version: model.version, kind: model.model.kind, sha256: &model.sha256 },
+            damage: if include.damage {
+                Some(damages(&rig, outputs, &response, target.as_ref(), &damage)?)
+            } else {
+                None
+            },
+            errors: target
+                .as_ref()
+                .filter(|_| include.errors)
+                .map(|t| distances(outputs, &response, t))
+                .transpose()?,
+            trust: include.trust.then_some(trust),
+            response: include.response.then_some(Named { names: outputs, signal: &response }),
+        };
+        let bytes = serde_json::to_vec(&answer).map_err(Problem::internal)?;
+        Ok(Computed { bytes, media_type: json::MEDIA_TYPE, samples, inside })
+    }
+}
+
+/// The drive as a signal; an NPY body has the model's inputs as columns.
+fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
+    let (bytes, sample_rate_hz) = match drive {
+        Drive::Signal(signal) => return Ok(signal),
+        Drive::Npy { bytes, sample_rate_hz } => (bytes, sample_rate_hz),
+    };
+    let run = formats::npy::read(&bytes).map_err(|error| errors::format(&error, inputs))?;
+    if run.channels.len() != inputs.len() {
+        let limit = format!("{} columns: {}", inputs.len(), inputs.join(", "));
+        let detail = format!("The array has {} columns; the model takes {limit}.", run.channels.len());
+        return Err(Problem::new(codes::SIGNAL_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
+    }
+    Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
+}
+
+fn check_rate(model: &LoadedModel, found_hz: f64, at: &str) -> Answer<()> {
+    let expected_hz = model.model.sample_rate_hz;
+    if Signal::same_rate(found_hz, expected_hz) {
+        return Ok(());
+    }
+    let limit = format!("{expected_hz} Hz");
+    let detail = format!("{at} is {found_hz} Hz; the model was fitted at {limit}.");
+    Err(Problem::new(codes::PREDICT_SAMPLE_RATE, detail).with(FieldError::new(at, limit)))
+}
+
+fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
+    if drive.n_samples() == target.n_samples() {
+        return Ok(());
+    }
+    let limit = format!("{} samples, as many as the drive", drive.n_samples());
+    let detail = format!("The target has {} samples; it must have {limit}.", target.n_samples());
+    Err(Problem::new(codes::PREDICT_UNEQUAL_LENGTHS, detail).with(FieldError::new("/target/channels", limit)))
+}
+
+/// Damage of every output, and Multi-Rain of every group of the rig whose channels are outputs.
+fn damages(
+    rig: &Rig,
+    outputs: &[String],
+    response: &Signal,
+    target: Option<&Target>,
+    settings: &DamageSettings,
+) -> Answer<DamageReport> {
+    let wanted = |name: &String| {
+        let target = target?;
+        let place = target.names.iter().position(|n| n == name)?;
+        Some(target.signal.channel(place))
+    };
+    let channels: Vec<DamageChannel<'_>> = outputs
+        .iter()
+        .zip(response.channels())
+        .map(|(name, predicted)| DamageChannel { name, predicted, target: wanted(name) })
+        .collect();
+    let groups = groups(rig, outputs);
+    let groups: Vec<DamageGroup<'_>> =
+        groups.iter().map(|&(name, channels)| DamageGroup { name, channels }).collect();
+    damage_report(&channels, &groups, settings).map_err(|error| errors::engine(&error, outputs, ""))
+}
+
+/// Groups by name with the places of their channels among the outputs, in the rig's order.
+fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> Vec<(&'a str, [usize; 3])> {
+    let mut members: Vec<(&str, Vec<usize>)> = Vec::new();
+    for channel in &rig.channels {
+        let Some(group) = channel.group.as_deref() else { continue };
+        let Some(place) = outputs.iter().position(|name| *name == channel.name) else { continue };
+        match members.iter_mut().find(|(name, _)| *name == group) {
+            Some((_, places)) => places.push(place),
+            None => members.push((group, vec![place])),
+        }
+    }
+    members.into_iter().filter_map(|(name, places)| Some((name, places.try_into().ok()?))).collect()
+}
+
+/// Errors of the outputs that have a target.
+fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<ErrorReport> {
+    let places: Vec<usize> =
+        target.names.iter().filter_map(|name| outputs.iter().position(|output| output == name)).collect();
+    let found = metrics::errors(&target.signal, &response.select(&places))
+        .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
+    let channels = target.names.iter().cloned().zip(found.channels).collect();
+    Ok(ErrorReport { settings: found.settings, channels })
+}

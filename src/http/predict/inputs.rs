@@ -1,0 +1,131 @@
+//! From what was sent to the signals that a model takes.
+
+use bytes::Bytes;
+
+use super::request::Source;
+use crate::domain::RigId;
+use crate::engine::{EngineError, Signal};
+use crate::http::paths::no_run;
+use crate::http::problem::{Answer, FieldError, Problem};
+use crate::http::signals::Channels;
+use crate::http::{Shared, codes, errors};
+use crate::models::LoadedModel;
+
+/// A model's inputs, as far as they can be had without much work.
+#[derive(Debug)]
+pub enum Drive {
+    /// In the order of the model's inputs.
+    Signal(Signal),
+    /// Still to be parsed.
+    Npy {
+        /// The file.
+        bytes: Bytes,
+        /// Its sample rate.
+        sample_rate_hz: f64,
+    },
+}
+
+/// Some or all of a model's outputs, in their order.
+#[derive(Debug)]
+pub struct Target {
+    /// Names of its channels.
+    pub names: Vec<String>,
+    /// Its samples.
+    pub signal: Signal,
+}
+
+/// The drive of a JSON request.
+///
+/// # Errors
+/// A channel that is missing or that the model does not have, unequal lengths, no samples.
+pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Drive> {
+    let wanted = &model.model.inputs;
+    let (rate, mut channels, from_run) = resolve(http, rig, source, "/drive").await?;
+    let mut samples = Vec::with_capacity(wanted.len());
+    for name in wanted {
+        samples.push(channels.take(name).ok_or_else(|| missing(name, "/drive"))?);
+    }
+    // A run holds more than the inputs; a client that sends more has something else in mind.
+    if !from_run && let Some((name, _)) = channels.0.first() {
+        return Err(unknown(name, "/drive", "an input of the model"));
+    }
+    signal(rate, samples, wanted, "/drive").map(Drive::Signal)
+}
+
+/// The target of a JSON request.
+///
+/// # Errors
+/// As [`drive`]; none of the model's outputs.
+pub async fn target(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Target> {
+    let outputs = &model.model.outputs;
+    let (rate, mut channels, from_run) = resolve(http, rig, source, "/target").await?;
+    let (mut names, mut samples) = (Vec::new(), Vec::new());
+    for name in outputs {
+        if let Some(found) = channels.take(name) {
+            names.push(name.clone());
+            samples.push(found);
+        }
+    }
+    if !from_run && let Some((name, _)) = channels.0.first() {
+        return Err(unknown(name, "/target", "an output of the model"));
+    }
+    if names.is_empty() {
+        return Err(missing(&outputs[0], "/target"));
+    }
+    let signal = signal(rate, samples, &names, "/target")?;
+    Ok(Target { names, signal })
+}
+
+/// Sample rate and channels of a source, and whether a run holds them.
+async fn resolve(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer<(f64, Channels, bool)> {
+    match source {
+        Source { run: Some(id), sample_rate_hz: None, channels: None } => {
+            let run = http.store.run(rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
+            let signal = http.store.load_signal(&run).await?;
+            let rate = signal.sample_rate_hz();
+            Ok((rate, Channels(run.channels.into_iter().zip(signal.into_channels()).collect()), true))
+        }
+        Source { run: None, sample_rate_hz: Some(rate), channels: Some(channels) } => {
+            Ok((rate, channels, false))
+        }
+        Source { run: Some(_), .. } => {
+            let limit = "either a run, or sample_rate_hz and channels";
+            Err(Problem::new(codes::BODY_INVALID_VALUE, format!("{at} must be {limit}."))
+                .with(FieldError::new(at, limit)))
+        }
+        Source { run: None, sample_rate_hz, .. } => {
+            let field = if sample_rate_hz.is_none() { "sample_rate_hz" } else { "channels" };
+            Err(Problem::new(codes::BODY_MISSING_FIELD, format!("{at} lacks {field} (or a run)."))
+                .with(FieldError::new(format!("{at}/{field}"), "required unless a run is named")))
+        }
+    }
+}
+
+fn signal(rate: f64, samples: Vec<Vec<f64>>, names: &[String], at: &str) -> Answer<Signal> {
+    let signal = Signal::new(rate, samples).map_err(|error| match error {
+        // The engine knows the setting, not whose it is.
+        EngineError::Setting { limit, .. } => {
+            let detail = format!("{at}/sample_rate_hz is {rate}; it must be {limit}.");
+            Problem::new(codes::BODY_INVALID_VALUE, detail)
+                .with(FieldError::new(format!("{at}/sample_rate_hz"), limit))
+        }
+        error => errors::engine(&error, names, &format!("{at}/channels")),
+    })?;
+    if signal.n_samples() == 0 {
+        return Err(Problem::new(codes::SIGNAL_EMPTY, format!("{at} has no samples."))
+            .with(FieldError::new(format!("{at}/channels"), "at least one sample")));
+    }
+    Ok(signal)
+}
+
+fn missing(name: &str, at: &str) -> Problem {
+    let detail = format!("{at} lacks the channel {name:?}.");
+    let place = FieldError::new(format!("{at}/channels"), "required by the model").on_channel(name);
+    Problem::new(codes::PREDICT_MISSING_CHANNEL, detail).with(place)
+}
+
+fn unknown(name: &str, at: &str, limit: &str) -> Problem {
+    let detail = format!("{at} has the channel {name:?}, which is not {limit}.");
+    let place = FieldError::new(format!("{at}/channels"), limit).on_channel(name);
+    Problem::new(codes::PREDICT_UNKNOWN_CHANNEL, detail).with(place)
+}

@@ -1,0 +1,119 @@
+//! Predictions: a drive in, the response out, with damage, errors and trust.
+//!
+//! [`request`] says what may be asked, [`inputs`] turns it into the signals that a model takes,
+//! [`answer`] computes and writes.
+
+mod answer;
+mod inputs;
+mod request;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderMap, HeaderName, HeaderValue};
+use axum::response::{IntoResponse, Response};
+
+use super::params::Params;
+use super::paths::{OfRig, no_model, no_rig};
+use super::problem::{Answer, Problem};
+use super::signals::header_names;
+use super::{Shared, body, codes, json, negotiate};
+use crate::domain::{Rig, RigId};
+use crate::models::LoadedModel;
+use crate::telemetry::names;
+use answer::{Computed, Job};
+use inputs::Drive;
+use request::{ModelName, NpyQuery, PredictRequest};
+
+/// Media type of NumPy arrays.
+pub const NPY: &str = "application/x-npy";
+
+/// `POST /v1/rigs/{rig}/predict`
+pub async fn predict(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    params: Params,
+    headers: HeaderMap,
+    request: Body,
+) -> Answer {
+    let found = body::media_type(&headers);
+    match found.as_deref() {
+        Some(json::MEDIA_TYPE) => {
+            params.finish()?;
+            let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY])?;
+            let request: PredictRequest = json::take(&headers, request, &http, &[json::MEDIA_TYPE]).await?;
+            let (rig, model) = find(&http, &id, request.model).await?;
+            let include = request.includes()?;
+            let drive = inputs::drive(&http, &id, request.drive, &model).await?;
+            let target = match request.target {
+                Some(source) => Some(inputs::target(&http, &id, source, &model).await?),
+                None => None,
+            };
+            let job = Job {
+                rig,
+                model,
+                drive,
+                target,
+                include,
+                damage: request.damage.unwrap_or_default(),
+                media_type,
+            };
+            compute(&http, job).await
+        }
+        Some(NPY) => {
+            let query = NpyQuery::take(params)?;
+            let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE])?;
+            let bytes = body::Limited::new(&headers, request, http.limits.json_bytes)?.collect().await?;
+            let (rig, model) = find(&http, &id, query.model).await?;
+            let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
+            compute(&http, Job::of_npy(rig, model, drive, media_type)).await
+        }
+        other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
+    }
+}
+
+/// The rig, and the model that answers for it; held until the answer is written.
+async fn find(http: &Shared, id: &RigId, name: ModelName) -> Answer<(Rig, Arc<LoadedModel>)> {
+    let rig = http.store.rig(id).await?.ok_or_else(|| no_rig(id.as_str()))?;
+    let model = match name {
+        ModelName::Active => http.models.active(id).await?.ok_or_else(|| {
+            let detail =
+                format!("The rig {:?} has no active model; fit one, or name a version.", id.as_str());
+            Problem::new(codes::MODEL_NONE_ACTIVE, detail)
+        })?,
+        ModelName::Version(version) => {
+            http.models.version(id, version).await?.ok_or_else(|| no_model(&version.to_string()))?
+        }
+    };
+    Ok((rig, model))
+}
+
+async fn compute(http: &Shared, job: Job) -> Answer {
+    let kind = job.kind();
+    let model = job.model.clone();
+    let started = Instant::now();
+    let Computed { bytes, media_type, samples, inside } = http.off_thread(move || job.run()).await??;
+    metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);
+    metrics::counter!(names::PREDICTED_SAMPLES).increment(samples);
+    metrics::histogram!(names::PREDICTION_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());
+    respond(&model, bytes, media_type, inside)
+}
+
+fn respond(model: &LoadedModel, bytes: Vec<u8>, media_type: &'static str, inside: f64) -> Answer<Response> {
+    let mut response = bytes.into_response();
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
+    let mut put = |name: &'static str, value: String| -> Answer<()> {
+        let value = HeaderValue::try_from(value).map_err(Problem::internal)?;
+        headers.insert(HeaderName::from_static(name), value);
+        Ok(())
+    };
+    put("rigcast-model-version", model.version.to_string())?;
+    put("rigcast-model-digest", model.sha256.clone())?;
+    put("rigcast-channels", header_names(&model.model.outputs))?;
+    put("rigcast-trust-inside", inside.to_string())?;
+    Ok(response)
+}

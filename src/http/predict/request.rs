@@ -1,0 +1,211 @@
+//! What a client may ask for.
+
+use std::fmt;
+
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use crate::engine::fatigue::DamageSettings;
+use crate::http::codes;
+use crate::http::params::{Params, invalid};
+use crate::http::problem::{Answer, FieldError, Problem};
+use crate::http::signals::Channels;
+
+/// The JSON body.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PredictRequest {
+    /// Which model.
+    #[serde(default)]
+    pub model: ModelName,
+    /// Its inputs.
+    pub drive: Source,
+    /// What is wanted.
+    #[serde(default)]
+    pub target: Option<Source>,
+    /// Settings of the damage.
+    #[serde(default)]
+    pub damage: Option<DamageSettings>,
+    /// What the answer holds.
+    #[serde(default)]
+    include: Option<Vec<Part>>,
+}
+
+/// `"active"` or a version.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ModelName {
+    /// Whichever is active.
+    #[default]
+    Active,
+    /// This one.
+    Version(u32),
+}
+
+/// Signals, or a run that holds them. One flat object, so that an error has its place and no
+/// sample is buffered twice.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// The run.
+    #[serde(default)]
+    pub run: Option<uuid::Uuid>,
+    /// Sample rate of the signals.
+    #[serde(default)]
+    pub sample_rate_hz: Option<f64>,
+    /// The signals.
+    #[serde(default)]
+    pub channels: Option<Channels>,
+}
+
+/// A part of the answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Part {
+    Response,
+    Damage,
+    Errors,
+    Trust,
+}
+
+/// The parts of the answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Include {
+    /// The predicted signals.
+    pub response: bool,
+    /// Damage and Multi-Rain.
+    pub damage: bool,
+    /// Error against the target.
+    pub errors: bool,
+    /// Whether the drive is inside what the model knows.
+    pub trust: bool,
+}
+
+impl PredictRequest {
+    /// The parts that are wanted.
+    ///
+    /// # Errors
+    /// `predict.target_missing` when errors are wanted against nothing.
+    pub fn includes(&self) -> Answer<Include> {
+        let Some(parts) = &self.include else {
+            let target = self.target.is_some();
+            return Ok(Include {
+                response: true,
+                damage: target || self.damage.is_some(),
+                errors: target,
+                trust: true,
+            });
+        };
+        let wants = |part| parts.contains(&part);
+        if wants(Part::Errors) && self.target.is_none() {
+            let detail = "Errors are a prediction's distance from a target; none was sent.";
+            return Err(Problem::new(codes::PREDICT_TARGET_MISSING, detail)
+                .with(FieldError::new("/target", "needed for errors")));
+        }
+        Ok(Include {
+            response: wants(Part::Response),
+            damage: wants(Part::Damage),
+            errors: wants(Part::Errors),
+            trust: wants(Part::Trust),
+        })
+    }
+}
+
+/// The query beside an NPY body.
+#[derive(Debug)]
+pub struct NpyQuery {
+    /// Which model.
+    pub model: ModelName,
+    /// Sample rate of the drive.
+    pub sample_rate_hz: f64,
+}
+
+impl NpyQuery {
+    /// Takes `model` and `sample_rate_hz`.
+    ///
+    /// # Errors
+    /// `query.*`; the sample rate is required, an NPY file has none.
+    pub fn take(mut params: Params) -> Answer<Self> {
+        let model = params.one("model")?.map_or(Ok(ModelName::Active), |text| {
+            ModelName::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
+        })?;
+        let limit = "the drive's sample rate, a positive number";
+        let sample_rate_hz = params.number("sample_rate_hz", limit)?;
+        params.finish()?;
+        let sample_rate_hz = sample_rate_hz.ok_or_else(|| invalid("sample_rate_hz", "is missing", limit))?;
+        Ok(Self { model, sample_rate_hz })
+    }
+}
+
+const MODEL_LIMIT: &str = "active or the number of a version";
+
+impl ModelName {
+    fn parse(text: &str) -> Option<Self> {
+        if text == "active" { Some(Self::Active) } else { text.parse().ok().map(Self::Version) }
+    }
+}
+
+impl<'de> Deserialize<'de> for ModelName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NameVisitor;
+        impl Visitor<'_> for NameVisitor {
+            type Value = ModelName;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("\"active\" or the number of a version")
+            }
+
+            fn visit_str<E: Error>(self, text: &str) -> Result<ModelName, E> {
+                if text == "active" {
+                    Ok(ModelName::Active)
+                } else {
+                    Err(E::invalid_value(serde::de::Unexpected::Str(text), &self))
+                }
+            }
+
+            fn visit_u64<E: Error>(self, number: u64) -> Result<ModelName, E> {
+                let version = u32::try_from(number);
+                version
+                    .map(ModelName::Version)
+                    .map_err(|_| E::invalid_value(serde::de::Unexpected::Unsigned(number), &self))
+            }
+        }
+        deserializer.deserialize_any(NameVisitor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn includes(json: &str) -> Answer<Include> {
+        serde_json::from_str::<PredictRequest>(json).expect("a request").includes()
+    }
+
+    #[test]
+    fn the_parts_follow_from_what_was_sent_unless_they_are_named() {
+        let all = Include { response: true, damage: true, errors: true, trust: true };
+        assert_eq!(includes(r#"{"drive": {}, "target": {}}"#).expect("parts"), all);
+        assert_eq!(
+            includes(r#"{"drive": {}, "damage": {}}"#).expect("parts"),
+            Include { errors: false, ..all }
+        );
+        assert_eq!(
+            includes(r#"{"drive": {}}"#).expect("parts"),
+            Include { errors: false, damage: false, ..all }
+        );
+        let only = Include { response: false, damage: true, errors: false, trust: false };
+        assert_eq!(includes(r#"{"drive": {}, "include": ["damage"]}"#).expect("parts"), only);
+        let refused = includes(r#"{"drive": {}, "include": ["errors"]}"#).expect_err("no target");
+        assert_eq!(refused.code(), "predict.target_missing");
+    }
+
+    #[test]
+    fn a_model_is_active_or_a_number() {
+        let model = |json: &str| serde_json::from_str::<ModelName>(json).ok();
+        assert_eq!(model("\"active\""), Some(ModelName::Active));
+        assert_eq!(model("3"), Some(ModelName::Version(3)));
+        for odd in ["\"3\"", "-1", "1.5", "null", "4294967296", "\"latest\""] {
+            assert_eq!(model(odd), None, "{odd}");
+        }
+    }
+}

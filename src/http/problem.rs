@@ -1,0 +1,173 @@
+//! Problem documents (RFC 9457): the one shape of every answer that is not a success.
+//!
+//! A [`Problem`] becomes a response whose body is still empty; the outermost layer
+//! ([`super::observe`]) writes the document, because only there the request id is known.
+
+use axum::http::header::{ALLOW, RETRY_AFTER};
+use axum::http::{HeaderName, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use super::codes::{self, Code};
+use crate::domain;
+pub use crate::domain::FieldError;
+
+/// Media type of problem documents.
+pub const MEDIA_TYPE: &str = "application/problem+json";
+
+/// Why a request was not answered as asked.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    what: domain::Problem,
+    cause: Option<String>,
+    header: Option<(HeaderName, HeaderValue)>,
+}
+
+/// The document as it goes over the wire.
+#[derive(Debug, Serialize)]
+pub(super) struct Document<'a> {
+    r#type: &'a str,
+    title: &'a str,
+    status: u16,
+    detail: &'a str,
+    code: &'a str,
+    request_id: &'a str,
+    errors: &'a [FieldError],
+}
+
+/// A handler's answer: a response, or a problem.
+pub type Answer<T = Response> = Result<T, Problem>;
+
+impl Problem {
+    /// A problem of a documented kind; `detail` says what is wrong with this request.
+    pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        domain::Problem::new(code.status, code.name, code.title, detail).into()
+    }
+
+    /// Our fault: the client learns nothing but the request id, the log has the cause.
+    pub fn internal(cause: impl std::fmt::Display) -> Self {
+        let mut problem =
+            Self::new(codes::INTERNAL, "The request failed on our side; the log has the cause.");
+        problem.cause = Some(cause.to_string());
+        problem
+    }
+
+    /// Keeps what a 5xx must not tell the client for the log.
+    pub fn because(mut self, cause: impl std::fmt::Display) -> Self {
+        self.cause = Some(cause.to_string());
+        self
+    }
+
+    /// Adds a place.
+    pub fn with(mut self, error: FieldError) -> Self {
+        self.what.errors.push(error);
+        self
+    }
+
+    /// Adds places.
+    pub fn with_all(mut self, errors: impl IntoIterator<Item = FieldError>) -> Self {
+        self.what.errors.extend(errors);
+        self
+    }
+
+    /// Says in how many seconds another try makes sense.
+    pub fn retry_after(mut self, seconds: u32) -> Self {
+        self.header = Some((RETRY_AFTER, seconds.into()));
+        self
+    }
+
+    /// Its stable code.
+    pub fn code(&self) -> &str {
+        &self.what.code
+    }
+
+    /// What only the log may say.
+    pub(super) fn cause(&self) -> Option<&str> {
+        self.cause.as_deref()
+    }
+
+    /// The document, as the bytes of a body.
+    pub(super) fn document(&self, request_id: &str) -> Vec<u8> {
+        let document = Document {
+            r#type: &self.what.kind,
+            title: &self.what.title,
+            status: self.what.status,
+            detail: &self.what.detail,
+            code: &self.what.code,
+            request_id,
+            errors: &self.what.errors,
+        };
+        serde_json::to_vec(&document).expect("a document of strings and integers always serialises")
+    }
+
+    /// The problem of an answer that the framework made without one.
+    pub(super) fn of_status(status: StatusCode) -> Self {
+        let code = match status {
+            StatusCode::NOT_FOUND => codes::ROUTE_NOT_FOUND,
+            StatusCode::METHOD_NOT_ALLOWED => codes::METHOD_NOT_ALLOWED,
+            StatusCode::PAYLOAD_TOO_LARGE => codes::BODY_TOO_LARGE,
+            StatusCode::UNSUPPORTED_MEDIA_TYPE => codes::CONTENT_TYPE_UNSUPPORTED,
+            s if s.is_client_error() => codes::REQUEST_MALFORMED,
+            _ => codes::INTERNAL,
+        };
+        Self::new(code, format!("The request was answered with status {status}."))
+    }
+}
+
+impl From<domain::Problem> for Problem {
+    fn from(what: domain::Problem) -> Self {
+        Self { what, cause: None, header: None }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.what.status).expect("a code's status is a valid one");
+        let mut response = status.into_response();
+        if let Some((name, value)) = self.header.clone() {
+            response.headers_mut().insert(name, value);
+        }
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+/// Answer to a path that no operation has.
+pub async fn no_route(uri: axum::http::Uri) -> Problem {
+    Problem::new(codes::ROUTE_NOT_FOUND, format!("There is nothing at {}.", uri.path()))
+}
+
+/// Answer to a method that a path does not have; the router adds [`ALLOW`].
+pub async fn no_method(method: axum::http::Method, uri: axum::http::Uri) -> Problem {
+    let detail = format!("{} does not answer to {method}; see the header {ALLOW}.", uri.path());
+    Problem::new(codes::METHOD_NOT_ALLOWED, detail)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_document_carries_code_request_id_and_places_and_hides_the_cause() {
+        let problem = Problem::new(codes::BODY_INVALID_VALUE, "too long")
+            .with(FieldError::new("/name", "at most 200 characters"))
+            .because("secret");
+        let document: serde_json::Value = serde_json::from_slice(&problem.document("r-1")).expect("JSON");
+        assert_eq!(
+            document,
+            serde_json::json!({
+                "type": "about:blank",
+                "title": codes::BODY_INVALID_VALUE.title,
+                "status": 422, "detail": "too long", "code": "body.invalid_value", "request_id": "r-1",
+                "errors": [{"pointer": "/name", "limit": "at most 200 characters"}],
+            })
+        );
+    }
+
+    #[test]
+    fn a_problem_is_a_response_of_its_codes_status_with_its_headers() {
+        let response = Problem::new(codes::BUSY, "later").retry_after(2).into_response();
+        assert_eq!(response.status(), StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(response.headers()[RETRY_AFTER], "2");
+    }
+}

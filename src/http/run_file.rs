@@ -1,0 +1,137 @@
+//! An uploaded file on its way to a run: format, names, sample rate, all held against the rig.
+
+use super::params::{Params, invalid};
+use super::problem::{Answer, FieldError, Problem};
+use super::upload::Upload;
+use super::{body, codes, errors, json, predict};
+use crate::domain::Rig;
+use crate::domain::run::RunMeta;
+use crate::engine::{Signal, resample};
+use crate::formats::{self, ParsedRun};
+use crate::storage::PreparedRun;
+
+/// Formats of run files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text with a header row.
+    Csv,
+    /// NumPy array.
+    Npy,
+    /// Sample rate and channels by name.
+    Json,
+}
+
+impl Format {
+    /// By media type.
+    ///
+    /// # Errors
+    /// `content_type.unsupported`.
+    pub fn of(media_type: Option<&str>) -> Answer<Self> {
+        match media_type {
+            Some("text/csv") => Ok(Self::Csv),
+            Some(predict::NPY) => Ok(Self::Npy),
+            Some(json::MEDIA_TYPE) => Ok(Self::Json),
+            other => Err(body::unsupported(other, &["text/csv", predict::NPY, json::MEDIA_TYPE])),
+        }
+    }
+
+    fn read(self, bytes: &[u8]) -> Result<ParsedRun, formats::FormatError> {
+        match self {
+            Self::Csv => formats::csv::read(bytes),
+            Self::Npy => formats::npy::read(bytes),
+            Self::Json => formats::json::read(bytes),
+        }
+    }
+}
+
+/// What the query says about the file.
+#[derive(Debug)]
+pub struct RunFile {
+    channels: Option<Vec<String>>,
+    sample_rate_hz: Option<f64>,
+    resample: bool,
+}
+
+impl RunFile {
+    /// Takes `channels`, `sample_rate_hz` and `resample`.
+    ///
+    /// # Errors
+    /// `query.invalid`.
+    pub fn take(params: &mut Params) -> Answer<Self> {
+        let limit = "a positive number of hertz";
+        let sample_rate_hz = params.number("sample_rate_hz", limit)?;
+        if let Some(rate) = sample_rate_hz.filter(|&r| r <= 0.0) {
+            return Err(invalid("sample_rate_hz", format!("is {rate}"), limit));
+        }
+        let channels = params.one("channels")?;
+        let channels = channels.map(|text| text.split(',').map(|name| name.trim().to_owned()).collect());
+        Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")? })
+    }
+
+    /// Reads the file and makes it a run of `rig`. Work for the processor.
+    ///
+    /// # Errors
+    /// What the format's reader refuses; channels, sample rate or units that are not the rig's.
+    pub fn prepare(self, rig: &Rig, meta: RunMeta, format: Format, upload: &Upload) -> Answer<PreparedRun> {
+        let bytes = upload.read().map_err(Problem::internal)?;
+        let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
+        let named = self.channels.as_ref().unwrap_or(&rig_names);
+        let parsed = format.read(&bytes).map_err(|error| errors::format(&error, named))?;
+        drop(bytes);
+        let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
+        let names = self.names(names, channels.len(), rig_names)?;
+        if let Some(name) = names.iter().find(|name| rig.channel(name).is_none()) {
+            let detail = format!("The rig has no channel {name:?}.");
+            return Err(Problem::new(codes::RUN_UNKNOWN_CHANNEL, detail)
+                .with(FieldError::new("", "a channel of the rig").on_channel(name)));
+        }
+        let rate = self.rate(sample_rate_hz, rig)?;
+        let refuse = |error| errors::engine(&error, &names, "");
+        let mut signal = Signal::new(rate, channels).map_err(refuse)?;
+        if !Signal::same_rate(rate, rig.sample_rate_hz) {
+            signal = resample::resample(&signal, rig.sample_rate_hz).map_err(refuse)?;
+        }
+        PreparedRun::new(rig, meta, names, units, &signal, upload.sha256()).map_err(|found| {
+            Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found))
+                .with_all(found)
+        })
+    }
+
+    /// Names of the columns: the file's own, else the query's, else the rig's.
+    fn names(&self, own: Option<Vec<String>>, columns: usize, rig: Vec<String>) -> Answer<Vec<String>> {
+        let names = match (own, &self.channels) {
+            (Some(own), None) => own,
+            (Some(_), Some(_)) => {
+                return Err(invalid("channels", "is given", "left out for a file that names its channels"));
+            }
+            (None, Some(asked)) => asked.clone(),
+            (None, None) => rig,
+        };
+        if names.len() != columns {
+            let limit = format!("{} columns: {}", names.len(), names.join(", "));
+            let detail = format!("The file has {columns} columns and {} names.", names.len());
+            return Err(Problem::new(codes::RUN_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
+        }
+        Ok(names)
+    }
+
+    /// Sample rate of the file: its own, else the query's, else the rig's; another one than the
+    /// rig's only if it is to be converted.
+    fn rate(&self, own: Option<f64>, rig: &Rig) -> Answer<f64> {
+        let refuse = |found: f64, expected: f64| {
+            let limit = format!("{expected} Hz");
+            let detail = format!(
+                "The run has a sample rate of {found} Hz; {limit} is expected (or resample=true to convert it)."
+            );
+            Problem::new(codes::RUN_SAMPLE_RATE, detail).with(FieldError::new("", limit))
+        };
+        let rate = match (own, self.sample_rate_hz) {
+            (Some(own), Some(asked)) if !Signal::same_rate(own, asked) => return Err(refuse(own, asked)),
+            (own, asked) => own.or(asked).unwrap_or(rig.sample_rate_hz),
+        };
+        if Signal::same_rate(rate, rig.sample_rate_hz) {
+            return Ok(rig.sample_rate_hz);
+        }
+        if self.resample { Ok(rate) } else { Err(refuse(rate, rig.sample_rate_hz)) }
+    }
+}

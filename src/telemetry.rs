@@ -1,0 +1,114 @@
+//! Logs and metrics: the two ways in which the service tells how it is doing.
+//!
+//! Log lines are readable alone and carry dotted fields with the unit in the name; sample data
+//! and request bodies never enter them. Metrics are Prometheus', in seconds and bytes.
+
+use std::sync::OnceLock;
+
+use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
+use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
+use tracing_subscriber::EnvFilter;
+
+/// How log lines look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// One readable line an event.
+    Text,
+    /// One JSON object an event.
+    Json,
+}
+
+/// Names of the metrics, in one place for those who write and those who read them.
+pub mod names {
+    /// Answers, by route, method and status.
+    pub const REQUESTS: &str = "rigcast_http_requests_total";
+    /// Time until the answer's head, by route and method.
+    pub const REQUEST_SECONDS: &str = "rigcast_http_request_duration_seconds";
+    /// Jobs in the store, by state.
+    pub const JOBS: &str = "rigcast_jobs";
+    /// Predictions answered, by kind of model.
+    pub const PREDICTIONS: &str = "rigcast_predictions_total";
+    /// Samples predicted, all outputs together.
+    pub const PREDICTED_SAMPLES: &str = "rigcast_predicted_samples_total";
+    /// Time that a prediction took to compute, by kind of model.
+    pub const PREDICTION_SECONDS: &str = "rigcast_prediction_duration_seconds";
+    /// Time that a fit ran, by how it ended.
+    pub const FIT_SECONDS: &str = "rigcast_fit_duration_seconds";
+    /// Models read from the store into memory.
+    pub const MODEL_LOADS: &str = "rigcast_model_loads_total";
+    /// 1, with the version as label.
+    pub const BUILD_INFO: &str = "rigcast_build_info";
+}
+
+/// A log filter that cannot be understood.
+#[derive(Debug, thiserror::Error)]
+#[error("log filter {filter:?}: {reason}")]
+pub struct LogFilterError {
+    filter: String,
+    reason: String,
+}
+
+/// Starts logging to standard error. Later calls in one process leave the first in place.
+///
+/// # Errors
+/// A filter that is no list of levels and directives.
+pub fn init_logging(filter: &str, format: LogFormat) -> Result<(), LogFilterError> {
+    let filter = EnvFilter::try_new(filter)
+        .map_err(|e| LogFilterError { filter: filter.to_owned(), reason: e.to_string() })?;
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // Only a second call in one process can fail, and then the first one's logging goes on.
+    let _ = match format {
+        LogFormat::Text => builder.with_ansi(false).try_init(),
+        LogFormat::Json => builder.json().flatten_event(true).try_init(),
+    };
+    Ok(())
+}
+
+/// The process' metrics; installed by the first call.
+///
+/// # Panics
+/// When other code of the same process has installed a recorder of its own: a bug of ours.
+pub fn metrics_handle() -> PrometheusHandle {
+    static HANDLE: OnceLock<PrometheusHandle> = OnceLock::new();
+    HANDLE
+        .get_or_init(|| {
+            let handle = PrometheusBuilder::new()
+                .set_buckets(&REQUEST_BUCKETS)
+                .and_then(|b| {
+                    b.set_buckets_for_metric(Matcher::Full(names::FIT_SECONDS.into()), &FIT_BUCKETS)
+                })
+                .expect("the bucket lists are not empty")
+                .install_recorder()
+                .expect("nobody else installs a metrics recorder");
+            describe();
+            handle
+        })
+        .clone()
+}
+
+/// From a health check to a prediction of an hour, seconds.
+const REQUEST_BUCKETS: [f64; 13] =
+    [0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
+/// From an FRF to a night's LSTM, seconds.
+const FIT_BUCKETS: [f64; 9] = [0.1, 1.0, 5.0, 15.0, 60.0, 300.0, 900.0, 3600.0, 14400.0];
+
+fn describe() {
+    describe_counter!(names::REQUESTS, Unit::Count, "Answers, by route, method and status.");
+    describe_histogram!(
+        names::REQUEST_SECONDS,
+        Unit::Seconds,
+        "Time until the head of the answer, by route and method."
+    );
+    describe_gauge!(names::JOBS, Unit::Count, "Jobs in the store, by state.");
+    describe_counter!(names::PREDICTIONS, Unit::Count, "Predictions answered, by kind of model.");
+    describe_counter!(names::PREDICTED_SAMPLES, Unit::Count, "Samples predicted, all outputs together.");
+    describe_histogram!(
+        names::PREDICTION_SECONDS,
+        Unit::Seconds,
+        "Time that a prediction took to compute, by kind of model."
+    );
+    describe_histogram!(names::FIT_SECONDS, Unit::Seconds, "Time that a fit ran, by how it ended.");
+    describe_counter!(names::MODEL_LOADS, Unit::Count, "Models read from the store into memory.");
+    describe_gauge!(names::BUILD_INFO, Unit::Count, "1, with the version of the program as label.");
+    metrics::gauge!(names::BUILD_INFO, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+}

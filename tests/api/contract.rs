@@ -1,0 +1,65 @@
+//! `openapi.yaml` against the program's own tables.
+
+use std::collections::BTreeSet;
+
+use crate::support::{Contract, OPENAPI, TestApp};
+
+#[test]
+fn every_route_is_in_the_contract_and_every_operation_of_the_contract_is_a_route() {
+    let routes: BTreeSet<(String, String)> =
+        rigcast::http::routes::ROUTES.iter().map(|r| (r.method.to_string(), r.path.to_owned())).collect();
+    let operations: BTreeSet<(String, String)> =
+        Contract::get().operations().into_iter().map(|(method, path, _)| (method, path)).collect();
+    assert!(routes.len() > 30, "the table is not empty");
+    assert_eq!(routes, operations);
+}
+
+#[test]
+fn every_problem_code_is_in_the_contract_with_its_status_and_title() {
+    let ours: BTreeSet<(String, u64, String)> = rigcast::http::codes::ALL
+        .iter()
+        .map(|c| (c.name.to_owned(), c.status.into(), c.title.to_owned()))
+        .collect();
+    let codes = &Contract::get().document["components"]["schemas"]["ProblemCode"]["oneOf"];
+    let theirs: BTreeSet<(String, u64, String)> = codes
+        .as_array()
+        .expect("a list of codes")
+        .iter()
+        .map(|c| {
+            let text = |key: &str| c[key].as_str().expect(key).to_owned();
+            (text("const"), c["x-status"].as_u64().expect("a status"), text("title"))
+        })
+        .collect();
+    assert_eq!(ours, theirs);
+}
+
+#[test]
+fn operation_ids_are_unique_and_path_parameters_are_described() {
+    let contract = Contract::get();
+    let mut ids = BTreeSet::new();
+    for (method, path, id) in contract.operations() {
+        assert!(ids.insert(id.clone()), "{id} comes twice");
+        let item = &contract.document["paths"][&path];
+        let described: BTreeSet<String> = [&item["parameters"], &item[method.to_lowercase()]["parameters"]]
+            .into_iter()
+            .flat_map(|list| list.as_array().cloned().unwrap_or_default())
+            .map(|p| match p["$ref"].as_str() {
+                Some(r) => contract.document.pointer(&r[1..]).expect("a parameter").clone(),
+                None => p,
+            })
+            .filter(|p| p["in"] == "path")
+            .map(|p| p["name"].as_str().expect("a name").to_owned())
+            .collect();
+        let in_path: BTreeSet<String> = path
+            .split('/')
+            .filter_map(|s| Some(s.strip_prefix('{')?.strip_suffix('}')?.to_owned()))
+            .collect();
+        assert_eq!(described, in_path, "{path}");
+    }
+}
+
+#[tokio::test]
+async fn the_service_serves_the_contract_that_the_tests_read() {
+    let app = TestApp::start();
+    assert_eq!(app.get("/openapi.yaml").await.expect(200).text(), OPENAPI);
+}

@@ -1,0 +1,135 @@
+//! Fits: from runs to an active model that predicts, and what is refused before and after.
+
+use serde_json::{Value, json};
+
+use crate::support::{TestApp, bench, noise, noise_csv};
+
+const FITS: &str = "/v1/rigs/bench/fits";
+
+async fn with_noise(samples: usize) -> TestApp {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    app.run("kind=noise", &noise_csv(samples, 21)).await;
+    app
+}
+
+async fn fitted(app: &TestApp, request: Value) -> Value {
+    let job = app.post_json(FITS, &request).await.expect(202).json();
+    app.finished(job["id"].as_str().expect("an id")).await
+}
+
+#[tokio::test]
+async fn a_fit_ends_in_an_active_model_that_predicts_the_rig() {
+    let app = with_noise(6000).await;
+    let job = fitted(&app, json!({"kind": "frf", "frf": {"segment_len": 256}})).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    assert_eq!((&job["progress"], &job["result"]["kind"]), (&json!(1.0), &json!("model")));
+    let model = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    assert_eq!(
+        (&model["origin"], &model["job"], &model["active"]),
+        (&json!("fit"), &job["id"], &json!(true))
+    );
+    assert_eq!(model["report"]["frf"]["segment_len"], 256);
+    assert_eq!(model["request"]["inputs"], json!(["u"]));
+    let u = noise(500, 99);
+    let request = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": u}}});
+    let answer = app.post_json("/v1/rigs/bench/predict", &request).await.expect(200).json();
+    let y = answer["response"]["channels"]["y"].as_array().expect("samples");
+    for (i, (y, u)) in y.iter().zip(&u).enumerate() {
+        let found = y.as_f64().expect("a number");
+        assert!((found - 2.0 * u).abs() < 0.05, "sample {i}: {found}, expected {}", 2.0 * u);
+    }
+}
+
+#[tokio::test]
+async fn a_small_lstm_is_fitted_too_and_its_weights_go_round() {
+    let app = with_noise(4000).await;
+    let lstm = json!({"blocks": [4], "window_len": 32, "hop": 16, "epochs": 2, "seeds": [1]});
+    let job = fitted(&app, json!({"kind": "hybrid2", "lstm": lstm, "activate": "never"})).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let href = job["result"]["href"].as_str().expect("a link").to_owned();
+    let model = app.get(&href).await.expect(200).json();
+    assert_eq!((&model["report"]["best_seed"], &model["active"]), (&json!(1), &json!(false)));
+    let weights = app.get(&format!("{href}/weights")).await.expect(200).bytes;
+    let again =
+        app.post_file("/v1/rigs/bench/models", "application/x-safetensors", weights).await.expect(201).json();
+    assert_eq!(again["sha256"], model["sha256"]);
+}
+
+#[tokio::test]
+async fn a_fit_of_a_rig_without_runs_is_refused() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    app.post_json(FITS, &json!({"kind": "frf"})).await.problem(409, "fit.no_runs");
+    app.run("kind=noise&split=test", &noise_csv(3000, 1)).await;
+    app.post_json(FITS, &json!({"kind": "frf"})).await.problem(409, "fit.no_runs");
+    app.post_json("/v1/rigs/none/fits", &json!({"kind": "frf"})).await.problem(404, "rig.not_found");
+    assert_eq!(app.get("/v1/jobs").await.json()["items"], json!([]));
+}
+
+#[tokio::test]
+async fn channels_and_selections_that_the_rig_does_not_have_are_named() {
+    let app = with_noise(3000).await;
+    let refused = async |request: Value| {
+        app.post_json(FITS, &request).await.problem(422, "fit.invalid")["errors"][0].clone()
+    };
+    let place = refused(json!({"kind": "frf", "inputs": ["u", "w"]})).await;
+    assert_eq!((&place["pointer"], &place["channel"]), (&json!("/inputs/1"), &json!("w")));
+    let place = refused(json!({"kind": "frf", "runs": {"split": "test"}})).await;
+    assert_eq!(place["pointer"], "/runs/split");
+    let place = refused(json!({"kind": "frf", "runs": ["0197f1a0-0000-7000-8000-000000000000"]})).await;
+    assert_eq!(place["pointer"], "/runs/0");
+    for (request, code) in [
+        (json!({"kind": "narx"}), "body.invalid_value"),
+        (json!({"kind": "frf", "epochs": 3}), "body.unknown_field"),
+        (json!({"kind": "frf", "lstm": {"epoch": 3}}), "body.unknown_field"),
+        (json!({}), "body.missing_field"),
+    ] {
+        app.post_json(FITS, &request).await.problem(422, code);
+    }
+    assert_eq!(app.get("/v1/jobs").await.json()["items"], json!([]));
+}
+
+#[tokio::test]
+async fn a_run_that_lacks_a_channel_of_the_fit_is_named_with_the_channel() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let run = app.run("kind=noise", "u\n1\n2\n3\n").await;
+    let problem = app.post_json(FITS, &json!({"kind": "frf"})).await.problem(422, "fit.invalid");
+    assert_eq!(problem["errors"][0]["channel"], "y", "{problem}");
+    assert!(problem.to_string().contains(run["id"].as_str().expect("an id")), "{problem}");
+}
+
+#[tokio::test]
+async fn a_dead_channel_and_too_few_samples_are_a_failure_with_a_code() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let mut dead = String::from("u,y\n");
+    for y in noise(3000, 5) {
+        dead.push_str(&format!("1.5,{y}\n"));
+    }
+    app.run("kind=noise", &dead).await;
+    let problem = failure(&app, json!({"kind": "frf"})).await;
+    assert_eq!(problem["code"], "signal.dead_channel", "{problem}");
+    assert!(problem.to_string().contains("\"u\"") || problem.to_string().contains("\\\"u\\\""), "{problem}");
+
+    let app = with_noise(100).await;
+    let problem = failure(&app, json!({"kind": "frf", "frf": {"segment_len": 4096}})).await;
+    let codes = ["signal.too_short", "frf.too_few_averages"];
+    assert!(codes.contains(&problem["code"].as_str().expect("a code")), "{problem}");
+    let problem = failure(&app, json!({"kind": "frf", "frf": {"overlap": 1.5}})).await;
+    assert_eq!(problem["code"], "setting.out_of_range", "{problem}");
+}
+
+/// Why a fit fails: told at once, or by its job.
+async fn failure(app: &TestApp, request: Value) -> Value {
+    let reply = app.post_json(FITS, &request).await;
+    if reply.status != 202 {
+        assert!((400..500).contains(&reply.status), "{}", reply.text());
+        return reply.json();
+    }
+    let job = app.finished(reply.json()["id"].as_str().expect("an id")).await;
+    assert_eq!(job["state"], "failed", "{job}");
+    assert_eq!(app.get("/v1/rigs/bench/models").await.json()["items"], json!([]), "nothing half-stored");
+    job["problem"].clone()
+}

@@ -1,0 +1,17 @@
+//! The service as clients see it: every test starts one on a free port with a data directory of
+//! its own, and every answer is held against `openapi.yaml`.
+
+mod bad_runs;
+mod contract;
+mod damage;
+mod fits;
+mod jobs;
+mod models;
+mod operations;
+mod predictions;
+mod problems;
+mod rigs;
+mod runs;
+mod service;
+mod shutdown;
+mod support;

@@ -1,0 +1,66 @@
+//! One walk through all operations, each of which must answer as the contract says.
+
+use std::collections::BTreeSet;
+
+use serde_json::json;
+
+use crate::support::{Contract, SAFETENSORS, TestApp, bench, gain_weights, noise_csv};
+
+#[tokio::test]
+async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    app.get("/v1/rigs").await.expect(200);
+    let rig = app.get("/v1/rigs/bench").await.expect(200);
+    let patch = app.call("PATCH", "/v1/rigs/bench").header("if-match", rig.header("etag"));
+    patch.json(&json!({"name": "Renamed"})).send().await.expect(200);
+
+    let run = app.run("kind=noise&name=n1&tag=a&tag=b", &noise_csv(3000, 1)).await;
+    let run = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+    app.get("/v1/rigs/bench/runs").await.expect(200);
+    app.get(&run).await.expect(200);
+    app.call("PATCH", &run).json(&json!({"tags": ["c"]})).send().await.expect(200);
+    for accept in ["application/json", "text/csv", "application/x-npy"] {
+        app.call("GET", &format!("{run}/data")).header("accept", accept).send().await.expect(200);
+    }
+
+    let job = app.post_json("/v1/rigs/bench/fits", &json!({"kind": "frf"})).await.expect(202).json();
+    let id = job["id"].as_str().expect("an id").to_owned();
+    let job = format!("/v1/jobs/{id}");
+    app.get("/v1/jobs").await.expect(200);
+    app.get(&job).await.expect(200);
+    app.get(&format!("{job}/events")).await.expect(200);
+    app.finished(&id).await;
+    app.post(&format!("{job}/cancel")).await.expect(202);
+
+    let weights = gain_weights(&["u"], &["y"], 2.0);
+    let model = app.post_file("/v1/rigs/bench/models", SAFETENSORS, weights).await.expect(201);
+    let model = model.header("location").to_owned();
+    app.get("/v1/rigs/bench/models").await.expect(200);
+    app.get(&model).await.expect(200);
+    app.get(&format!("{model}/weights")).await.expect(200);
+    let active = app.get("/v1/rigs/bench/active-model").await.expect(200);
+    let version: u64 = model.rsplit('/').next().and_then(|v| v.parse().ok()).expect("a version");
+    let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", active.header("etag"));
+    put.json(&json!({"version": version})).send().await.expect(200);
+
+    let drive = json!({"sample_rate_hz": 100.0, "channels": {"u": [0.0, 0.5, -0.5, 0.0]}});
+    let target = json!({"sample_rate_hz": 100.0, "channels": {"y": [0.0, 1.0, -1.0, 0.0]}});
+    let request = json!({"drive": drive, "target": target, "damage": {"slope": 3}});
+    app.post_json("/v1/rigs/bench/predict", &request).await.expect(200);
+    app.post_json("/v1/damage", &json!({"predicted": target, "target": target})).await.expect(200);
+
+    let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", "*");
+    put.json(&json!({"version": null})).send().await.expect(200);
+    app.delete(&model).await.expect(204);
+    app.delete(&run).await.expect(204);
+    app.delete("/v1/rigs/bench").await.expect(204);
+
+    for path in ["/livez", "/readyz", "/readyz?verbose", "/metrics", "/openapi.yaml", "/docs"] {
+        app.get(path).await.expect(200);
+    }
+    app.get("/docs/swagger-ui.css").await.expect(200);
+
+    let all: BTreeSet<String> = Contract::get().operations().into_iter().map(|(_, _, id)| id).collect();
+    assert_eq!(app.succeeded(), all);
+}

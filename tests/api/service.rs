@@ -1,0 +1,127 @@
+//! Health, metrics, documentation.
+
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+
+use crate::support::{TestApp, bench, noise_csv};
+
+#[tokio::test]
+async fn the_service_is_alive_and_ready_and_tells_its_checks_when_asked() {
+    let app = TestApp::start();
+    assert_eq!(app.get("/livez").await.expect(200).json(), json!({"status": "ok"}));
+    assert_eq!(app.get("/readyz").await.expect(200).json(), json!({"status": "ready", "degraded": []}));
+    let verbose = app.get("/readyz?verbose").await.expect(200).json();
+    assert_eq!((&verbose["checks"]["store"], &verbose["checks"]["draining"]), (&json!("ok"), &json!(false)));
+}
+
+#[tokio::test]
+async fn one_damaged_model_degrades_its_rig_and_nothing_else() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    let [weights] = &app.files()[..] else { panic!("one object: the weights") };
+    let mut bytes = std::fs::read(weights).expect("readable");
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    let mut permissions = std::fs::metadata(weights).expect("there").permissions();
+    #[expect(clippy::permissions_set_readonly_false, reason = "a file of the test's own, for its own user")]
+    permissions.set_readonly(false);
+    std::fs::set_permissions(weights, permissions).expect("allowed");
+    std::fs::write(weights, bytes).expect("written");
+    let drive = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0]}}});
+    let reply = app.post_json("/v1/rigs/bench/predict", &drive).await;
+    let problem = reply.problem(500, "store.damaged");
+    assert!(!problem.to_string().contains("objects"), "a 5xx tells nothing of our insides: {problem}");
+    let ready = app.get("/readyz").await.expect(200).json();
+    assert_eq!(
+        (&ready["degraded"][0]["rig"], &ready["degraded"][0]["version"]),
+        (&json!("bench"), &json!(1))
+    );
+    app.get("/v1/rigs/bench/models/1").await.expect(200);
+    app.get("/v1/rigs/bench/models/1/weights").await.problem(500, "store.damaged");
+}
+
+#[tokio::test]
+async fn metrics_count_requests_by_route_and_jobs_by_state() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    app.get("/v1/rigs/bench").await.expect(200);
+    app.get("/v1/rigs/other").await.expect(404);
+    app.get("/no/such/route").await.expect(404);
+    let drive = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0, 1.0]}}});
+    app.post_json("/v1/rigs/bench/predict", &drive).await.expect(200);
+    let reply = app.get("/metrics").await.expect(200);
+    assert!(reply.header("content-type").starts_with("text/plain; version=0.0.4"));
+    let text = reply.text();
+    let value = |name: &str, labels: &[&str]| {
+        text.lines()
+            .find(|l| l.starts_with(name) && labels.iter().all(|label| l.contains(label)))
+            .and_then(|l| l.rsplit(' ').next()?.parse::<f64>().ok())
+            .unwrap_or_else(|| panic!("no {name} with {labels:?} in {text}"))
+    };
+    let requests = "rigcast_http_requests_total";
+    assert!(value(requests, &["route=\"/v1/rigs/{rig}\"", "method=\"GET\"", "status=\"404\""]) >= 1.0);
+    assert!(value(requests, &["route=\"unmatched\"", "status=\"404\""]) >= 1.0);
+    assert!(!text.contains("/no/such/route"), "clients make no labels");
+    assert!(
+        value("rigcast_http_request_duration_seconds_count", &["route=\"/v1/rigs/{rig}/predict\""]) >= 1.0
+    );
+    assert!(value("rigcast_predictions_total", &["kind=\"frf\""]) >= 1.0);
+    assert!(value("rigcast_prediction_duration_seconds_count", &["kind=\"frf\""]) >= 1.0);
+    assert!(value("rigcast_model_loads_total", &[]) >= 1.0);
+    for state in ["queued", "running", "succeeded", "failed", "cancelled"] {
+        assert!(value("rigcast_jobs", &[&format!("state=\"{state}\"")]) >= 0.0);
+    }
+    assert_eq!(value("rigcast_build_info", &[env!("CARGO_PKG_VERSION")]), 1.0);
+}
+
+#[tokio::test]
+async fn a_fit_leaves_its_duration_in_the_metrics() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    app.run("kind=noise", &noise_csv(3000, 31)).await;
+    let job = app.post_json("/v1/rigs/bench/fits", &json!({"kind": "frf"})).await.expect(202).json();
+    app.finished(job["id"].as_str().expect("an id")).await;
+    let reply = app.get("/metrics").await.expect(200);
+    assert!(reply.text().contains("rigcast_fit_duration_seconds_count{"), "{}", reply.text());
+}
+
+#[tokio::test]
+async fn the_documentation_needs_nothing_from_elsewhere() {
+    let app = TestApp::start();
+    let page = app.get("/docs").await.expect(200).text().to_owned();
+    assert!(page.contains("/openapi.yaml"), "{page}");
+    let links: Vec<&str> =
+        page.split(['"', '\'']).filter(|part| part.starts_with('/') || part.starts_with("http")).collect();
+    assert!(links.len() >= 3, "{links:?}");
+    for link in links {
+        assert!(link.starts_with('/'), "{link} is not ours");
+        app.get(link).await.expect(200);
+    }
+    app.get("/docs/nothing.js").await.problem(404, "route.not_found");
+}
+
+#[tokio::test]
+async fn the_service_stays_quick_while_a_fit_uses_the_cores() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    app.run("kind=noise", &noise_csv(20_000, 41)).await;
+    let long = json!({"kind": "lstm", "lstm": {"blocks": [39], "epochs": 1000000, "seeds": [1, 2]}});
+    let job = app.post_json("/v1/rigs/bench/fits", &long).await.expect(202);
+    let path = job.header("location").to_owned();
+    while app.get(&path).await.json()["state"] != "running" {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let mut times: Vec<Duration> = Vec::new();
+    for _ in 0..200 {
+        let started = Instant::now();
+        app.get("/livez").await.expect(200);
+        times.push(started.elapsed());
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    app.post(&format!("{path}/cancel")).await.expect(202);
+    app.finished(job.json()["id"].as_str().expect("an id")).await;
+    times.sort_unstable();
+    // The promise is 100 ms at the 99th percentile on a machine of its own; other tests run here too.
+    assert!(times[197] < Duration::from_millis(500), "99th percentile {:?}", times[197]);
+}

@@ -1,0 +1,188 @@
+//! A service of its own for a test.
+
+use std::collections::BTreeSet;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rigcast::app::App;
+use rigcast::config::Config;
+use rigcast::http::Limits;
+use tempfile::TempDir;
+use tokio::sync::oneshot;
+
+use super::reply::{Call, Reply};
+
+/// A running service. It ends with the value, and a test that leaves jobs unfinished fails.
+pub struct TestApp {
+    address: SocketAddr,
+    client: reqwest::Client,
+    directory: Arc<TempDir>,
+    /// Ids of the operations that have answered as asked.
+    succeeded: Arc<Mutex<BTreeSet<String>>>,
+    stop: Option<oneshot::Sender<()>>,
+    server: Option<JoinHandle<()>>,
+}
+
+impl TestApp {
+    /// Starts a service with the default limits on an empty data directory.
+    pub fn start() -> Self {
+        Self::start_with(Limits::default())
+    }
+
+    /// Starts a service with other limits.
+    pub fn start_with(limits: Limits) -> Self {
+        Self::start_in(Arc::new(TempDir::new().expect("a directory")), limits)
+    }
+
+    /// Stops the service and starts another one on the same data.
+    pub fn restart(mut self) -> Self {
+        self.end();
+        Self::start_in(self.directory.clone(), Limits::default())
+    }
+
+    /// The server has threads of its own, so that a test that waits never starves it.
+    fn start_in(directory: Arc<TempDir>, limits: Limits) -> Self {
+        let (stop, stopped) = oneshot::channel::<()>();
+        let (started, ready) = std::sync::mpsc::channel();
+        let config = Config { data_dir: directory.path().to_owned(), workers: 1, limits };
+        let server = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+            runtime.expect("a runtime").block_on(async {
+                let app = App::build(&config).await.expect("a service on an empty directory");
+                let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+                started.send(listener.local_addr().expect("an address")).expect("the test waits");
+                app.serve(listener, async {
+                    // An error means that the test is gone, which is as good a reason to stop.
+                    let _ = stopped.await;
+                })
+                .await;
+            });
+        });
+        let address = ready.recv().expect("the service starts");
+        Self {
+            address,
+            client: reqwest::Client::new(),
+            directory,
+            succeeded: Arc::default(),
+            stop: Some(stop),
+            server: Some(server),
+        }
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Its data directory.
+    pub fn directory(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// Operations that have answered with a 2xx.
+    pub fn succeeded(&self) -> BTreeSet<String> {
+        self.succeeded.lock().expect("no test panics with the lock").clone()
+    }
+
+    /// A request; the path may carry a query.
+    pub fn call(&self, method: &str, path: &str) -> Call {
+        let url = format!("http://{}{path}", self.address);
+        let method: reqwest::Method = method.parse().expect("a method");
+        Call::new(self.client.request(method.clone(), url), method, path, self.succeeded.clone())
+    }
+
+    /// `GET`
+    pub async fn get(&self, path: &str) -> Reply {
+        self.call("GET", path).send().await
+    }
+
+    /// `DELETE`
+    pub async fn delete(&self, path: &str) -> Reply {
+        self.call("DELETE", path).send().await
+    }
+
+    /// `POST` without a body.
+    pub async fn post(&self, path: &str) -> Reply {
+        self.call("POST", path).send().await
+    }
+
+    /// `POST` of JSON.
+    pub async fn post_json(&self, path: &str, body: &serde_json::Value) -> Reply {
+        self.call("POST", path).json(body).send().await
+    }
+
+    /// `POST` of a file.
+    pub async fn post_file(&self, path: &str, media_type: &str, bytes: impl Into<Vec<u8>>) -> Reply {
+        self.call("POST", path).body(media_type, bytes).send().await
+    }
+
+    /// Waits until a job has ended, at most a minute, and gives it.
+    pub async fn finished(&self, job: &str) -> serde_json::Value {
+        for _ in 0..600 {
+            let found = self.get(&format!("/v1/jobs/{job}")).await.expect(200).json();
+            if ["succeeded", "failed", "cancelled"].contains(&found["state"].as_str().unwrap_or_default()) {
+                return found;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        panic!("job {job} did not end within a minute");
+    }
+
+    /// Files under the data directory's scratch and object folders.
+    pub fn files(&self) -> Vec<std::path::PathBuf> {
+        fn walk(directory: &Path, found: &mut Vec<std::path::PathBuf>) {
+            for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
+                let path = entry.path();
+                if path.is_dir() { walk(&path, found) } else { found.push(path) }
+            }
+        }
+        let mut found = Vec::new();
+        for folder in ["scratch", "objects"] {
+            walk(&self.directory().join(folder), &mut found);
+        }
+        found
+    }
+
+    fn end(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            // The server may have ended by itself; joining it tells.
+            let _ = stop.send(());
+        }
+        if let Some(server) = self.server.take() {
+            server.join().expect("the service ends without a panic");
+        }
+    }
+
+    /// Jobs in this state, asked for on a thread with a runtime of its own.
+    fn jobs_in(&self, state: &'static str) -> Vec<serde_json::Value> {
+        let url = format!("http://{}/v1/jobs?state={state}", self.address);
+        let asked = std::thread::spawn(move || {
+            let runtime =
+                tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+            runtime.block_on(async {
+                let reply = reqwest::get(url).await.expect("the service answers");
+                reply.json::<serde_json::Value>().await.expect("a list of jobs")
+            })
+        });
+        asked.join().expect("the list of jobs")["items"].as_array().cloned().unwrap_or_default()
+    }
+}
+
+impl Drop for TestApp {
+    fn drop(&mut self) {
+        let mut left = Vec::new();
+        if self.server.is_some() && !std::thread::panicking() {
+            left = [self.jobs_in("queued"), self.jobs_in("running")].concat();
+        }
+        if std::thread::panicking() {
+            // The test has its failure already; joining could only hide it behind a second one.
+            self.stop.take();
+            return;
+        }
+        self.end();
+        assert!(left.is_empty(), "the test leaves jobs unfinished: {left:?}");
+    }
+}
