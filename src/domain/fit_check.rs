@@ -101,12 +101,10 @@ fn resolve(
 
 fn check_runs(errors: &mut Vec<FieldError>, pointer: &str, selection: Option<&RunSelection>) {
     match selection {
-        None => {}
-        Some(RunSelection::Ids(ids)) => {
-            if ids.is_empty() || ids.len() > MAX_IDS {
-                errors.push(FieldError::new(pointer, format!("1 to {MAX_IDS} runs")));
-            }
+        Some(RunSelection::Ids(ids)) if ids.is_empty() || ids.len() > MAX_IDS => {
+            errors.push(FieldError::new(pointer, format!("1 to {MAX_IDS} runs")));
         }
+        Some(RunSelection::Ids(_)) | None => {}
         Some(RunSelection::Match(RunFilter { kinds, tags: _, split })) => {
             for (i, kind) in kinds.iter().flatten().enumerate() {
                 if !RunKind::ALL.iter().any(|known| known.as_str() == kind) {

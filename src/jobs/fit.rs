@@ -1,6 +1,7 @@
 //! The fit job: runs in, a model version out.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -69,9 +70,9 @@ async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitD
         if control.stopped().is_some() {
             return Err(JobError::Stopped);
         }
-        if !pairs.contains_key(&run.id) {
+        if let Entry::Vacant(place) = pairs.entry(run.id) {
             let signal = runner.store.load_signal(run).await?;
-            pairs.insert(run.id, pair(run, &signal, &plan.inputs, &plan.outputs)?);
+            place.insert(pair(run, &signal, &plan.inputs, &plan.outputs)?);
         }
     }
     Ok(assemble(plan, |run| pairs[&run.id].clone()))

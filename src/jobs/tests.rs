@@ -166,7 +166,7 @@ async fn a_running_job_is_cancelled_and_a_cancel_twice_is_one() {
     assert!(matches!(bench.jobs.cancel(id).await, Ok(CancelOutcome::Noted(_))));
     let job = bench.end_of(id).await;
     assert_eq!((job.state, &job.problem, &job.result), (JobState::Cancelled, &None, &None));
-    assert_eq!(bench.jobs.cancel(id).await.unwrap(), CancelOutcome::Noted(job));
+    assert_eq!(bench.jobs.cancel(id).await.unwrap(), CancelOutcome::Noted(Box::new(job)));
 }
 
 #[tokio::test]
