@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::demo::DemoArgs;
 use crate::http::Limits;
 use crate::telemetry::LogFormat;
 
@@ -22,6 +23,8 @@ pub struct Cli {
 pub enum Command {
     /// Answer HTTP requests and run jobs until told to stop (SIGTERM or Ctrl-C).
     Serve(ServeArgs),
+    /// Show the whole job on a virtual rig: upload, fit, predict, compare.
+    Demo(DemoArgs),
 }
 
 /// How `rigcast serve` runs.
@@ -107,8 +110,10 @@ mod tests {
 
     fn serve(arguments: &[&str]) -> ServeArgs {
         let cli = Cli::try_parse_from(["rigcast", "serve"].iter().chain(arguments)).expect("valid arguments");
-        let Command::Serve(args) = cli.command;
-        args
+        match cli.command {
+            Command::Serve(args) => args,
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]

@@ -4,8 +4,10 @@
 //! <- http <- app`. `tests/layout.rs` reads the imports and holds it.
 
 pub mod app;
+pub mod client;
 pub mod compute;
 pub mod config;
+pub mod demo;
 pub mod domain;
 pub mod engine;
 pub mod formats;

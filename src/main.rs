@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use rigcast::app::App;
 use rigcast::config::{Cli, Command, ServeArgs};
-use rigcast::telemetry;
+use rigcast::demo::DemoArgs;
+use rigcast::telemetry::{self, LogFormat};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
@@ -15,6 +16,7 @@ type Failure = Box<dyn std::error::Error>;
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Serve(args) => serve(&args),
+        Command::Demo(args) => demo(args),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -50,6 +52,11 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
         .await;
         Ok(())
     })
+}
+
+fn demo(args: DemoArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&args.log, LogFormat::Text)?;
+    Ok(runtime()?.block_on(rigcast::demo::run(args))?)
 }
 
 /// At least two threads, so that one handler that takes long never stops the health check.

@@ -347,9 +347,9 @@ mod tests {
         }
         assert_eq!(wrong_after(json!({"name": "x".repeat(101)})), ["/name"]);
         let channel = |name: &str, role: &str| json!({"name": name, "unit": "", "role": role});
-        let channels = |list: Vec<Value>| wrong_after(json!({"channels": list}));
+        let channels = |list: Vec<Value>| wrong_after(json!({"channels": list, "fit_policy": null}));
         assert_eq!(channels(vec![channel("u", "drive"), channel("u", "response")]), ["/channels/1/name"]);
-        assert_eq!(channels(vec![channel("y", "response")]), ["/channels", "/fit_policy/fits/0/inputs"]);
+        assert_eq!(channels(vec![channel("y", "response")]), ["/channels"]);
         assert_eq!(
             channels(vec![channel("", "drive"), channel("a,b", "response"), channel(" c", "response")]),
             ["/channels/0/name", "/channels/1/name", "/channels/2/name"]

@@ -132,7 +132,33 @@ pub enum EngineError {
         /// Channel index among the inputs.
         channel: usize,
     },
+    /// A value outside what a channel can carry.
+    #[error("{what}: channel {channel} is {found} at sample {sample}, the limit is {limit}")]
+    OutOfRange {
+        /// Which argument.
+        what: &'static str,
+        /// Channel index.
+        channel: usize,
+        /// Sample index.
+        sample: usize,
+        /// Value found.
+        found: f64,
+        /// Largest magnitude allowed.
+        limit: f64,
+    },
     /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,
+}
+
+impl EngineError {
+    /// A value that is not finite in something computed, not in something given.
+    pub(super) fn of_result(self) -> Self {
+        match self {
+            Self::NonFinite { channel, sample, .. } => {
+                Self::NonFiniteResult { what: "predicted response", channel, sample }
+            }
+            other => other,
+        }
+    }
 }

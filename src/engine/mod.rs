@@ -12,6 +12,7 @@ pub mod progress;
 pub mod resample;
 pub mod signal;
 pub mod spectral;
+pub mod virtual_rig;
 pub mod windowing;
 
 pub use error::EngineError;

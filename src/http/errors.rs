@@ -106,7 +106,8 @@ pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
             codes::FRF_DEPENDENT_INPUTS,
             FieldError { limit: Some("independent inputs".into()), ..on(*channel) },
         ),
-        EngineError::Cancelled => return Problem::internal(error),
+        // Only the virtual rig, which no request reaches, limits values.
+        EngineError::Cancelled | EngineError::OutOfRange { .. } => return Problem::internal(error),
     };
     Problem::new(code, named(error, &place)).with(place)
 }
@@ -197,11 +198,16 @@ mod tests {
 
     #[test]
     fn every_code_of_jobs_is_one_of_the_contract() {
-        let sources =
-            [include_str!("../jobs/problem.rs"), include_str!("../jobs/fit_plan.rs"), include_str!("../storage/jobs.rs")];
+        let sources = [
+            include_str!("../jobs/problem.rs"),
+            include_str!("../jobs/fit_plan.rs"),
+            include_str!("../storage/jobs.rs"),
+        ];
         let is_code = |word: &&str| {
             word.split_once('.').is_some_and(|(a, b)| {
-                [a, b].iter().all(|part| part.len() > 1 && part.bytes().all(|c| c.is_ascii_lowercase() || c == b'_'))
+                [a, b]
+                    .iter()
+                    .all(|part| part.len() > 1 && part.bytes().all(|c| c.is_ascii_lowercase() || c == b'_'))
             })
         };
         let code = sources.iter().filter_map(|text| text.split("#[cfg(test)]").next());

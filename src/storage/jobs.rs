@@ -340,7 +340,7 @@ impl Store {
     ) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write().await?;
         let rows: Vec<JobRow> =
-            sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us < ? ORDER BY id")
+            sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= ? ORDER BY id")
                 .bind(us(expired_at))
                 .fetch_all(&mut *tx)
                 .await?;

@@ -105,6 +105,11 @@ struct Scratch {
 }
 
 impl FrfFilter {
+    /// Taps of the impulse response: an output depends on half of them before and after it.
+    pub fn taps(&self) -> usize {
+        self.taps
+    }
+
     /// `y = y_mean + h * (x - x_mean)`, `[output, sample]`, as long as `x` (at least one sample).
     ///
     /// # Errors

@@ -12,6 +12,8 @@ use crate::engine::{EngineError, Signal};
 
 /// Ridges tried when none is given.
 const RIDGES: [f64; 6] = [0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2];
+/// Ridges tried with every segment length of long data.
+const FIRST_RIDGES: [f64; 2] = [0.0, 1e-4];
 /// Ridge when there is too little data to hold any out.
 const CAUTIOUS_RIDGE: f64 = 1e-4;
 /// Averages per input below which coherence and confidence mean little.
@@ -24,7 +26,7 @@ const MAX_BYTES: usize = 1 << 29;
 const FOLDS: usize = 8;
 /// each in turn when all runs together have no more samples than this. One eighth of two seconds
 /// says little, and short data cost little.
-const SHORT_DATA: usize = 100_000;
+const SHORT_DATA: usize = 30_000;
 
 /// Settings without gaps.
 pub(super) struct Choice {
@@ -47,7 +49,9 @@ pub(super) fn choose(
     settings: &FrfSettings,
     watch: Watch<'_>,
 ) -> Result<Choice, EngineError> {
-    let averages = |len: usize| data.n_averages(&settings.welch(len));
+    if let (Some(segment_len), Some(ridge)) = (settings.segment_len, settings.ridge) {
+        return Ok(Choice { segment_len, ridge, warnings: Vec::new() });
+    }
     let lengths: Vec<usize> = match settings.segment_len {
         Some(len) => vec![len],
         None => candidates(data, settings),
@@ -58,57 +62,97 @@ pub(super) fn choose(
         None => &RIDGES,
     };
     let n_samples: usize = data.runs.iter().map(|(x, _)| x.n_samples()).sum();
-    let folds = if n_samples <= SHORT_DATA { 0..FOLDS } else { FOLDS - 1..FOLDS };
+    let short = n_samples <= SHORT_DATA;
+    let folds = if short { 0..FOLDS } else { FOLDS - 1..FOLDS };
+    // Of long data, half overlap uses all but a few percent, in half the time.
+    let comparing = &FrfSettings {
+        overlap: if short { settings.overlap } else { settings.overlap.min(0.5) },
+        ..settings.clone()
+    };
     let held_out: Vec<HeldOut<'_>> = folds.map(|fold| HeldOut::new(data, fold)).collect();
     let comparable: Vec<usize> = lengths
         .iter()
         .copied()
-        .filter(|&len| held_out.iter().all(|h| h.leaves_enough(settings, len)))
+        .filter(|&len| held_out.iter().all(|h| h.leaves_enough(comparing, len)))
         .collect();
-    let comparisons = comparable.len() * ridges.len();
-    if comparisons == 0 {
-        let segment_len = match settings.segment_len {
-            Some(len) => len,
-            None => longest(data, settings).unwrap_or(FrfSettings::MIN_SEGMENT_LEN),
-        };
-        if averages(segment_len) <= data.n_inputs {
-            let (averages, drives) = (averages(segment_len), data.n_inputs);
-            return Err(EngineError::TooFewAverages { averages, drives });
-        }
-        let (ridge, warnings) = match (settings.ridge, settings.estimator) {
-            (Some(ridge), _) => (ridge, Vec::new()),
-            (None, Estimator::Ratio) => (0.0, Vec::new()),
-            (None, Estimator::H1) => (
-                CAUTIOUS_RIDGE,
-                vec![format!("too few samples to hold a stretch out: frf.ridge set to {CAUTIOUS_RIDGE:e}")],
-            ),
-        };
-        return Ok(Choice { segment_len, ridge, warnings });
-    }
-    if comparisons == 1 {
-        return Ok(Choice { segment_len: comparable[0], ridge: ridges[0], warnings: Vec::new() });
+    if comparable.is_empty() {
+        return cautious(data, settings);
     }
 
-    let (longest, n_folds) = (comparable[comparable.len() - 1], held_out.len() as f64);
-    let mut best: Option<(f64, usize, f64)> = None;
-    for (done, &len) in comparable.iter().enumerate() {
-        let mut scores = vec![Some(Score::new(data.n_outputs)); ridges.len()];
-        for (fold, held_out) in held_out.iter().enumerate() {
-            let part = done as f64 + fold as f64 / n_folds;
-            report(watch, "FRF", 0.9 * part / comparable.len() as f64)?;
-            held_out.score(settings, len, longest, ridges, &mut scores)?;
-        }
-        for (score, &ridge) in scores.iter().zip(ridges) {
-            let Some(error) = score.as_ref().map(Score::error) else { continue };
-            // Ties go to the shorter segment and the smaller ridge.
-            if best.is_none_or(|(least, ..)| error < least) {
-                best = Some((error, len, ridge));
-            }
+    let longest = comparable[comparable.len() - 1];
+    let mut search = Search { data, settings: comparing, held_out: &held_out, longest, watch, best: None };
+    // Every pair where that is cheap. Elsewhere the length first, with and without a ridge, since
+    // the two hardly depend on each other; then the ridge.
+    if short || ridges.len() == 1 {
+        search.over(&comparable, ridges, 0.0..0.9)?;
+    } else {
+        search.over(&comparable, &FIRST_RIDGES, 0.0..0.8)?;
+        if let Some((_, len, _)) = search.best {
+            search.over(&[len], ridges, 0.8..0.9)?;
         }
     }
     // Nothing to compare when no ridge is allowed that dependent inputs need: the estimate says so.
-    let (_, segment_len, ridge) = best.unwrap_or((0.0, comparable[0], ridges[0]));
+    let (_, segment_len, ridge) = search.best.unwrap_or((0.0, comparable[0], ridges[0]));
     Ok(Choice { segment_len, ridge, warnings: Vec::new() })
+}
+
+/// What is left when no stretch can be held out: the longest segment that gives more averages than
+/// inputs, and a ridge.
+fn cautious(data: &Data<'_>, settings: &FrfSettings) -> Result<Choice, EngineError> {
+    let averages = |len: usize| data.n_averages(&settings.welch(len));
+    let longest = (0..usize::BITS - 1)
+        .map(|bit| 1_usize << bit)
+        .skip_while(|&len| len < FrfSettings::MIN_SEGMENT_LEN)
+        .take_while(|&len| averages(len) > data.n_inputs)
+        .last();
+    let segment_len = settings.segment_len.or(longest).unwrap_or(FrfSettings::MIN_SEGMENT_LEN);
+    if averages(segment_len) <= data.n_inputs {
+        let (averages, drives) = (averages(segment_len), data.n_inputs);
+        return Err(EngineError::TooFewAverages { averages, drives });
+    }
+    let ridge = settings.ridge.unwrap_or(match settings.estimator {
+        Estimator::H1 => CAUTIOUS_RIDGE,
+        Estimator::Ratio => 0.0,
+    });
+    let chosen = format!(
+        "too few samples to compare settings on a held-out stretch: frf.segment_len {segment_len}, frf.ridge {ridge:e}"
+    );
+    Ok(Choice { segment_len, ridge, warnings: vec![chosen] })
+}
+
+/// The comparison as far as it has come.
+struct Search<'a> {
+    data: &'a Data<'a>,
+    settings: &'a FrfSettings,
+    held_out: &'a [HeldOut<'a>],
+    /// Longest candidate: all are scored on the same samples.
+    longest: usize,
+    watch: Watch<'a>,
+    /// Least error, its segment length and ridge.
+    best: Option<(f64, usize, f64)>,
+}
+
+impl Search<'_> {
+    /// Tries all pairs; `progress` is the share of the estimate that this is.
+    fn over(&mut self, lengths: &[usize], ridges: &[f64], progress: Range<f64>) -> Result<(), EngineError> {
+        let steps = (lengths.len() * self.held_out.len()) as f64;
+        for (done, &len) in lengths.iter().enumerate() {
+            let mut scores = vec![Some(Score::new(self.data.n_outputs)); ridges.len()];
+            for (fold, held_out) in self.held_out.iter().enumerate() {
+                let step = (done * self.held_out.len() + fold) as f64;
+                report(self.watch, "FRF", progress.start + (progress.end - progress.start) * step / steps)?;
+                held_out.score(self.settings, len, self.longest, ridges, &mut scores)?;
+            }
+            for (score, &ridge) in scores.iter().zip(ridges) {
+                let Some(error) = score.as_ref().map(Score::error) else { continue };
+                // Ties go to the shorter segment and the smaller ridge.
+                if self.best.is_none_or(|(least, ..)| error < least) {
+                    self.best = Some((error, len, ridge));
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Powers of two that leave [`ENOUGH_AVERAGES`] a drive and fit into memory.
@@ -122,15 +166,6 @@ fn candidates(data: &Data<'_>, settings: &FrfSettings) -> Vec<usize> {
                 && (len / 2 + 1).saturating_mul(16 * per_line) <= MAX_BYTES
         })
         .collect()
-}
-
-/// Longest power of two that leaves more averages than drives.
-fn longest(data: &Data<'_>, settings: &FrfSettings) -> Option<usize> {
-    (0..usize::BITS - 1)
-        .map(|bit| 1_usize << bit)
-        .skip_while(|&len| len < FrfSettings::MIN_SEGMENT_LEN)
-        .take_while(|&len| data.n_averages(&settings.welch(len)) > data.n_inputs)
-        .last()
 }
 
 /// Sums of squares per output over the held-out stretches of all runs.
@@ -224,7 +259,8 @@ impl<'a> HeldOut<'a> {
         if scored.is_empty() {
             return Ok(());
         }
-        let known = start.saturating_sub(longest)..n.min(end + longest);
+        let reach = filter.taps() / 2;
+        let known = start.saturating_sub(reach)..n.min(end + reach);
         let predicted = filter.apply(&x.slice(known.clone()))?;
         for (o, mean) in self.means.y.iter().enumerate() {
             let measured = &y.channel(o)[scored.clone()];

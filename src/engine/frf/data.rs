@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::engine::spectral::{Means, Stretch, Welch, same_shape};
 use crate::engine::{EngineError, Signal};
 
@@ -83,19 +85,19 @@ pub(super) fn means(stretches: &[Stretch<'_>]) -> Means {
 fn channel_means(runs: &[&Vec<&[f64]>]) -> Vec<f64> {
     let count: usize = runs.iter().map(|run| run[0].len()).sum();
     (0..runs[0].len())
-        .map(|c| runs.iter().map(|run| run[c].iter().sum::<f64>()).sum::<f64>() / count.max(1) as f64)
+        .into_par_iter()
+        .map(|c| runs.iter().map(|run| sum(run[c], |v| v)).sum::<f64>() / count.max(1) as f64)
         .collect()
 }
 
 /// Standard deviation of each channel, each run about its own mean.
 fn deviations(what: &'static str, runs: &[&Signal]) -> Result<Vec<f64>, EngineError> {
     let n_channels = runs.first().map_or(0, |r| r.n_channels());
-    let mut deviations = Vec::with_capacity(n_channels);
-    for channel in 0..n_channels {
+    let deviation = |channel: usize| {
         let (mut square, mut count, mut largest) = (0.0, 0_usize, 0.0_f64);
         for samples in runs.iter().map(|r| r.channel(channel)) {
-            let mean = samples.iter().sum::<f64>() / samples.len().max(1) as f64;
-            square += samples.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+            let mean = sum(samples, |v| v) / samples.len().max(1) as f64;
+            square += sum(samples, |v| (v - mean) * (v - mean));
             largest = samples.iter().fold(largest, |l, v| l.max(v.abs()));
             count += samples.len();
         }
@@ -107,7 +109,22 @@ fn deviations(what: &'static str, runs: &[&Signal]) -> Result<Vec<f64>, EngineEr
         if deviation <= 1e-12 * largest {
             return Err(EngineError::DeadChannel { what, channel });
         }
-        deviations.push(deviation);
+        Ok(deviation)
+    };
+    let all: Vec<Result<f64, EngineError>> = (0..n_channels).into_par_iter().map(deviation).collect();
+    // Collected in order first: with several bad channels, the first is always the one named.
+    all.into_iter().collect()
+}
+
+/// Sum of `f` over the samples, in lanes: one running sum would wait for each addition.
+fn sum(samples: &[f64], f: impl Fn(f64) -> f64) -> f64 {
+    let mut lanes = [0.0; 8];
+    let chunks = samples.chunks_exact(lanes.len());
+    let rest: f64 = chunks.remainder().iter().map(|&v| f(v)).sum();
+    for chunk in chunks {
+        for (lane, &v) in lanes.iter_mut().zip(chunk) {
+            *lane += f(v);
+        }
     }
-    Ok(deviations)
+    lanes.iter().sum::<f64>() + rest
 }

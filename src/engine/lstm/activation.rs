@@ -81,6 +81,7 @@ mod tests {
 
     impl Kernel for At {
         type Out = [Lanes; 3];
+        const WIDE: bool = false;
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> [Lanes; 3] {
             let (a, b) = (s.load(&self.0), s.load(&self.1));

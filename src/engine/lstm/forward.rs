@@ -88,6 +88,7 @@ pub(super) struct Forward<'a, const R: usize, const NV: usize> {
 
 impl<const R: usize, const NV: usize> Kernel for Forward<'_, R, NV> {
     type Out = ();
+    const WIDE: bool = R * NV >= 16;
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {

@@ -10,9 +10,11 @@
 //! ([`Isa`]).
 
 mod activation;
+mod bptt;
 mod forward;
 mod isa;
 mod net;
+mod optimizer;
 mod params;
 mod predict;
 mod product;
@@ -23,8 +25,13 @@ mod samples;
 mod settings;
 mod simd;
 mod stream;
+#[cfg(test)]
+mod torch_vectors;
+mod train;
+mod validate;
 
 pub use isa::{ISA_VARIABLE, Isa};
 pub use net::{LstmBlock, LstmNet};
 pub use predict::predict;
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
+pub use train::{EpochRecord, Stretch, Trained, train};

@@ -115,19 +115,19 @@ pub(super) fn check_channels(
     Ok(samples)
 }
 
-/// Copies steps `steps` of one window of `x` into lane `lane`, `to` being `[step][channel][lane]`;
-/// before the start and after the end the first and last value are held.
+/// Copies steps `steps` of one window of `x` into lane `lane` of `to`, which is
+/// `[step][stride][lane]`; before the start and after the end the first and last value are held.
 pub(super) fn gather<const NV: usize>(
     x: &[Vec<f32>],
     start: isize,
     steps: Range<usize>,
     lane: usize,
+    stride: usize,
     to: &mut [[Lanes; NV]],
 ) {
-    let channels = x.len();
     let (v, l) = (lane / LANES, lane % LANES);
     for (channel, x) in x.iter().enumerate() {
-        let places = to[channel..].iter_mut().step_by(channels);
+        let places = to[channel..].iter_mut().step_by(stride);
         let first = start + steps.start as isize;
         match usize::try_from(first).ok().and_then(|first| x.get(first..first + steps.len())) {
             Some(x) => places.zip(x).for_each(|(to, &x)| to[v].0[l] = x),
@@ -163,7 +163,7 @@ pub(super) fn run_windows<'x, const R: usize, const NV: usize>(
         let y = &mut y[..steps.len() * outputs];
         for lane in 0..windows {
             let (signal, start) = source(lane);
-            gather(signal, start, steps.clone(), lane, x);
+            gather(signal, start, steps.clone(), lane, inputs, x);
         }
         dispatch(isa, Forward { weights, state, x, y });
         sink(steps, y);
@@ -399,6 +399,31 @@ mod tests {
                 predict(&net, &x, 8, 4, way),
                 Err(EngineError::NonFiniteResult { channel: 1, .. })
             ));
+        }
+    }
+
+    /// `cargo test --release --lib lstm::predict::tests::speed -- --ignored --nocapture`
+    #[test]
+    #[ignore = "measures, does not judge"]
+    fn speed() {
+        let net = net(9, &[39], 6, 1);
+        let x = noise(9, 300_000, 1);
+        for (way, n) in [(Recombine::Welch, 300_000), (Recombine::Welch, 10_000), (Recombine::Stream, 60_000)]
+        {
+            let x: Vec<_> = x.iter().map(|x| x[..n].to_vec()).collect();
+            let best = (0..5)
+                .map(|_| {
+                    let begin = std::time::Instant::now();
+                    predict(&net, &x, 256, 128, way).unwrap();
+                    begin.elapsed().as_secs_f64()
+                })
+                .fold(f64::INFINITY, f64::min);
+            println!(
+                "{way:?}: {:.1} ms for {} s, {:.0} signal-s/s at 1 kHz",
+                best * 1e3,
+                n / 1000,
+                n as f64 / 1000.0 / best
+            );
         }
     }
 }

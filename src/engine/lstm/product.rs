@@ -1,6 +1,6 @@
 //! The two products that a network spends its time in, blocked for registers.
 
-use super::simd::{Lanes, Simd};
+use super::simd::{Columns, Lanes, Simd};
 
 /// `R` rows of weights times step vectors of `NV * 16` windows.
 ///
@@ -57,44 +57,38 @@ pub(super) struct Steps<'a> {
     pub width: usize,
 }
 
-/// Steps that one pass of [`outer`] sums in registers: their columns stay in the second-level
-/// cache, and the sum over lanes at the end of a pass is rare.
-const STEPS_PER_PASS: usize = 64;
-
 /// `gradient[row][column] += sum over steps and lanes of a[step][row] * b[step][column]`.
 ///
-/// `gradient` is `[a.width, b.width]`, row-major. Products of steps and lanes are summed in a
-/// fixed order. `WIDE`: the machine has registers for 4 x 6 sums.
+/// `gradient` is `[a.width, b.width]`, row-major. `steps` is a range `(from, to)`, short enough for
+/// its columns to stay in the second-level cache. Products of steps and lanes are summed in a fixed
+/// order. `WIDE`: the machine has registers for 4 x 6 sums.
 #[inline(always)]
 pub(super) fn outer<S: Simd, const WIDE: bool>(
     s: S,
     a: Steps<'_>,
     b: Steps<'_>,
-    steps: usize,
+    steps: (usize, usize),
     gradient: &mut [f32],
 ) {
-    for first in (0..steps).step_by(STEPS_PER_PASS) {
-        let span = (first, steps.min(first + STEPS_PER_PASS));
-        let mut column = 0;
-        while column < b.width {
-            let left = b.width - column;
-            column += if WIDE {
-                match left {
-                    1 => rows::<S, 4, 1>(s, a, b, span, column, gradient),
-                    2 => rows::<S, 4, 2>(s, a, b, span, column, gradient),
-                    3 => rows::<S, 4, 3>(s, a, b, span, column, gradient),
-                    4 | 8 => rows::<S, 4, 4>(s, a, b, span, column, gradient),
-                    5 | 9 | 10 => rows::<S, 4, 5>(s, a, b, span, column, gradient),
-                    _ => rows::<S, 4, 6>(s, a, b, span, column, gradient),
-                }
-            } else {
-                match left {
-                    1 => rows::<S, 2, 1>(s, a, b, span, column, gradient),
-                    2 | 4 => rows::<S, 2, 2>(s, a, b, span, column, gradient),
-                    _ => rows::<S, 2, 3>(s, a, b, span, column, gradient),
-                }
-            };
-        }
+    let mut column = 0;
+    while column < b.width {
+        let left = b.width - column;
+        column += if WIDE {
+            match left {
+                1 => rows::<S, 4, 1>(s, a, b, steps, column, gradient),
+                2 => rows::<S, 4, 2>(s, a, b, steps, column, gradient),
+                3 => rows::<S, 4, 3>(s, a, b, steps, column, gradient),
+                4 | 8 => rows::<S, 4, 4>(s, a, b, steps, column, gradient),
+                5 | 9 | 10 => rows::<S, 4, 5>(s, a, b, steps, column, gradient),
+                _ => rows::<S, 4, 6>(s, a, b, steps, column, gradient),
+            }
+        } else {
+            match left {
+                1 => rows::<S, 2, 1>(s, a, b, steps, column, gradient),
+                2 | 4 => rows::<S, 2, 2>(s, a, b, steps, column, gradient),
+                _ => rows::<S, 2, 3>(s, a, b, steps, column, gradient),
+            }
+        };
     }
 }
 
@@ -131,27 +125,31 @@ fn tile<S: Simd, const R: usize, const C: usize>(
     gradient: &mut [f32],
 ) {
     let mut sum = [[s.splat(0.0); C]; R];
-    let rows = a.data[span.0 * a.stride..span.1 * a.stride].chunks_exact(a.stride);
-    let columns = b.data[span.0 * b.stride..span.1 * b.stride].chunks_exact(b.stride);
-    for (a_step, b_step) in rows.zip(columns) {
-        let a_step: &[Lanes; R] = a_step[a.at + row..][..R].try_into().expect("R rows");
-        let b_step: &[Lanes; C] = b_step[b.at + column..][..C].try_into().expect("C columns");
+    let a = Columns::<R>::new(a.data, a.stride, a.at + row, span);
+    let b_columns = Columns::<C>::new(b.data, b.stride, b.at + column, span);
+    for (a, b) in a.zip(b_columns) {
         let mut factor = [s.splat(0.0); R];
         for r in 0..R {
-            factor[r] = s.load(&a_step[r]);
+            factor[r] = s.load(&a[r]);
         }
         for c in 0..C {
-            let z = s.load(&b_step[c]);
+            let z = s.load(&b[c]);
             for r in 0..R {
                 sum[r][c] = s.mul_add(factor[r], z, sum[r][c]);
             }
         }
     }
+    // By way of memory: sums that are indexed in a loop would not stay in registers above.
+    let mut stored = [[Lanes::ZERO; C]; R];
     for r in 0..R {
-        let to: &mut [f32; C] =
-            (&mut gradient[(row + r) * b.width + column..][..C]).try_into().expect("C columns");
         for c in 0..C {
-            to[c] += s.sum(sum[r][c]);
+            s.store(&mut stored[r][c], sum[r][c]);
+        }
+    }
+    for (r, stored) in stored.iter().enumerate() {
+        let to = &mut gradient[(row + r) * b.width + column..][..C];
+        for (to, stored) in to.iter_mut().zip(stored) {
+            *to += s.sum(s.load(stored));
         }
     }
 }
@@ -179,9 +177,12 @@ mod tests {
 
     impl<const WIDE: bool> Kernel for Outer<'_, WIDE> {
         type Out = ();
+        const WIDE: bool = WIDE;
         #[inline(always)]
         fn run<S: Simd>(self, s: S) {
-            outer::<S, WIDE>(s, self.0, self.1, self.2, self.3);
+            let (first, last) = (self.2 / 3, self.2);
+            outer::<S, WIDE>(s, self.0, self.1, (0, first), self.3);
+            outer::<S, WIDE>(s, self.0, self.1, (first, last), self.3);
         }
     }
 
@@ -206,7 +207,7 @@ mod tests {
                 }
                 for wide in [false, true] {
                     let mut found = vec![0.5_f32; a_width * b_width];
-                    if wide {
+                    if wide && isa == Isa::Avx512 {
                         dispatch(isa, Outer::<true>(a, b, steps, &mut found));
                     } else {
                         dispatch(isa, Outer::<false>(a, b, steps, &mut found));

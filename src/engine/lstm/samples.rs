@@ -4,6 +4,28 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::settings::{LstmSettings, Optimizer, RecombineChoice, Schedule};
+
+/// Small settings for tests: one block of eight cells, windows of 64.
+pub(super) fn settings() -> LstmSettings {
+    LstmSettings {
+        blocks: vec![8],
+        window_len: 64,
+        hop: 32,
+        optimizer: Optimizer::Adam,
+        learning_rate: 5e-3,
+        schedule: Schedule::Cosine,
+        warmup_steps: 20,
+        epochs: 4,
+        batch_size: 40,
+        burn_in: 0.25,
+        clip_norm: Some(1.0),
+        forget_bias: 1.0,
+        recombine: RecombineChoice::Auto,
+        seeds: vec![1],
+    }
+}
+
 /// Standard normal noise, smoothed a little, `[channel][sample]`.
 pub(super) fn noise(channels: usize, samples: usize, seed: u64) -> Vec<Vec<f32>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

@@ -1,10 +1,13 @@
 //! Sixteen `f32` lanes on each instruction set, and the door through which kernels enter one.
 //!
 //! This is the only file of the network with `unsafe` in it. It is sound because a [`Simd`] token
-//! of an instruction set can be made in [`dispatch`] only, after the machine was asked for it.
+//! of an instruction set can be made in [`dispatch`] only, after the machine was asked for it, and
+//! because [`Columns`] checks its bounds before the first step.
 //!
 //! Everything that runs on a token is `#[inline(always)]` and free of closures, so that it ends up
 //! inside the one function that carries the `target_feature` attribute.
+
+use std::marker::PhantomData;
 
 use super::isa::Isa;
 
@@ -23,6 +26,48 @@ impl Lanes {
     pub(super) const ONE: Self = Self([1.0; LANES]);
 }
 
+/// `N` columns of each of some steps, `[step][stride]`. Bounds are checked once, before the first
+/// step: a check at every step would cost a tenth of the training time.
+pub(super) struct Columns<'a, const N: usize> {
+    next: *const Lanes,
+    stride: usize,
+    left: usize,
+    data: PhantomData<&'a [Lanes]>,
+}
+
+impl<'a, const N: usize> Columns<'a, N> {
+    /// Columns `first..first + N` of steps `steps` of `data`.
+    ///
+    /// # Panics
+    /// If they are not all in `data`.
+    #[inline(always)]
+    pub(super) fn new(data: &'a [Lanes], stride: usize, first: usize, steps: (usize, usize)) -> Self {
+        let left = steps.1.saturating_sub(steps.0);
+        assert!(
+            first + N <= stride && (left == 0 || steps.1 * stride <= data.len()),
+            "columns within the data"
+        );
+        Self { next: data.as_ptr().wrapping_add(steps.0 * stride + first), stride, left, data: PhantomData }
+    }
+}
+
+impl<'a, const N: usize> Iterator for Columns<'a, N> {
+    type Item = &'a [Lanes; N];
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.left == 0 {
+            return None;
+        }
+        self.left -= 1;
+        // SAFETY: `new` has checked that every step that is left lies within `data`, which is
+        // borrowed for 'a.
+        let columns = unsafe { &*self.next.cast::<[Lanes; N]>() };
+        self.next = self.next.wrapping_add(self.stride);
+        Some(columns)
+    }
+}
+
 /// Arithmetic on sixteen lanes.
 pub(super) trait Simd: Copy {
     /// Sixteen lanes in registers.
@@ -34,6 +79,9 @@ pub(super) trait Simd: Copy {
     fn load(self, from: &Lanes) -> Self::V;
     /// To memory.
     fn store(self, to: &mut Lanes, a: Self::V);
+    /// Asks for memory that will be read soon.
+    #[inline(always)]
+    fn prefetch(self, _from: &Lanes) {}
     /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a - b`.
@@ -60,6 +108,8 @@ pub(super) trait Simd: Copy {
 pub(super) trait Kernel {
     /// What comes out.
     type Out;
+    /// Blocked for 32 registers, so made for AVX-512 only; the others need no code for it.
+    const WIDE: bool;
     /// Does the work.
     fn run<S: Simd>(self, simd: S) -> Self::Out;
 }
@@ -70,6 +120,12 @@ pub(super) trait Kernel {
 /// If the machine lacks `isa`: [`Isa::choose`] never answers such a one, so that would be our bug.
 pub(super) fn dispatch<K: Kernel>(isa: Isa, kernel: K) -> K::Out {
     assert!(isa.is_available(), "this machine lacks {}", isa.name());
+    if K::WIDE {
+        assert!(isa == Isa::Avx512, "a kernel for AVX-512 on {}", isa.name());
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the features were asserted above.
+        return unsafe { x86::on_avx512(kernel) };
+    }
     match isa {
         Isa::Portable => kernel.run(Portable),
         #[cfg(target_arch = "x86_64")]
@@ -237,6 +293,10 @@ mod x86 {
             });
         }
         #[inline(always)]
+        fn prefetch(self, from: &Lanes) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
+        }
+        #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {
             op!((_mm256_add_ps(a.0, b.0), _mm256_add_ps(a.1, b.1)))
         }
@@ -307,6 +367,10 @@ mod x86 {
             op!(_mm512_store_ps(to.0.as_mut_ptr(), a));
         }
         #[inline(always)]
+        fn prefetch(self, from: &Lanes) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
+        }
+        #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {
             op!(_mm512_add_ps(a, b))
         }
@@ -368,6 +432,7 @@ mod tests {
 
     impl Kernel for Everything {
         type Out = Vec<Lanes>;
+        const WIDE: bool = false;
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> Vec<Lanes> {
             let mut lanes = [Lanes::ZERO; 3];
@@ -418,11 +483,24 @@ mod tests {
         }
     }
 
+    #[test]
+    fn columns_are_those_of_each_step_and_never_leave_the_data() {
+        let data: Vec<Lanes> = (0..12).map(|i| Lanes([i as f32; LANES])).collect();
+        let found: Vec<[f32; 2]> =
+            Columns::<2>::new(&data, 4, 1, (1, 3)).map(|c| [c[0].0[0], c[1].0[0]]).collect();
+        assert_eq!(found, [[5.0, 6.0], [9.0, 10.0]]);
+        assert_eq!(Columns::<2>::new(&data, 4, 0, (3, 3)).count(), 0);
+        for (first, steps) in [(3, (0, 3)), (0, (0, 4))] {
+            assert!(std::panic::catch_unwind(|| Columns::<2>::new(&data, 4, first, steps)).is_err());
+        }
+    }
+
     /// Clamps NaN.
     struct ClampNan;
 
     impl Kernel for ClampNan {
         type Out = f32;
+        const WIDE: bool = false;
         #[inline(always)]
         fn run<S: Simd>(self, s: S) -> f32 {
             let mut to = Lanes::ZERO;

@@ -51,6 +51,7 @@ pub(super) struct Stream<'a> {
 
 impl Kernel for Stream<'_> {
     type Out = ();
+    const WIDE: bool = false;
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
@@ -79,14 +80,18 @@ impl Kernel for Stream<'_> {
             let last = shape.last();
             let hidden = &z[shape.blocks.len() - 1][last.inputs..][..shape.fc_columns()];
             for (w, y) in self.weights.fc.chunks_exact(hidden.len()).zip(y.chunks_mut(LANES)) {
-                let mut sum = [s.splat(0.0); 2];
-                for (pair, h) in w.chunks(2).zip(hidden.chunks(2)) {
-                    for (k, (w, &h)) in pair.iter().zip(h).enumerate() {
-                        sum[k] = s.mul_add(s.load(w), s.splat(h), sum[k]);
-                    }
+                let (mut even, mut odd) = (s.splat(0.0), s.splat(0.0));
+                let (pairs, rest) = w.as_chunks::<2>();
+                let (h_pairs, h_rest) = hidden.as_chunks::<2>();
+                for (w, h) in pairs.iter().zip(h_pairs) {
+                    even = s.mul_add(s.load(&w[0]), s.splat(h[0]), even);
+                    odd = s.mul_add(s.load(&w[1]), s.splat(h[1]), odd);
+                }
+                for (w, &h) in rest.iter().zip(h_rest) {
+                    even = s.mul_add(s.load(w), s.splat(h), even);
                 }
                 let mut out = Lanes::ZERO;
-                s.store(&mut out, s.add(sum[0], sum[1]));
+                s.store(&mut out, s.add(even, odd));
                 y.copy_from_slice(&out.0[..y.len()]);
             }
         }

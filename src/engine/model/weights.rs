@@ -1,17 +1,351 @@
-//! Models as safetensors files (names and shapes: README, "Weights").
+//! Models as safetensors files.
+//!
+//! Tensors: `frf.freq_hz [line]`, `frf.re`, `frf.im [line, output, input]`, optionally
+//! `frf.x_mean`, `frf.y_mean`; per block i `lstm.{i}.weight_ih [4 cells, inputs]`,
+//! `lstm.{i}.weight_hh [4 cells, cells]`, `lstm.{i}.bias [4 cells]` in gate order i, f, g, o;
+//! `fc.weight [outputs, cells]`, `fc.bias`; `x.mean`, `x.std`, `y.mean`, `y.std`.
+//! PyTorch's own names (`lstm.weight_ih_l0`, two biases) are read too. The metadata key `rigcast`
+//! holds the JSON of [`Metadata`]. F32 and F64 tensors are read; spectra are written as F64.
 
-use super::RigModel;
+use std::collections::HashMap;
+
+use realfft::num_complex::Complex64;
+use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use super::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
 use crate::engine::EngineError;
+use crate::engine::frf::Frf;
+use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
 
-/// Serialises a model; the same model always gives the same bytes.
-pub fn to_safetensors(_model: &RigModel) -> Vec<u8> {
-    todo!()
+/// Version of names and meanings in the file.
+const SCHEMA: u32 = 1;
+
+/// Bound on sizes read from a file, far above any sensible network.
+const MAX_CHANNELS: usize = 128;
+
+/// The metadata block, JSON under the key `rigcast`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Metadata {
+    schema: u32,
+    kind: ModelKind,
+    inputs: Vec<String>,
+    outputs: Vec<String>,
+    sample_rate_hz: f64,
+    /// Needed where there is an LSTM.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    window_len: Option<usize>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    hop: Option<usize>,
+    /// Left out: `welch`, the paper's way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    recombine: Option<Recombine>,
+    #[serde(default)]
+    preprocess: Preprocess,
+    /// Band that the FRF's data excited; left out: all lines.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    usable_hz: Option<[f64; 2]>,
+    /// What the inputs did in the training data, for trust; left out: unknown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    range: Vec<InputRange>,
 }
 
-/// Reads a model, ours or made elsewhere with PyTorch's tensor names.
+/// Serialises a model; the same model always gives the same bytes.
+pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
+    let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+    let mut f64s = |name: &str, shape: Vec<usize>, values: &mut dyn Iterator<Item = f64>| {
+        tensors.push((name.into(), Dtype::F64, shape, values.flat_map(f64::to_le_bytes).collect()));
+    };
+    if let Some(frf) = &model.frf {
+        let lines = frf.segment_len / 2 + 1;
+        let shape = vec![lines, frf.n_outputs, frf.n_inputs];
+        let df_hz = frf.sample_rate_hz / frf.segment_len as f64;
+        f64s("frf.freq_hz", vec![lines], &mut (0..lines).map(|l| l as f64 * df_hz));
+        f64s("frf.re", shape.clone(), &mut frf.h.iter().map(|h| h.re));
+        f64s("frf.im", shape, &mut frf.h.iter().map(|h| h.im));
+        f64s("frf.x_mean", vec![frf.n_inputs], &mut frf.x_mean.iter().copied());
+        f64s("frf.y_mean", vec![frf.n_outputs], &mut frf.y_mean.iter().copied());
+    }
+    if let Some(lstm) = &model.lstm {
+        for (axis, scaler) in [("x", &lstm.x), ("y", &lstm.y)] {
+            let n = scaler.mean.len();
+            f64s(&format!("{axis}.mean"), vec![n], &mut scaler.mean.iter().copied());
+            f64s(&format!("{axis}.std"), vec![n], &mut scaler.std.iter().copied());
+        }
+        let mut f32s = |name: String, shape: Vec<usize>, values: &[f32]| {
+            tensors.push((
+                name,
+                Dtype::F32,
+                shape,
+                values.iter().copied().flat_map(f32::to_le_bytes).collect(),
+            ));
+        };
+        for (i, block) in lstm.net.blocks.iter().enumerate() {
+            let gates = 4 * block.cells;
+            f32s(format!("lstm.{i}.weight_ih"), vec![gates, block.inputs], &block.weight_ih);
+            f32s(format!("lstm.{i}.weight_hh"), vec![gates, block.cells], &block.weight_hh);
+            f32s(format!("lstm.{i}.bias"), vec![gates], &block.bias);
+        }
+        let cells = lstm.net.blocks.last().map_or(0, |b| b.cells);
+        f32s("fc.weight".into(), vec![lstm.net.outputs, cells], &lstm.net.fc_weight);
+        f32s("fc.bias".into(), vec![lstm.net.outputs], &lstm.net.fc_bias);
+    }
+    let metadata = Metadata {
+        schema: SCHEMA,
+        kind: model.kind,
+        inputs: model.inputs.clone(),
+        outputs: model.outputs.clone(),
+        sample_rate_hz: model.sample_rate_hz,
+        window_len: model.lstm.as_ref().map(|l| l.window_len),
+        hop: model.lstm.as_ref().map(|l| l.hop),
+        recombine: model.lstm.as_ref().map(|l| l.recombine),
+        preprocess: model.preprocess,
+        usable_hz: model.frf.as_ref().map(|f| f.usable_hz),
+        range: model.range.clone(),
+    };
+    let metadata = serde_json::to_string(&metadata).expect("names and finite numbers are always JSON");
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        let view = TensorView::new(*dtype, shape.clone(), bytes).expect("shape and bytes were made together");
+        (name, view)
+    });
+    safetensors::serialize(views, Some(HashMap::from([("rigcast".to_string(), metadata)])))
+        .expect("views are consistent and the header is small")
+}
+
+/// Reads a model, ours or made elsewhere.
 ///
 /// # Errors
-/// [`EngineError::Weights`] and [`EngineError::TensorShape`] for anything that does not fit.
-pub fn from_safetensors(_bytes: &[u8]) -> Result<RigModel, EngineError> {
-    todo!()
+/// [`EngineError::Weights`] for files, metadata or values that make no sense, and
+/// [`EngineError::TensorShape`] naming the tensor whose shape does not fit.
+pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
+    let text = header
+        .metadata()
+        .as_ref()
+        .and_then(|m| m.get("rigcast"))
+        .ok_or_else(|| wrong("the metadata key `rigcast` is missing"))?;
+    let meta: Metadata =
+        serde_json::from_str(text).map_err(|e| wrong(format!("metadata key `rigcast`: {e}")))?;
+    check(&meta)?;
+    let mut file =
+        File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
+    let frf = if meta.kind == ModelKind::Lstm { None } else { Some(file.frf(&meta)?) };
+    let lstm = if meta.kind == ModelKind::Frf { None } else { Some(file.lstm(&meta)?) };
+    file.all_read()?;
+    Ok(RigModel {
+        kind: meta.kind,
+        inputs: meta.inputs,
+        outputs: meta.outputs,
+        sample_rate_hz: meta.sample_rate_hz,
+        preprocess: meta.preprocess,
+        frf,
+        lstm,
+        range: meta.range,
+    })
+}
+
+fn wrong(message: impl Into<String>) -> EngineError {
+    EngineError::Weights(message.into())
+}
+
+fn unreadable(error: SafeTensorError) -> EngineError {
+    wrong(format!("not a readable safetensors file: {error}"))
+}
+
+fn check(meta: &Metadata) -> Result<(), EngineError> {
+    if meta.schema != SCHEMA {
+        return Err(wrong(format!("schema {} is unknown, this version reads {SCHEMA}", meta.schema)));
+    }
+    if !(meta.sample_rate_hz > 0.0 && meta.sample_rate_hz.is_finite()) {
+        return Err(wrong("sample_rate_hz must be positive"));
+    }
+    for (what, names) in [("inputs", &meta.inputs), ("outputs", &meta.outputs)] {
+        if names.is_empty() || names.len() > MAX_CHANNELS {
+            return Err(wrong(format!("{what}: 1 to {MAX_CHANNELS} channel names are needed")));
+        }
+        if let Some(i) = (1..names.len()).find(|&i| names[..i].contains(&names[i])) {
+            return Err(wrong(format!("{what}: channel {:?} stands twice", names[i])));
+        }
+    }
+    if !meta.range.is_empty() && meta.range.len() != meta.inputs.len() {
+        return Err(wrong(format!("range: {} entries for {} inputs", meta.range.len(), meta.inputs.len())));
+    }
+    meta.preprocess.check(meta.sample_rate_hz)
+}
+
+/// A file's tensors, and which of them a model has taken.
+struct File<'a> {
+    tensors: SafeTensors<'a>,
+    read: std::collections::BTreeSet<String>,
+}
+
+impl File<'_> {
+    fn has(&self, name: &str) -> bool {
+        self.tensors.tensor(name).is_ok()
+    }
+
+    /// Finite values of a tensor; dimensions that are `None` are free.
+    fn values(&mut self, name: &str, shape: &[Option<usize>]) -> Result<(Vec<usize>, Vec<f64>), EngineError> {
+        let view = self.tensors.tensor(name).map_err(|_| wrong(format!("tensor {name} is missing")))?;
+        let found = view.shape().to_vec();
+        let fits =
+            found.len() == shape.len() && found.iter().zip(shape).all(|(f, s)| s.is_none_or(|s| s == *f));
+        if !fits {
+            let expected = shape
+                .iter()
+                .enumerate()
+                .map(|(i, s)| s.unwrap_or(found.get(i).copied().unwrap_or(1)))
+                .collect();
+            return Err(EngineError::TensorShape { tensor: name.into(), expected, found });
+        }
+        let data = view.data();
+        let values: Vec<f64> = match view.dtype() {
+            Dtype::F32 => data
+                .chunks_exact(4)
+                .map(|b| f64::from(f32::from_le_bytes(b.try_into().expect("chunks of four"))))
+                .collect(),
+            Dtype::F64 => data
+                .chunks_exact(8)
+                .map(|b| f64::from_le_bytes(b.try_into().expect("chunks of eight")))
+                .collect(),
+            other => return Err(wrong(format!("tensor {name}: type {other:?}, F32 or F64 is needed"))),
+        };
+        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+            return Err(wrong(format!("tensor {name}: value {i} is not finite")));
+        }
+        self.read.insert(name.into());
+        Ok((found, values))
+    }
+
+    fn vector(&mut self, name: &str, len: usize) -> Result<Vec<f64>, EngineError> {
+        Ok(self.values(name, &[Some(len)])?.1)
+    }
+
+    fn vector_or_zeros(&mut self, name: &str, len: usize) -> Result<Vec<f64>, EngineError> {
+        if self.has(name) { self.vector(name, len) } else { Ok(vec![0.0; len]) }
+    }
+
+    fn frf(&mut self, meta: &Metadata) -> Result<Frf, EngineError> {
+        let (n_inputs, n_outputs) = (meta.inputs.len(), meta.outputs.len());
+        let (shape, freq_hz) = self.values("frf.freq_hz", &[None])?;
+        let lines = shape[0];
+        if lines < 2 {
+            return Err(wrong("tensor frf.freq_hz: at least two lines are needed"));
+        }
+        let segment_len = 2 * (lines - 1);
+        let df_hz = meta.sample_rate_hz / segment_len as f64;
+        if let Some(l) =
+            (0..lines).find(|&l| (freq_hz[l] - l as f64 * df_hz).abs() > 1e-6 * df_hz * lines as f64)
+        {
+            return Err(wrong(format!(
+                "tensor frf.freq_hz: line {l} is {} Hz; lines must run evenly from 0 to sample_rate_hz / 2, here {} Hz apart",
+                freq_hz[l], df_hz
+            )));
+        }
+        let full = [Some(lines), Some(n_outputs), Some(n_inputs)];
+        let (_, re) = self.values("frf.re", &full)?;
+        let (_, im) = self.values("frf.im", &full)?;
+        Ok(Frf {
+            sample_rate_hz: meta.sample_rate_hz,
+            segment_len,
+            n_inputs,
+            n_outputs,
+            h: re.into_iter().zip(im).map(|(re, im)| Complex64::new(re, im)).collect(),
+            usable_hz: meta.usable_hz.unwrap_or([0.0, meta.sample_rate_hz / 2.0]),
+            x_mean: self.vector_or_zeros("frf.x_mean", n_inputs)?,
+            y_mean: self.vector_or_zeros("frf.y_mean", n_outputs)?,
+        })
+    }
+
+    fn lstm(&mut self, meta: &Metadata) -> Result<LstmPart, EngineError> {
+        let window_len = meta.window_len.ok_or_else(|| wrong("window_len is missing"))?;
+        let hop = meta.hop.unwrap_or(window_len / 2);
+        if !(2..=65_536).contains(&window_len) || hop == 0 || hop > window_len / 2 {
+            return Err(wrong(format!(
+                "window_len {window_len} and hop {hop}: 2 <= window_len <= 65536 and 1 <= hop <= window_len / 2 are needed"
+            )));
+        }
+        let n_outputs = meta.outputs.len();
+        let n_inputs = meta.inputs.len() + if meta.kind == ModelKind::Hybrid2 { n_outputs } else { 0 };
+        let mut blocks: Vec<LstmBlock> = Vec::new();
+        loop {
+            let i = blocks.len();
+            let (ours, theirs) = (format!("lstm.{i}.weight_ih"), format!("lstm.weight_ih_l{i}"));
+            if i > 0 && !self.has(&ours) && !self.has(&theirs) {
+                break;
+            }
+            let inputs = blocks.last().map_or(n_inputs, |b| b.cells);
+            blocks.push(self.block(i, inputs)?);
+        }
+        let cells = blocks[blocks.len() - 1].cells;
+        let net = LstmNet {
+            blocks,
+            outputs: n_outputs,
+            fc_weight: to_f32(self.values("fc.weight", &[Some(n_outputs), Some(cells)])?.1),
+            fc_bias: to_f32(self.vector("fc.bias", n_outputs)?),
+        };
+        net.check()?;
+        Ok(LstmPart {
+            net,
+            x: self.scaler("x", n_inputs)?,
+            y: self.scaler("y", n_outputs)?,
+            window_len,
+            hop,
+            recombine: meta.recombine.unwrap_or(Recombine::Welch),
+        })
+    }
+
+    fn block(&mut self, i: usize, inputs: usize) -> Result<LstmBlock, EngineError> {
+        let pytorch = self.has(&format!("lstm.weight_ih_l{i}"));
+        let name = |part: &str| {
+            if pytorch { format!("lstm.{part}_l{i}") } else { format!("lstm.{i}.{part}") }
+        };
+        let (shape, weight_ih) = self.values(&name("weight_ih"), &[None, Some(inputs)])?;
+        let gates = shape[0];
+        if gates == 0 || gates % 4 != 0 {
+            return Err(EngineError::TensorShape {
+                tensor: name("weight_ih"),
+                expected: vec![gates.div_ceil(4).max(1) * 4, inputs],
+                found: shape,
+            });
+        }
+        let cells = gates / 4;
+        let weight_hh = self.values(&name("weight_hh"), &[Some(gates), Some(cells)])?.1;
+        let bias = if pytorch {
+            // The two biases are redundant: only their sum enters the gates.
+            let (ih, hh) = (self.vector(&name("bias_ih"), gates)?, self.vector(&name("bias_hh"), gates)?);
+            ih.iter().zip(&hh).map(|(a, b)| a + b).collect()
+        } else {
+            self.vector(&name("bias"), gates)?
+        };
+        Ok(LstmBlock {
+            inputs,
+            cells,
+            weight_ih: to_f32(weight_ih),
+            weight_hh: to_f32(weight_hh),
+            bias: to_f32(bias),
+        })
+    }
+
+    fn scaler(&mut self, axis: &str, len: usize) -> Result<Scaler, EngineError> {
+        let mean = self.vector(&format!("{axis}.mean"), len)?;
+        let std = self.vector(&format!("{axis}.std"), len)?;
+        match std.iter().position(|&s| s <= 0.0) {
+            Some(i) => Err(wrong(format!("tensor {axis}.std: value {i} must be positive"))),
+            None => Ok(Scaler { mean, std }),
+        }
+    }
+
+    /// A tensor that nothing reads is a mistake of the writer: a misspelt name, another kind.
+    fn all_read(&self) -> Result<(), EngineError> {
+        match self.tensors.names().into_iter().filter(|n| !self.read.contains(*n)).min() {
+            Some(name) => Err(wrong(format!("tensor {name} is not part of a model of this kind"))),
+            None => Ok(()),
+        }
+    }
+}
+
+fn to_f32(values: Vec<f64>) -> Vec<f32> {
+    values.into_iter().map(|v| v as f32).collect()
 }

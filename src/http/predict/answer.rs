@@ -115,7 +115,10 @@ impl Job {
             .model
             .predict(&drive)
             .map_err(|error| errors::engine(&error, outputs, "/drive/channels"))?;
-        let trust = model.model.trust(&drive);
+        let trust = model
+            .model
+            .trust(&drive)
+            .map_err(|error| errors::engine(&error, &model.model.inputs, "/drive/channels"))?;
         let samples = (response.n_samples() * response.n_channels()) as u64;
         let inside = trust.inside;
         if media_type == NPY {

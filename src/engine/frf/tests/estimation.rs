@@ -206,7 +206,6 @@ fn lines_that_the_drives_do_not_excite_are_tapered_to_zero() {
     let predicted = frf.apply(&x).unwrap();
     for o in 0..2 {
         let error = relative_error(y.channel(o), predicted.channel(o));
-        println!("{:?}: {error:.5}", found.settings);
         assert!(error < 0.005, "{error}");
     }
 }

@@ -47,12 +47,10 @@ fn a_static_preload_and_a_drive_far_from_the_mean_of_one_run_come_out_right() {
     let predicted = found.frf.apply(&x).unwrap();
     for o in 0..2 {
         let error = relative_error(y.channel(o), predicted.channel(o));
-        println!("output {o}: {error:.5}, {:?}", found.settings);
         assert!(error < 0.01, "output {o}: {error}");
     }
     // Means that 800 averages of noise alone tell to some percent.
     let error = static_error(&found, &rig);
-    println!("static {error:.5}");
     assert!(error < 0.05, "{error}");
 }
 
@@ -79,7 +77,6 @@ fn runs_about_different_means_teach_the_static_gain() {
     let predicted = found.frf.apply(&x).unwrap();
     for o in 0..2 {
         let error = relative_error(y.channel(o), predicted.channel(o));
-        println!("output {o}: {error:.5}, {:?}", found.settings);
         assert!(error < 0.01, "output {o}: {error}");
     }
 }

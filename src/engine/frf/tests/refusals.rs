@@ -28,7 +28,9 @@ fn as_many_averages_as_drives_are_refused() {
     assert!(found.warnings[0].starts_with("4 averages"), "{:?}", found.warnings);
     // The shortest segment that there is, and not even that.
     let (x, y) = sum_rig(3, 20);
-    assert!(fit(&x, &y, &FrfSettings::default()).is_ok());
+    let found = fit(&x, &y, &FrfSettings::default()).unwrap();
+    assert_eq!((found.settings.segment_len, found.settings.ridge), (Some(8), Some(1e-4)));
+    assert!(found.warnings[0].starts_with("too few samples to compare"), "{:?}", found.warnings);
     let (x, y) = sum_rig(3, 10);
     assert_eq!(
         fit(&x, &y, &FrfSettings::default()),

@@ -1,0 +1,175 @@
+//! `rigcast demo`: the whole job on a virtual rig, over HTTP like any lab's software.
+//!
+//! Starts the service on an empty data directory, uploads noise runs, lets the fit policy fit the
+//! four kinds of model, predicts withheld loads and prints how close each kind comes (the shape
+//! of Heindel et al., figure 7). What it does is what a client would do; nothing in the service
+//! knows that the rig is not real.
+
+mod bars;
+mod scores;
+mod service;
+mod upload;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::{Value, json};
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::app::AppError;
+use crate::client::{Client, ClientError};
+use crate::engine::EngineError;
+use crate::engine::virtual_rig::VirtualRig;
+
+pub use service::LocalService;
+
+/// What the demo can be told.
+#[derive(Debug, Clone, Args)]
+pub struct DemoArgs {
+    /// End after the table instead of leaving the service up to explore.
+    #[arg(long)]
+    pub exit: bool,
+
+    /// Seed of the virtual rig and of its loads.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+
+    /// Minutes of training noise.
+    #[arg(long, default_value_t = 20.0, value_parser = minutes)]
+    pub minutes: f64,
+
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, default_value = "127.0.0.1:0")]
+    pub listen: SocketAddr,
+
+    /// Data directory, which must be empty or missing; left out: a temporary one.
+    #[arg(long)]
+    pub data_dir: Option<PathBuf>,
+
+    /// Log filter of the service.
+    #[arg(long, env = "RIGCAST_LOG", default_value = "warn")]
+    pub log: String,
+}
+
+fn minutes(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(m) if (1.0..=240.0).contains(&m) => Ok(m),
+        _ => Err("1 to 240 minutes".into()),
+    }
+}
+
+/// Why the demo ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// The service did not start or stop.
+    #[error(transparent)]
+    App(#[from] AppError),
+    /// A call failed.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The rig could not be simulated.
+    #[error("virtual rig: {0}")]
+    Rig(#[from] EngineError),
+    /// The directory holds something already.
+    #[error("the data directory {0} is not empty; the demo wants an empty one")]
+    NotEmpty(PathBuf),
+    /// The file system.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// Kinds of model in the order of the table.
+const KINDS: [(&str, &str); 4] =
+    [("frf", "FRF"), ("lstm", "LSTM"), ("hybrid1", "hybrid 1"), ("hybrid2", "hybrid 2")];
+
+/// Id of the demo's rig.
+const RIG: &str = "hydromount-3x";
+
+/// Runs the demo.
+///
+/// # Errors
+/// Whatever step failed, in the words of the service.
+pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
+    if let Some(dir) = &args.data_dir
+        && dir.is_dir()
+        && std::fs::read_dir(dir)?.next().is_some()
+    {
+        return Err(DemoError::NotEmpty(dir.clone()));
+    }
+    let service = LocalService::start(args.listen, args.data_dir.clone()).await?;
+    let client = Client::new(&service.url())?;
+    println!("Service on {}; data in {}", service.url(), service.data_dir().display());
+    println!("Virtual rig, seed {}: {:.0} min of training noise, loads withheld\n", args.seed, args.minutes);
+
+    let runs = simulate(&args).await?;
+    let training_s: f64 = runs.iter().map(upload::DemoRun::training_s).sum();
+    client.post("/v1/rigs", &rig(&args, training_s)).await?;
+    let uploaded = upload::all(&client, RIG, &runs).await?;
+    let models = wait_for_fits(&client, &uploaded.jobs).await?;
+    let table = scores::table(&client, RIG, &models, &uploaded.tests).await?;
+    println!("\n{table}");
+    println!(
+        "RMS: root of squared error over squared response, mean over three channels. Damage: predicted / measured\n\
+         Multi-Rain damage of the forces (500 directions, k = 5, residue repeated); SL: mean over its levels."
+    );
+    if args.exit {
+        return service.stop().await;
+    }
+    println!("\nThe service stays up: {}/docs shows its contract. Ctrl-C ends it.", service.url());
+    until_signal().await?;
+    service.stop().await
+}
+
+/// Waits for Ctrl-C or SIGTERM.
+async fn until_signal() -> std::io::Result<()> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::select! {
+        _ = terminate.recv() => Ok(()),
+        interrupted = tokio::signal::ctrl_c() => interrupted,
+    }
+}
+
+/// Simulates the whole test programme, all cores at work.
+async fn simulate(args: &DemoArgs) -> Result<Vec<upload::DemoRun>, DemoError> {
+    let (seed, minutes) = (args.seed, args.minutes);
+    let bar = bars::steps("simulating the rig");
+    let shown = bar.clone();
+    let runs =
+        tokio::task::spawn_blocking(move || upload::record(&VirtualRig::draw(seed), seed, minutes, &shown))
+            .await
+            .map_err(|e| std::io::Error::other(e.to_string()))??;
+    bar.finish();
+    Ok(runs)
+}
+
+/// The rig with a policy that fits all four kinds once all training noise is there; the FRF part
+/// of each is estimated where the rig is nearly linear.
+fn rig(args: &DemoArgs, training_s: f64) -> Value {
+    let channels = VirtualRig::draw(args.seed).channels();
+    // As in the paper, service loads help to choose among networks, never to train them.
+    let validation = json!({"kinds": ["noise", "service"], "split": "validation"});
+    let fits: Vec<Value> = KINDS
+        .iter()
+        .map(|(kind, _)| match *kind {
+            "lstm" => json!({"kind": kind, "validation_runs": validation}),
+            _ => json!({"kind": kind, "validation_runs": validation, "frf": {"runs": {"tags": ["linear"]}}}),
+        })
+        .collect();
+    json!({"id": RIG, "name": "Hydro-mount, three axes (virtual)", "sample_rate_hz": 1000.0, "channels": channels,
+           "fit_policy": {"kinds": ["noise"], "min_total_s": training_s - 0.5, "fits": fits}})
+}
+
+/// Waits for the jobs that the policy queued; answers each kind's model version.
+async fn wait_for_fits(client: &Client, jobs: &[String]) -> Result<Vec<(String, u64)>, DemoError> {
+    let mut models = Vec::new();
+    for job in jobs {
+        let bar = bars::job();
+        let done = client.wait(job, |state| bars::show(&bar, state)).await?;
+        let model = client.fitted_model(&done).await?;
+        let kind = model["kind"].as_str().ok_or(ClientError::Missing("kind"))?.to_owned();
+        bar.finish_with_message(format!("{kind} fitted"));
+        models.push((kind, model["version"].as_u64().ok_or(ClientError::Missing("version"))?));
+    }
+    Ok(models)
+}

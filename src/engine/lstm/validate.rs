@@ -1,0 +1,99 @@
+//! The error of a network on validation data while it is trained: fast, not recombined.
+
+use rayon::prelude::*;
+
+use super::forward::{Packed, State};
+use super::isa::Isa;
+use super::predict::run_windows;
+use super::settings::LstmSettings;
+use super::simd::LANES;
+use super::train::Stretch;
+use crate::engine::EngineError;
+
+/// Windows that score each sample of the validation data once, after a burn-in of context.
+pub(super) struct Scored<'a> {
+    stretches: &'a [Stretch],
+    windows: Vec<Window>,
+    len: usize,
+    /// Samples that are scored, over all stretches.
+    samples: usize,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Window {
+    stretch: usize,
+    /// First sample; before the stretch begins its first value is held.
+    start: isize,
+    /// First and one past the last time in the window that is scored.
+    scored: (usize, usize),
+}
+
+impl<'a> Scored<'a> {
+    /// Lays windows over the parts of `stretches` that are scored.
+    ///
+    /// Where a stretch is scored from its start there is no context; the first burn-in then stays out
+    /// of the score, if that leaves at least half of the stretch.
+    ///
+    /// # Errors
+    /// [`EngineError::TooShort`] when no sample is scored.
+    pub(super) fn new(stretches: &'a [Stretch], settings: &LstmSettings) -> Result<Self, EngineError> {
+        let (len, burn_in) = (settings.window_len, settings.burn_in_samples());
+        let mut windows = Vec::new();
+        let mut samples = 0;
+        for (index, stretch) in stretches.iter().enumerate() {
+            let n = stretch.x[0].len();
+            let from = if n >= 2 * burn_in { stretch.score_from.max(burn_in) } else { stretch.score_from };
+            samples += n.saturating_sub(from);
+            for first in (from..n).step_by(len - burn_in) {
+                windows.push(Window {
+                    stretch: index,
+                    start: first as isize - burn_in as isize,
+                    scored: (burn_in, len.min(burn_in + n - first)),
+                });
+            }
+        }
+        if samples == 0 {
+            return Err(EngineError::TooShort { what: "validation data", needed: 1, found: 0 });
+        }
+        Ok(Self { stretches, windows, len, samples })
+    }
+
+    /// Mean squared error over the scored samples and all outputs, standardised.
+    pub(super) fn mse<const R: usize>(&self, isa: Isa, weights: &Packed<R>) -> f64 {
+        let outputs = weights.shape.outputs;
+        let sums: Vec<f64> = self
+            .windows
+            .par_chunks(LANES)
+            .map_init(
+                || State::<1>::new(&weights.shape),
+                |state, windows| {
+                    let mut sum = 0.0;
+                    run_windows::<R, 1>(
+                        isa,
+                        weights,
+                        state,
+                        self.len,
+                        windows.len(),
+                        |lane| (&self.stretches[windows[lane].stretch].x[..], windows[lane].start),
+                        |steps, y| {
+                            for (lane, window) in windows.iter().enumerate() {
+                                let (from, to) = window.scored;
+                                let wanted = &self.stretches[window.stretch].y;
+                                for t in steps.start.max(from)..steps.end.min(to) {
+                                    let at = (window.start + t as isize) as usize;
+                                    let y = &y[(t - steps.start) * outputs..][..outputs];
+                                    for (y, wanted) in y.iter().zip(wanted) {
+                                        let e = f64::from(y[0].0[lane]) - f64::from(wanted[at]);
+                                        sum += e * e;
+                                    }
+                                }
+                            }
+                        },
+                    );
+                    sum
+                },
+            )
+            .collect();
+        sums.iter().sum::<f64>() / (self.samples * outputs) as f64
+    }
+}

@@ -1,0 +1,341 @@
+//! Whole models: prediction, weight files, fits of a small known system.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use realfft::num_complex::Complex64;
+
+use super::*;
+use crate::engine::frf::FrfSettings;
+use crate::engine::progress::{Progress, unwatched};
+
+const FS: f64 = 100.0;
+
+fn names(prefix: &str, n: usize) -> Vec<String> {
+    (0..n).map(|i| format!("{prefix}{i}")).collect()
+}
+
+fn noise(n: usize, seed: u64) -> Vec<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut state = 0.0;
+    (0..n)
+        .map(|_| {
+            let white: f64 = StandardNormal.sample(&mut rng);
+            state = 0.7 * state + white;
+            state
+        })
+        .collect()
+}
+
+/// `y' = 10 (x - y - 0.3 y^3)` by explicit steps: a lag whose stiffness rises with deflection.
+fn lag(x: &[f64]) -> Vec<f64> {
+    let mut y = 0.0;
+    x.iter()
+        .map(|x| {
+            y += 0.1 * (x - y - 0.3 * y * y * y);
+            y
+        })
+        .collect()
+}
+
+fn pair(n: usize, seed: u64) -> Pair {
+    let x = noise(n, seed);
+    let y = lag(&x);
+    Pair { x: Signal::new(FS, vec![x]).unwrap(), y: Signal::new(FS, vec![y]).unwrap() }
+}
+
+fn data() -> FitData {
+    let (training, validation) = pair(12_000, 1).hold_out();
+    FitData { training: vec![training], frf: None, validation: vec![validation] }
+}
+
+fn settings(kind: ModelKind) -> FitSettings {
+    FitSettings {
+        kind,
+        inputs: names("x", 1),
+        outputs: names("y", 1),
+        preprocess: Preprocess::default(),
+        frf: FrfSettings { segment_len: Some(256), ..FrfSettings::default() },
+        lstm: LstmOptions {
+            blocks: Some(vec![8]),
+            window_len: Some(64),
+            epochs: Some(20),
+            seeds: Some(vec![1, 2]),
+            ..LstmOptions::default()
+        },
+        preset: Preset::Default,
+    }
+}
+
+/// A model with made-up numbers in every tensor.
+fn made_up(kind: ModelKind) -> RigModel {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| StandardNormal.sample(&mut rng)).collect() };
+    let (inputs, outputs, segment_len) = (2, 3, 16);
+    let lines = segment_len / 2 + 1;
+    let frf = Frf {
+        sample_rate_hz: FS,
+        segment_len,
+        n_inputs: inputs,
+        n_outputs: outputs,
+        h: (0..lines * outputs * inputs)
+            .map(|i| {
+                // The first and last line of a real impulse response are real.
+                let real = i < outputs * inputs || i >= (lines - 1) * outputs * inputs;
+                let v = draw(2);
+                Complex64::new(v[0], if real { 0.0 } else { v[1] })
+            })
+            .collect(),
+        usable_hz: [0.5, 40.0],
+        x_mean: draw(inputs),
+        y_mean: draw(outputs),
+    };
+    let net_inputs = inputs + if kind == ModelKind::Hybrid2 { outputs } else { 0 };
+    let mut net_rng = ChaCha8Rng::seed_from_u64(8);
+    let positive = |v: Vec<f64>| v.into_iter().map(|v| v.abs() + 0.1).collect();
+    let lstm = LstmPart {
+        net: LstmNet::init(net_inputs, &[5, 4], outputs, 1.0, &mut net_rng),
+        x: Scaler { mean: draw(net_inputs), std: positive(draw(net_inputs)) },
+        y: Scaler { mean: draw(outputs), std: positive(draw(outputs)) },
+        window_len: 20,
+        hop: 7,
+        recombine: Recombine::Stream,
+    };
+    RigModel {
+        kind,
+        inputs: names("x", inputs),
+        outputs: names("y", outputs),
+        sample_rate_hz: FS,
+        preprocess: Preprocess { low_pass_hz: Some(30.0), band_pass_hz: None },
+        frf: (kind != ModelKind::Lstm).then_some(frf),
+        lstm: (kind != ModelKind::Frf).then_some(lstm),
+        range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0 }; inputs],
+    }
+}
+
+const KINDS: [ModelKind; 4] = [ModelKind::Frf, ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2];
+
+#[test]
+fn a_model_survives_its_weight_file_and_the_file_is_always_the_same() {
+    for kind in KINDS {
+        let model = made_up(kind);
+        let bytes = to_safetensors(&model);
+        assert_eq!(from_safetensors(&bytes).unwrap(), model, "{kind:?}");
+        assert_eq!(to_safetensors(&model), bytes);
+    }
+}
+
+#[test]
+fn a_truncated_weight_file_is_refused_at_every_length() {
+    let bytes = to_safetensors(&made_up(ModelKind::Hybrid2));
+    for len in (0..bytes.len()).step_by(97) {
+        assert!(matches!(from_safetensors(&bytes[..len]), Err(EngineError::Weights(_))), "{len} bytes");
+    }
+}
+
+#[test]
+fn a_tensor_of_the_wrong_shape_is_named() {
+    let mut model = made_up(ModelKind::Lstm);
+    let lstm = model.lstm.as_mut().unwrap();
+    lstm.x.mean.push(0.0);
+    lstm.x.std.push(1.0);
+    let error = from_safetensors(&to_safetensors(&model)).unwrap_err();
+    let EngineError::TensorShape { tensor, expected, found } = error else { panic!("{error}") };
+    assert_eq!((tensor.as_str(), expected, found), ("x.mean", vec![2], vec![3]));
+}
+
+#[test]
+fn a_tensor_that_the_kind_does_not_have_is_named() {
+    let mut model = made_up(ModelKind::Hybrid1);
+    model.kind = ModelKind::Lstm;
+    let error = from_safetensors(&to_safetensors(&model)).unwrap_err().to_string();
+    assert!(error.contains("frf.freq_hz"), "{error}");
+    model.kind = ModelKind::Hybrid1;
+    model.frf = None;
+    let error = from_safetensors(&to_safetensors(&model)).unwrap_err().to_string();
+    assert!(error.contains("frf.freq_hz is missing"), "{error}");
+}
+
+#[test]
+fn weights_that_are_not_finite_are_refused() {
+    let mut model = made_up(ModelKind::Lstm);
+    model.lstm.as_mut().unwrap().net.fc_bias[1] = f32::NAN;
+    let error = from_safetensors(&to_safetensors(&model)).unwrap_err().to_string();
+    assert!(error.contains("fc.bias: value 1"), "{error}");
+}
+
+#[test]
+fn the_parts_combine_as_the_kind_says() {
+    let x = Signal::new(FS, vec![noise(300, 1), noise(300, 2)]).unwrap();
+    let model = RigModel { preprocess: Preprocess::default(), ..made_up(ModelKind::Hybrid1) };
+    let alone = |kind| {
+        let mut part = model.clone();
+        part.kind = kind;
+        match kind {
+            ModelKind::Frf => part.lstm = None,
+            _ => part.frf = None,
+        }
+        part.predict(&x).unwrap()
+    };
+    let (frf, lstm, both) = (alone(ModelKind::Frf), alone(ModelKind::Lstm), model.predict(&x).unwrap());
+    for channel in 0..3 {
+        for t in 0..300 {
+            let sum = frf.channel(channel)[t] + lstm.channel(channel)[t];
+            assert!((both.channel(channel)[t] - sum).abs() <= 1e-12 * sum.abs().max(1.0));
+        }
+    }
+}
+
+#[test]
+fn predictions_are_as_long_as_the_drive_from_one_sample_on() {
+    for kind in KINDS {
+        let model = made_up(kind);
+        for n in [1, 2, 19, 20, 21, 133] {
+            let x = Signal::new(FS, vec![noise(n, 1), noise(n, 2)]).unwrap();
+            assert_eq!(model.predict(&x).unwrap().n_samples(), n, "{kind:?}");
+        }
+    }
+}
+
+#[test]
+fn senseless_drives_are_refused_by_name() {
+    let model = made_up(ModelKind::Hybrid2);
+    let channels = |n: usize, c: usize| vec![vec![0.0; n]; c];
+    assert!(matches!(
+        model.predict(&Signal::new(FS, channels(9, 3)).unwrap()),
+        Err(EngineError::ChannelCount { expected: 2, found: 3, .. })
+    ));
+    assert!(matches!(
+        model.predict(&Signal::new(FS * 1.001, channels(9, 2)).unwrap()),
+        Err(EngineError::SampleRate { .. })
+    ));
+    assert!(matches!(
+        model.predict(&Signal::new(FS, channels(0, 2)).unwrap()),
+        Err(EngineError::TooShort { .. })
+    ));
+}
+
+#[test]
+fn networks_beat_the_linear_model_on_a_nonlinear_lag() {
+    let rms = |kind| {
+        let mut settings = settings(kind);
+        settings.lstm.epochs = Some(200);
+        let fitted = fit(&data(), &settings, &unwatched).unwrap();
+        assert_eq!(fitted.model.kind, kind);
+        fitted.report.validation_rms[0].unwrap()
+    };
+    let frf = rms(ModelKind::Frf);
+    assert!(frf > 0.05 && frf < 0.5, "the lag is clearly nonlinear: {frf}");
+    for kind in [ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2] {
+        let error = rms(kind);
+        assert!(error < 0.5 * frf, "{kind:?}: {error}, FRF {frf}");
+    }
+}
+
+#[test]
+fn a_fit_is_the_same_bit_for_bit_whatever_the_thread_count() {
+    let mut settings = settings(ModelKind::Hybrid2);
+    settings.lstm.epochs = Some(3);
+    let weights = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| to_safetensors(&fit(&data(), &settings, &unwatched).unwrap().model))
+    };
+    let one = weights(1);
+    assert!(weights(2) == one, "two threads");
+    assert!(weights(3) == one, "three threads");
+}
+
+#[test]
+fn what_was_reported_is_what_the_model_does() {
+    let data = data();
+    let fitted = fit(&data, &settings(ModelKind::Hybrid2), &unwatched).unwrap();
+    let again = from_safetensors(&to_safetensors(&fitted.model)).unwrap();
+    let v = &data.validation[0];
+    let y = again.predict(&v.pair.x).unwrap();
+    let (p, m) = (&y.channel(0)[v.score_from..], &v.pair.y.channel(0)[v.score_from..]);
+    let square = |v: f64| v * v;
+    let error: f64 = p.iter().zip(m).map(|(p, m)| square(p - m)).sum();
+    let rms = (error / m.iter().map(|m| square(*m)).sum::<f64>()).sqrt();
+    assert!((rms - fitted.report.validation_rms[0].unwrap()).abs() < 1e-9);
+}
+
+#[test]
+fn the_frf_part_may_have_runs_of_its_own() {
+    let mut data = data();
+    let small = Pair {
+        x: Signal::new(FS, vec![noise(6000, 5).iter().map(|v| 0.05 * v).collect()]).unwrap(),
+        y: Signal::new(FS, vec![lag(&noise(6000, 5).iter().map(|v| 0.05 * v).collect::<Vec<_>>())]).unwrap(),
+    };
+    let gain = |data: &FitData| {
+        let fitted = fit(data, &settings(ModelKind::Frf), &unwatched).unwrap();
+        fitted.model.frf.unwrap().h[3].norm()
+    };
+    let all = gain(&data);
+    data.frf = Some(vec![small]);
+    assert!(gain(&data) > 1.08 * all, "the rig is softer at small level");
+}
+
+#[test]
+fn dead_channels_and_missing_data_are_refused() {
+    let dead = |x: Vec<f64>, y: Vec<f64>| FitData {
+        training: vec![Pair { x: Signal::new(FS, vec![x]).unwrap(), y: Signal::new(FS, vec![y]).unwrap() }],
+        ..data()
+    };
+    for kind in KINDS {
+        let refused = |data: FitData| fit(&data, &settings(kind), &unwatched).unwrap_err();
+        assert!(matches!(
+            refused(dead(vec![3.0; 5000], noise(5000, 1))),
+            EngineError::DeadChannel { what: "inputs", channel: 0 }
+        ));
+        assert!(matches!(
+            refused(dead(noise(5000, 1), vec![0.0; 5000])),
+            EngineError::DeadChannel { what: "outputs", channel: 0 }
+        ));
+        assert!(matches!(
+            refused(dead(noise(5000, 1), noise(4999, 1))),
+            EngineError::UnequalLength { expected: 5000, found: 4999, .. }
+        ));
+        assert!(matches!(
+            refused(FitData { training: vec![], ..data() }),
+            EngineError::TooShort { what: "training runs", .. }
+        ));
+        assert!(matches!(
+            refused(FitData { validation: vec![], ..data() }),
+            EngineError::TooShort { what: "validation data", .. }
+        ));
+    }
+}
+
+#[test]
+fn a_fit_can_be_cancelled_and_its_progress_never_falls() {
+    let calls = AtomicUsize::new(0);
+    let highest = std::sync::Mutex::new(0.0);
+    let watch = |p: Progress<'_>| {
+        let mut highest = highest.lock().unwrap();
+        assert!(p.fraction >= *highest - 0.02 && p.fraction <= 1.0, "{} after {}", p.fraction, *highest);
+        *highest = f64::max(*highest, p.fraction);
+        if calls.fetch_add(1, Ordering::Relaxed) < 30 {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
+    };
+    let result = fit(&data(), &settings(ModelKind::Hybrid1), &watch);
+    assert_eq!(result.unwrap_err(), EngineError::Cancelled);
+}
+
+#[test]
+fn a_linear_fit_leaves_the_working_point_where_it_is() {
+    let shift = |p: Pair, dx: f64, dy: f64| Pair {
+        x: Signal::new(FS, vec![p.x.channel(0).iter().map(|v| v + dx).collect()]).unwrap(),
+        y: Signal::new(FS, vec![p.y.channel(0).iter().map(|v| v + dy).collect()]).unwrap(),
+    };
+    let (training, validation) = shift(pair(12_000, 1), 50.0, -20.0).hold_out();
+    let data = FitData { training: vec![training], frf: None, validation: vec![validation] };
+    let model = fit(&data, &settings(ModelKind::Frf), &unwatched).unwrap().model;
+    let y = model.predict(&Signal::new(FS, vec![vec![50.0; 400]]).unwrap()).unwrap();
+    assert!(y.channel(0).iter().all(|v| (v + 20.0).abs() < 0.3), "{:?}", &y.channel(0)[..3]);
+}
