@@ -17,19 +17,18 @@ pub(super) const TANH_SCALE: f32 = -2.0 * std::f32::consts::LOG2_E;
 /// still fits.
 const LIMIT: f32 = 60.0;
 
-/// Coefficients of `2^f = 1 + f (c1 + f (c2 + ...))`: ln(2)^n / n!, the Taylor series, whose rest
-/// on `|f| <= 0.5` is below 6e-9.
-const EXP2: [f32; 7] =
-    [1.0, std::f32::consts::LN_2, 0.240_226_5, 0.055_504_11, 0.009_618_129, 0.001_333_355_8, 0.000_154_035_3];
+/// `2^f = 1 + f (c1 + f (c2 + ...))` for `|f| <= 0.5`: the polynomial of this degree whose largest
+/// relative error, 1.1e-7, is the least; `2^0` is exactly 1, so that tanh has no offset.
+#[expect(clippy::approx_constant, reason = "near ln 2, but a coefficient that balances the error")]
+const EXP2: [f32; 6] = [1.0, 0.693_147, 0.240_222_42, 0.055_507_336, 0.009_671_513, 0.001_326_472_8];
 
-/// `2^a`, `a` clamped to +-60.
+/// `2^a`, `a` at most 60.
 #[inline(always)]
 pub(super) fn exp2<S: Simd>(s: S, a: S::V) -> S::V {
-    let a = s.clamp(a, LIMIT);
+    let a = s.limit(a, LIMIT);
     let n = s.round(a);
     let f = s.sub(a, n);
-    let mut p = s.splat(EXP2[6]);
-    p = s.mul_add(p, f, s.splat(EXP2[5]));
+    let mut p = s.splat(EXP2[5]);
     p = s.mul_add(p, f, s.splat(EXP2[4]));
     p = s.mul_add(p, f, s.splat(EXP2[3]));
     p = s.mul_add(p, f, s.splat(EXP2[2]));
@@ -60,14 +59,17 @@ pub(super) fn sigmoid_times_tanh<S: Simd>(s: S, sigmoid_arg: S::V, tanh_arg: S::
     s.mul(s.sub(one, b), s.recip(s.mul(s.add(one, a), s.add(one, b))))
 }
 
-/// One memory cell, one step: new cell state and output from the four scaled gate
-/// pre-activations in PyTorch's order (Heindel et al., section 2.2.1).
+/// New state of a memory cell from the scaled pre-activations of its gates store, forget and in
+/// (Heindel et al., section 2.2.1).
 #[inline(always)]
-pub(super) fn cell<S: Simd>(s: S, gates: [S::V; 4], c: S::V) -> (S::V, S::V) {
-    let [i, f, g, o] = gates;
-    let c = s.mul_add(c, sigmoid(s, f), sigmoid_times_tanh(s, i, g));
-    let h = sigmoid_times_tanh(s, o, s.mul(c, s.splat(TANH_SCALE)));
-    (c, h)
+pub(super) fn state<S: Simd>(s: S, [i, f, g]: [S::V; 3], c: S::V) -> S::V {
+    s.mul_add(c, sigmoid(s, f), sigmoid_times_tanh(s, i, g))
+}
+
+/// Output of a memory cell from the scaled pre-activation of its gate out and its new state.
+#[inline(always)]
+pub(super) fn output<S: Simd>(s: S, o: S::V, c: S::V) -> S::V {
+    sigmoid_times_tanh(s, o, s.mul(c, s.splat(TANH_SCALE)))
 }
 
 #[cfg(test)]

@@ -4,8 +4,6 @@
 //! The way back writes the errors of the gate pre-activations per step; the gradient of the weights
 //! is then one product of errors and step vectors over all steps and lanes.
 
-use std::ops::Range;
-
 use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
@@ -79,6 +77,8 @@ pub(super) struct Group {
     blocks: Vec<Kept>,
     /// `[step][output]`, what the outputs should be.
     target: Vec<Lanes>,
+    /// `[window][step]` of one channel on its way into the lanes.
+    rows: Vec<f32>,
     /// 1 for lanes that hold a window.
     used: Lanes,
     /// Gradient of the loss times the scale that was asked for, in the order of the weights.
@@ -88,9 +88,9 @@ pub(super) struct Group {
 }
 
 struct Kept {
-    /// `[step 0..=steps][columns]`: `[x, 1, h before]`.
+    /// `[step 0..=steps][stride]`: `[x, 1, h before]`.
     z: Vec<Lanes>,
-    /// `[step][cell]`: i, f, g, o, c, tanh c.
+    /// `[step][padded cell]`: i, f, g, o, c, tanh c.
     cells: Vec<[Lanes; KEPT]>,
     /// `[step 0..=steps][errors]`: of this step's gates, then of the step before's outputs.
     errors: Vec<Lanes>,
@@ -106,10 +106,10 @@ impl Group {
         let per_step: usize = (0..shape.blocks.len())
             .map(|b| {
                 let block = shape.blocks[b];
-                block.columns() + (KEPT + 1) * block.cells + errors(shape, b)
+                block.stride() + (KEPT + 1) * block.padded_cells() + errors(shape, b)
             })
             .sum();
-        (steps + 1) * (per_step + shape.outputs) * size_of::<Lanes>()
+        (steps + 1) * (per_step + shape.outputs + 1) * size_of::<Lanes>()
     }
 
     /// Memory for windows of `steps` samples.
@@ -117,12 +117,12 @@ impl Group {
         let blocks = (0..shape.blocks.len())
             .map(|b| {
                 let block = shape.blocks[b];
-                let mut z = vec![Lanes::ZERO; (steps + 1) * block.columns()];
-                z.iter_mut().skip(block.inputs).step_by(block.columns()).for_each(|z| *z = Lanes::ONE);
+                let mut z = vec![Lanes::ZERO; (steps + 1) * block.stride()];
+                z.iter_mut().skip(block.inputs).step_by(block.stride()).for_each(|z| *z = Lanes::ONE);
                 let last = b + 1 == shape.blocks.len();
                 Kept {
                     z,
-                    cells: vec![[Lanes::ZERO; KEPT]; steps * block.cells],
+                    cells: vec![[Lanes::ZERO; KEPT]; steps * block.padded_cells()],
                     errors: vec![Lanes::ZERO; (steps + 1) * errors(shape, b)],
                     above: vec![Lanes::ZERO; if last { 0 } else { steps * block.cells }],
                     dc: vec![Lanes::ZERO; block.cells],
@@ -135,6 +135,7 @@ impl Group {
             burn_in,
             blocks,
             target: vec![Lanes::ZERO; steps * shape.outputs],
+            rows: vec![0.0; LANES * steps],
             used: Lanes::ZERO,
             gradient: vec![0.0; shape.len()],
             squared_error: 0.0,
@@ -145,37 +146,38 @@ impl Group {
     /// within the signals.
     pub(super) fn set_windows<'a>(
         &mut self,
-        windows: impl ExactSizeIterator<Item = (&'a [Vec<f32>], &'a [Vec<f32>], usize)>,
+        windows: impl Iterator<Item = (&'a [Vec<f32>], &'a [Vec<f32>], usize)>,
     ) {
-        let count = windows.len();
-        assert!(count <= LANES, "a group has {LANES} lanes");
-        let (columns, outputs) = (self.shape.blocks[0].columns(), self.shape.outputs);
-        if count < LANES {
-            // Unused lanes are computed too, on zeros.
-            let inputs = self.shape.blocks[0].inputs;
-            self.blocks[0].z.chunks_exact_mut(columns).for_each(|z| z[..inputs].fill(Lanes::ZERO));
-            self.target.fill(Lanes::ZERO);
-        }
-        self.used = Lanes::ZERO;
-        self.used.0[..count].fill(1.0);
         let windows: Vec<_> = windows.collect();
-        // A few steps of all lanes at a time: their cache lines are then written whole.
-        for first in (0..self.steps).step_by(STEPS_PER_PASS) {
-            let steps = first..self.steps.min(first + STEPS_PER_PASS);
-            for (lane, &(x, y, start)) in windows.iter().enumerate() {
-                let from = start + first..start + steps.end;
-                gather(x, from.clone(), lane, columns, &mut self.blocks[0].z[first * columns..]);
-                gather(y, from, lane, outputs, &mut self.target[first * outputs..]);
+        assert!(windows.len() <= LANES, "a group has {LANES} lanes");
+        // Unused lanes are computed too, on zeros.
+        self.rows[windows.len() * self.steps..].fill(0.0);
+        self.used = Lanes::ZERO;
+        self.used.0[..windows.len()].fill(1.0);
+        let block = self.shape.blocks[0];
+        for channel in 0..block.inputs {
+            for ((x, _, start), row) in windows.iter().zip(self.rows.chunks_exact_mut(self.steps)) {
+                row.copy_from_slice(&x[channel][*start..][..self.steps]);
             }
+            transpose(&self.rows, self.steps, block.stride(), &mut self.blocks[0].z[channel..]);
+        }
+        for channel in 0..self.shape.outputs {
+            for ((_, y, start), row) in windows.iter().zip(self.rows.chunks_exact_mut(self.steps)) {
+                row.copy_from_slice(&y[channel][*start..][..self.steps]);
+            }
+            transpose(&self.rows, self.steps, self.shape.outputs, &mut self.target[channel..]);
         }
     }
 }
 
-/// Copies samples `from` of `x` into lane `lane` of `to`, which is `[step][stride]`.
-fn gather(x: &[Vec<f32>], from: Range<usize>, lane: usize, stride: usize, to: &mut [Lanes]) {
-    for (channel, x) in x.iter().enumerate() {
-        let places = to[channel..].iter_mut().step_by(stride);
-        places.zip(&x[from.clone()]).for_each(|(to, &x)| to.0[lane] = x);
+/// Sixteen rows of `steps` samples to lanes, `to` being `[step][stride]`.
+fn transpose(rows: &[f32], steps: usize, stride: usize, to: &mut [Lanes]) {
+    let mut row = rows.chunks_exact(steps);
+    let rows: [&[f32]; LANES] = std::array::from_fn(|_| row.next().expect("sixteen rows"));
+    for (t, to) in to.iter_mut().step_by(stride).take(steps).enumerate() {
+        for (to, row) in to.0.iter_mut().zip(rows) {
+            *to = row[t];
+        }
     }
 }
 
@@ -202,8 +204,8 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                 let (below, here) = group.blocks.split_at_mut(b);
                 if let Some(below) = below.last() {
                     let from = group.shape.blocks[b - 1];
-                    let h = &below.z[(t + 1) * from.columns() + from.inputs + 1..][..from.cells];
-                    here[0].z[t * block.columns()..][..block.inputs].copy_from_slice(h);
+                    let h = &below.z[(t + 1) * from.stride() + from.inputs + 1..][..from.cells];
+                    here[0].z[t * block.stride()..][..block.inputs].copy_from_slice(h);
                 }
                 keep_step::<S, R>(s, &weights.forward.gates[b], block, t, &mut here[0]);
             }
@@ -234,9 +236,9 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                         }
                     }
                 }
-                let columns = block.columns();
+                let (columns, stride) = (block.columns(), block.stride());
                 let a = Steps { data: &kept.errors, stride: width, at: 0, width: block.rows() };
-                let z = Steps { data: &kept.z, stride: columns, at: 0, width: columns };
+                let z = Steps { data: &kept.z, stride, at: 0, width: columns };
                 outer::<S, WIDE>(s, a, z, (begin, end), &mut group.gradient[block.at..block.end()]);
                 if b == last {
                     let a = Steps {
@@ -246,7 +248,7 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                         width: group.shape.outputs,
                     };
                     let at = block.inputs;
-                    let z = Steps { data: &kept.z, stride: columns, at, width: columns - at };
+                    let z = Steps { data: &kept.z, stride, at, width: columns - at };
                     // Outputs of step t belong to the h, and lie beside the errors, of step t + 1.
                     let steps = (begin.max(group.burn_in) + 1, end + 1);
                     if steps.0 < steps.1 {
@@ -268,32 +270,34 @@ fn keep_step<S: Simd, const R: usize>(
     t: usize,
     kept: &mut Kept,
 ) {
-    let columns = block.columns();
-    let (now, next) = kept.z.split_at_mut((t + 1) * columns);
-    let now = now[t * columns..].as_chunks::<1>().0;
-    let h = &mut next[block.inputs + 1..columns];
-    let (before, cells) = kept.cells.split_at_mut(t * block.cells);
-    let before = &before[before.len().saturating_sub(block.cells)..];
-    let cells = cells[..block.cells].chunks_mut(R / GATES).zip(h.chunks_mut(R / GATES));
-    for (n, (w, (cells, h))) in weights.chunks_exact(columns).zip(cells).enumerate() {
+    let (now, next) = kept.z.split_at_mut((t + 1) * block.stride());
+    let now = now[t * block.stride()..][..block.columns()].as_chunks::<1>().0;
+    let h = next[block.inputs + 1..block.stride()].chunks_exact_mut(R / GATES);
+    let (before, cells) = kept.cells.split_at_mut(t * block.padded_cells());
+    let before = if t > 0 { &before[(t - 1) * block.padded_cells()..] } else { &[] };
+    let cells = cells[..block.padded_cells()].chunks_exact_mut(R / GATES).zip(h);
+    for (n, (w, (cells, h))) in weights.chunks_exact(now.len()).zip(cells).enumerate() {
         let a = product::<S, R, 1>(s, w, now);
-        for (k, (cell, h)) in cells.iter_mut().zip(h).enumerate() {
+        // As in inference all states first, then all outputs.
+        for k in 0..R / GATES {
             let i = sigmoid(s, a[4 * k][0]);
             let f = sigmoid(s, a[4 * k + 1][0]);
             let g = tanh(s, a[4 * k + 2][0]);
-            let o = sigmoid(s, a[4 * k + 3][0]);
             let mut c = s.mul(i, g);
             if let Some(before) = before.get(n * (R / GATES) + k) {
                 c = s.mul_add(f, s.load(&before[4]), c);
             }
-            let tc = tanh(s, s.mul(c, s.splat(TANH_SCALE)));
-            s.store(&mut cell[0], i);
-            s.store(&mut cell[1], f);
-            s.store(&mut cell[2], g);
-            s.store(&mut cell[3], o);
-            s.store(&mut cell[4], c);
-            s.store(&mut cell[5], tc);
-            s.store(h, s.mul(o, tc));
+            s.store(&mut cells[k][0], i);
+            s.store(&mut cells[k][1], f);
+            s.store(&mut cells[k][2], g);
+            s.store(&mut cells[k][4], c);
+        }
+        for k in 0..R / GATES {
+            let o = sigmoid(s, a[4 * k + 3][0]);
+            let tc = tanh(s, s.mul(s.load(&cells[k][4]), s.splat(TANH_SCALE)));
+            s.store(&mut cells[k][3], o);
+            s.store(&mut cells[k][5], tc);
+            s.store(&mut h[k], s.mul(o, tc));
         }
     }
 }
@@ -309,7 +313,7 @@ fn output_errors<S: Simd, const R: usize>(s: S, weights: &[[f32; R]], group: &mu
     let factor = s.mul(used, s.splat(scale));
     let mut sum = s.splat(0.0);
     for t in group.burn_in..group.steps {
-        let z = &kept.z[(t + 1) * block.columns() + block.inputs..][..1 + block.cells];
+        let z = &kept.z[(t + 1) * block.stride() + block.inputs..][..1 + block.cells];
         let errors = &mut kept.errors[(t + 1) * width + block.rows()..][..outputs];
         connect::<S, R, 1>(s, weights, z.as_chunks().0, errors.as_chunks_mut().0);
         for (error, target) in errors.iter_mut().zip(&group.target[t * outputs..]) {
@@ -334,10 +338,11 @@ fn step_back<S: Simd, const R: usize>(
     let (now, after) = kept.errors.split_at_mut((t + 1) * width);
     let after = after[..width].as_chunks::<1>().0;
     let errors = now[t * width..][..block.rows()].as_chunks_mut::<GATES>().0;
-    let cells = &kept.cells[t * block.cells..][..block.cells];
-    let before = if t > 0 { &kept.cells[(t - 1) * block.cells..][..block.cells] } else { &[] };
+    let padded = block.padded_cells();
+    let cells = &kept.cells[t * padded..][..block.cells];
+    let before = if t > 0 { &kept.cells[(t - 1) * padded..][..block.cells] } else { &[] };
     // Memory is walked backwards, which the machine does not foresee.
-    let soon = if t > 1 { &kept.cells[(t - 2) * block.cells..][..block.cells] } else { &[] };
+    let soon = if t > 1 { &kept.cells[(t - 2) * padded..][..block.cells] } else { &[] };
     let above = if kept.above.is_empty() { &[][..] } else { &kept.above[t * block.cells..][..block.cells] };
     let one = s.splat(1.0);
     let groups = weights.hidden.chunks_exact(width).zip(errors.chunks_mut(R));
@@ -347,7 +352,7 @@ fn step_back<S: Simd, const R: usize>(
             let cell = n * R + k;
             if let Some(soon) = soon.get(cell) {
                 for kept in soon {
-                    s.prefetch(kept);
+                    s.prefetch(kept, 0);
                 }
             }
             let [i, f, g, o, _, tc] = &cells[cell];

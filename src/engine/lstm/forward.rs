@@ -1,8 +1,8 @@
 //! Inference of many windows at once: sixteen windows in the lanes of a vector, all time steps of
 //! a group of windows in one go, weights and state in the nearest caches.
 
-use super::activation::{SIGMOID_SCALE, TANH_SCALE, cell};
-use super::params::{GATES, Shape};
+use super::activation::{SIGMOID_SCALE, TANH_SCALE, output, state};
+use super::params::{BlockShape, GATES, Shape};
 use super::product::{pack, product};
 use super::simd::{Kernel, Lanes, Simd};
 
@@ -59,9 +59,9 @@ impl<const NV: usize> State<NV> {
             .blocks
             .iter()
             .map(|b| {
-                let mut z = vec![[Lanes::ZERO; NV]; b.columns()];
+                let mut z = vec![[Lanes::ZERO; NV]; b.stride()];
                 z[b.inputs] = [Lanes::ONE; NV];
-                BlockState { now: z.clone(), next: z, c: vec![[Lanes::ZERO; NV]; b.cells] }
+                BlockState { now: z.clone(), next: z, c: vec![[Lanes::ZERO; NV]; b.padded_cells()] }
             })
             .collect();
         Self { blocks }
@@ -102,15 +102,16 @@ impl<const R: usize, const NV: usize> Kernel for Forward<'_, R, NV> {
                     // The block before has swapped: its newest output is in `now`.
                     let inputs = shape.blocks[b].inputs;
                     let (below, here) = self.state.blocks.split_at_mut(b);
-                    let h = &below[b - 1].now[shape.blocks[b - 1].inputs + 1..];
+                    let from = shape.blocks[b - 1];
+                    let h = &below[b - 1].now[from.inputs + 1..][..from.cells];
                     here[0].now[..inputs].copy_from_slice(h);
                 }
                 let block = &mut self.state.blocks[b];
-                step_block::<S, R, NV>(s, &self.weights.gates[b], shape.blocks[b].inputs, block);
+                step_block::<S, R, NV>(s, &self.weights.gates[b], shape.blocks[b], block);
                 std::mem::swap(&mut block.now, &mut block.next);
             }
             let last = shape.last();
-            let h = &self.state.blocks[shape.blocks.len() - 1].now[last.inputs..];
+            let h = &self.state.blocks[shape.blocks.len() - 1].now[last.inputs..][..1 + last.cells];
             connect::<S, R, NV>(s, &self.weights.fc, h, y);
         }
     }
@@ -121,20 +122,27 @@ impl<const R: usize, const NV: usize> Kernel for Forward<'_, R, NV> {
 fn step_block<S: Simd, const R: usize, const NV: usize>(
     s: S,
     weights: &[[f32; R]],
-    inputs: usize,
-    state: &mut BlockState<NV>,
+    block: BlockShape,
+    memory: &mut BlockState<NV>,
 ) {
-    let columns = state.now.len();
-    let h = &mut state.next[inputs + 1..];
-    let cells = h.chunks_mut(R / GATES).zip(state.c.chunks_mut(R / GATES));
-    for (w, (h, c)) in weights.chunks_exact(columns).zip(cells) {
-        let a = product::<S, R, NV>(s, w, &state.now);
-        for (k, (h, c)) in h.iter_mut().zip(c).enumerate() {
+    let now = &memory.now[..block.columns()];
+    let h = memory.next[block.inputs + 1..].chunks_exact_mut(R / GATES);
+    let groups = weights.chunks_exact(now.len()).zip(memory.c.chunks_exact_mut(R / GATES).zip(h));
+    for (w, (c, h)) in groups {
+        let a = product::<S, R, NV>(s, w, now);
+        // All states first, then all outputs: each is a long chain of operations, and the machine
+        // needs several at once.
+        let mut c_new = [[s.splat(0.0); NV]; R];
+        for k in 0..R / GATES {
             for v in 0..NV {
-                let gates = [a[4 * k][v], a[4 * k + 1][v], a[4 * k + 2][v], a[4 * k + 3][v]];
-                let (c_new, h_new) = cell(s, gates, s.load(&c[v]));
-                s.store(&mut c[v], c_new);
-                s.store(&mut h[v], h_new);
+                let gates = [a[4 * k][v], a[4 * k + 1][v], a[4 * k + 2][v]];
+                c_new[k][v] = state(s, gates, s.load(&c[k][v]));
+                s.store(&mut c[k][v], c_new[k][v]);
+            }
+        }
+        for k in 0..R / GATES {
+            for v in 0..NV {
+                s.store(&mut h[k][v], output(s, a[4 * k + 3][v], c_new[k][v]));
             }
         }
     }

@@ -6,8 +6,8 @@
 //!
 //! The networks are tiny (39 cells), so the layout decides the speed: one lane of a vector is one
 //! window (`forward`), or one cell where the state is carried through a signal (`stream`). The
-//! kernels are written once over [`simd`] and run on the best instruction set of the machine
-//! ([`Isa`]).
+//! kernels are written once over a trait of vector operations and run on the best instruction set of
+//! the machine ([`Isa`]).
 
 mod activation;
 mod bptt;

@@ -26,6 +26,17 @@ impl BlockShape {
         self.inputs + 1 + self.cells
     }
 
+    /// Cells filled up to whole groups of any blocking, so that kernels need no rest; cells that are
+    /// not there have weights, states and outputs of zero.
+    pub(super) fn padded_cells(self) -> usize {
+        self.cells.next_multiple_of(GATES)
+    }
+
+    /// Room for a step vector with padded cells.
+    pub(super) fn stride(self) -> usize {
+        self.inputs + 1 + self.padded_cells()
+    }
+
     /// Gate rows.
     pub(super) fn rows(self) -> usize {
         GATES * self.cells

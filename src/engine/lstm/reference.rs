@@ -5,6 +5,9 @@ use super::params::{GATES, Shape, flatten};
 use super::settings::Recombine;
 use crate::engine::windowing::welch10;
 
+/// `[step][channel]`.
+pub(super) type Steps = Vec<Vec<f64>>;
+
 /// A network with `f64` weights in the order of [`flatten`].
 pub(super) struct Twin {
     pub shape: Shape,
@@ -76,11 +79,7 @@ impl Twin {
 
     /// Sum of squared errors from step `burn_in` on, over several windows `([step][input],
     /// [step][output])`, and its gradient with respect to the row of weights.
-    pub(super) fn squared_error(
-        &self,
-        windows: &[(Vec<Vec<f64>>, Vec<Vec<f64>>)],
-        burn_in: usize,
-    ) -> (f64, Vec<f64>) {
+    pub(super) fn squared_error(&self, windows: &[(Steps, Steps)], burn_in: usize) -> (f64, Vec<f64>) {
         let (mut loss, mut gradient) = (0.0, vec![0.0; self.row.len()]);
         for (x, y) in windows {
             let steps = self.steps(x);
@@ -199,7 +198,7 @@ mod tests {
                 (0..3).map(|w| (steps(planar(inputs, w)), steps(planar(outputs, 10 + w)))).collect();
             let (_, gradient) = twin.squared_error(&windows, 5);
             let largest = gradient.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
-            for k in 0..twin.row.len() {
+            for (k, gradient) in gradient.iter().enumerate() {
                 let (w, h) = (twin.row[k], 1e-4);
                 // Fourth-order central difference: rounding and truncation both stay below 1e-9.
                 let mut at = |d: f64| {
@@ -208,8 +207,8 @@ mod tests {
                 };
                 let slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
                 twin.row[k] = w;
-                let error = (slope - gradient[k]).abs() / gradient[k].abs().max(1e-3 * largest);
-                assert!(error < 1e-6, "{blocks:?} weight {k}: {slope} {}", gradient[k]);
+                let error = (slope - gradient).abs() / gradient.abs().max(1e-3 * largest);
+                assert!(error < 1e-6, "{blocks:?} weight {k}: {slope} {gradient}");
             }
         }
     }

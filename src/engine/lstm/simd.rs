@@ -79,9 +79,10 @@ pub(super) trait Simd: Copy {
     fn load(self, from: &Lanes) -> Self::V;
     /// To memory.
     fn store(self, to: &mut Lanes, a: Self::V);
-    /// Asks for memory that will be read soon.
+    /// Asks for the memory `ahead` elements behind `from`, which will be read soon; any address will
+    /// do.
     #[inline(always)]
-    fn prefetch(self, _from: &Lanes) {}
+    fn prefetch<T>(self, _from: &T, _ahead: usize) {}
     /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a - b`.
@@ -92,11 +93,11 @@ pub(super) trait Simd: Copy {
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// `c - a * b`, rounded once where the machine can do that fast.
     fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// Between `-limit` and `limit`; NaN stays NaN.
-    fn clamp(self, a: Self::V, limit: f32) -> Self::V;
+    /// At most `limit`, and at least `-limit` where [`Simd::scale`] needs that; NaN stays NaN.
+    fn limit(self, a: Self::V, limit: f32) -> Self::V;
     /// To the nearest integer; `|a| < 2^22`.
     fn round(self, a: Self::V) -> Self::V;
-    /// `a * 2^n` for integers `-126 <= n <= 126`.
+    /// `a * 2^n` for integers `n` that [`Simd::limit`] with a limit up to 126 lets through.
     fn scale(self, a: Self::V, n: Self::V) -> Self::V;
     /// `1 / a` within two units in the last place, for normal `1 <= a < 2^126`.
     fn recip(self, a: Self::V) -> Self::V;
@@ -191,7 +192,7 @@ impl Simd for Portable {
         lanewise!(i => c[i] - a[i] * b[i])
     }
     #[inline(always)]
-    fn clamp(self, a: Self::V, limit: f32) -> Self::V {
+    fn limit(self, a: Self::V, limit: f32) -> Self::V {
         lanewise!(i => if a[i] > limit { limit } else if a[i] < -limit { -limit } else { a[i] })
     }
     #[inline(always)]
@@ -293,8 +294,8 @@ mod x86 {
             });
         }
         #[inline(always)]
-        fn prefetch(self, from: &Lanes) {
-            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
+        fn prefetch<T>(self, from: &T, ahead: usize) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(from).wrapping_add(ahead).cast()));
         }
         #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {
@@ -317,7 +318,7 @@ mod x86 {
             op!((_mm256_fnmadd_ps(a.0, b.0, c.0), _mm256_fnmadd_ps(a.1, b.1, c.1)))
         }
         #[inline(always)]
-        fn clamp(self, a: Self::V, limit: f32) -> Self::V {
+        fn limit(self, a: Self::V, limit: f32) -> Self::V {
             // min and max answer their second operand when one is NaN.
             op!({
                 let (lo, hi) = (_mm256_set1_ps(-limit), _mm256_set1_ps(limit));
@@ -367,8 +368,8 @@ mod x86 {
             op!(_mm512_store_ps(to.0.as_mut_ptr(), a));
         }
         #[inline(always)]
-        fn prefetch(self, from: &Lanes) {
-            op!(_mm_prefetch::<_MM_HINT_T0>(from.0.as_ptr().cast()));
+        fn prefetch<T>(self, from: &T, ahead: usize) {
+            op!(_mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(from).wrapping_add(ahead).cast()));
         }
         #[inline(always)]
         fn add(self, a: Self::V, b: Self::V) -> Self::V {
@@ -391,9 +392,9 @@ mod x86 {
             op!(_mm512_fnmadd_ps(a, b, c))
         }
         #[inline(always)]
-        fn clamp(self, a: Self::V, limit: f32) -> Self::V {
-            // min and max answer their second operand when one is NaN.
-            op!(_mm512_max_ps(_mm512_set1_ps(-limit), _mm512_min_ps(_mm512_set1_ps(limit), a)))
+        fn limit(self, a: Self::V, limit: f32) -> Self::V {
+            // min answers its second operand when one is NaN; scaling by any 2^-n is fine here.
+            op!(_mm512_min_ps(_mm512_set1_ps(limit), a))
         }
         #[inline(always)]
         fn round(self, a: Self::V) -> Self::V {
@@ -424,95 +425,4 @@ mod x86 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Applies every operation to fixed lanes.
-    struct Everything;
-
-    impl Kernel for Everything {
-        type Out = Vec<Lanes>;
-        const WIDE: bool = false;
-        #[inline(always)]
-        fn run<S: Simd>(self, s: S) -> Vec<Lanes> {
-            let mut lanes = [Lanes::ZERO; 3];
-            for i in 0..LANES {
-                lanes[0].0[i] = 1.0 + 0.37 * i as f32;
-                lanes[1].0[i] = -3.0 + 0.61 * i as f32;
-                lanes[2].0[i] = i as f32 * 4.0 - 30.0;
-            }
-            let (a, b, n) = (s.load(&lanes[0]), s.load(&lanes[1]), s.load(&lanes[2]));
-            let results = [
-                s.splat(2.5),
-                s.add(a, b),
-                s.sub(a, b),
-                s.mul(a, b),
-                s.mul_add(a, b, n),
-                s.neg_mul_add(a, b, n),
-                s.clamp(b, 2.0),
-                s.round(b),
-                s.scale(a, n),
-                s.recip(a),
-                s.splat(s.sum(a)),
-            ];
-            let mut out = vec![Lanes::ZERO; results.len()];
-            for (to, v) in out.iter_mut().zip(results) {
-                s.store(to, v);
-            }
-            out
-        }
-    }
-
-    #[test]
-    fn every_instruction_set_computes_what_the_portable_one_does() {
-        let expected = dispatch(Isa::Portable, Everything);
-        let sum: f32 = (0..LANES).map(|i| 1.0 + 0.37 * i as f32).sum();
-        assert!((expected[10].0[3] - sum).abs() < 1e-4);
-        for isa in [Isa::Avx2, Isa::Avx512] {
-            if !isa.is_available() {
-                println!("skipped {}: not on this machine", isa.name());
-                continue;
-            }
-            let found = dispatch(isa, Everything);
-            assert_eq!(found.len(), expected.len());
-            for (op, (f, e)) in found.iter().zip(&expected).enumerate() {
-                for (f, e) in f.0.iter().zip(&e.0) {
-                    assert!((f - e).abs() <= 3e-7 * e.abs().max(1.0), "{} op {op}: {f} {e}", isa.name());
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn columns_are_those_of_each_step_and_never_leave_the_data() {
-        let data: Vec<Lanes> = (0..12).map(|i| Lanes([i as f32; LANES])).collect();
-        let found: Vec<[f32; 2]> =
-            Columns::<2>::new(&data, 4, 1, (1, 3)).map(|c| [c[0].0[0], c[1].0[0]]).collect();
-        assert_eq!(found, [[5.0, 6.0], [9.0, 10.0]]);
-        assert_eq!(Columns::<2>::new(&data, 4, 0, (3, 3)).count(), 0);
-        for (first, steps) in [(3, (0, 3)), (0, (0, 4))] {
-            assert!(std::panic::catch_unwind(|| Columns::<2>::new(&data, 4, first, steps)).is_err());
-        }
-    }
-
-    /// Clamps NaN.
-    struct ClampNan;
-
-    impl Kernel for ClampNan {
-        type Out = f32;
-        const WIDE: bool = false;
-        #[inline(always)]
-        fn run<S: Simd>(self, s: S) -> f32 {
-            let mut to = Lanes::ZERO;
-            s.store(&mut to, s.clamp(s.splat(f32::NAN), 1.0));
-            to.0[5]
-        }
-    }
-
-    #[test]
-    fn clamping_does_not_hide_a_value_that_is_not_a_number() {
-        for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-            assert!(dispatch(isa, ClampNan).is_nan(), "{}", isa.name());
-        }
-    }
-}
+mod tests;

@@ -1,6 +1,6 @@
 //! Inference of one long signal with the state carried through: sixteen cells in the lanes.
 
-use super::activation::cell;
+use super::activation::{output, state};
 use super::forward::GATE_SCALE;
 use super::params::{GATES, Shape};
 use super::simd::{Kernel, LANES, Lanes, Simd};
@@ -137,9 +137,10 @@ fn step<S: Simd>(
             for g in 0..GATES {
                 even[g] = s.add(even[g], odd[g]);
             }
-            let (c_new, h_new) = cell(s, even, s.load(c));
+            let [i, f, g, o] = even;
+            let c_new = state(s, [i, f, g], s.load(c));
             s.store(c, c_new);
-            s.store(h, h_new);
+            s.store(h, output(s, o, c_new));
         }
         for (to, from) in z[b][block.inputs + 1..].chunks_exact_mut(LANES).zip(&h[b]) {
             to.copy_from_slice(&from.0);
