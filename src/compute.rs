@@ -171,7 +171,8 @@ impl Lane {
 fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
     if niceness > 0
-        && let Err(error) = rustix::process::setpriority_process(None, niceness)
+        && let Err(error) = rustix::process::getpriority_process(None)
+            .and_then(|own| rustix::process::setpriority_process(None, own.max(niceness)))
     {
         tracing::warn!(%error, "threads of fits keep their normal priority");
     }
@@ -266,6 +267,6 @@ mod tests {
         let niceness = || rustix::process::getpriority_process(None).unwrap();
         let own = niceness();
         assert_eq!(compute.run(Class::Predict, niceness).await, Ok(own));
-        assert_eq!(compute.run(Class::Fit, niceness).await, Ok((own.max(FIT_NICENESS)).min(19)));
+        assert_eq!(compute.run(Class::Fit, niceness).await, Ok(own.max(FIT_NICENESS)));
     }
 }

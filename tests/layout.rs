@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Layers from the bottom up. A module may name those before it and itself; those that share a
-/// layer do not know each other.
+/// layer do not know each other, but for the last, which puts the program together.
 const LAYERS: &[&[&str]] = &[
     &["engine", "telemetry"],
     &["domain"],
@@ -14,7 +14,7 @@ const LAYERS: &[&[&str]] = &[
     &["models"],
     &["jobs"],
     &["http", "ui"],
-    &["config", "app", "demo"],
+    &["config", "client", "app", "demo"],
 ];
 
 /// What a layer must do without, beside the layers above it.
@@ -112,13 +112,15 @@ fn layer(module: &str) -> Option<usize> {
 #[test]
 fn no_module_names_one_above_or_beside_it() {
     let mut wrong = Vec::new();
+    let top = LAYERS.len() - 1;
     for (module, path, code) in modules() {
         if module == "lib" || module == "main" {
             continue;
         }
         let own = layer(&module).unwrap_or_else(|| panic!("{module} has no layer: add it to LAYERS"));
         for name in named(&code) {
-            if name != module && layer(&name).is_some_and(|other| other > own || (other == own && own < 7)) {
+            let above = layer(&name).is_some_and(|other| other > own || (other == own && own < top));
+            if name != module && above {
                 wrong.push(format!("{} names {name}", path.display()));
             }
         }

@@ -2,7 +2,10 @@
 
 use std::collections::HashSet;
 
-use super::fits::{FitRequest, RunFilter, RunSelection};
+use crate::engine::EngineError;
+use crate::engine::frf::FrfSettings;
+
+use super::fits::{FitRequest, FrfOptions, RunFilter, RunSelection};
 use super::problem::FieldError;
 use super::rig::{Channel, Role};
 use super::run::{RunKind, Split};
@@ -19,14 +22,31 @@ pub struct FitChannels {
     pub outputs: Vec<String>,
 }
 
+impl FrfOptions {
+    /// Settings of the engine: what is left open is the engine's to choose.
+    pub fn settings(&self) -> FrfSettings {
+        let default = FrfSettings::default();
+        FrfSettings {
+            segment_len: self.segment_len,
+            overlap: self.overlap.unwrap_or(default.overlap),
+            estimator: self.estimator.unwrap_or(default.estimator),
+            ridge: self.ridge,
+        }
+    }
+}
+
 impl FitRequest {
-    /// Names the channels of the fit and checks the selections of runs.
+    /// Names the channels of the fit and checks its settings and its selections of runs.
     ///
     /// # Errors
     /// Channels that the rig does not have, that come twice, or that are input and output at
-    /// once; kinds and splits that do not exist; the test split, which never enters a fit.
-    pub fn check(&self, channels: &[Channel]) -> Result<FitChannels, Vec<FieldError>> {
+    /// once; settings outside their limits; kinds and splits that do not exist; the test split,
+    /// which never enters a fit.
+    pub fn check(&self, channels: &[Channel], sample_rate_hz: f64) -> Result<FitChannels, Vec<FieldError>> {
         let mut errors = Vec::new();
+        setting(&mut errors, self.preprocess.check(sample_rate_hz));
+        setting(&mut errors, self.frf.settings().check());
+        setting(&mut errors, self.lstm.check(self.preset, self.kind));
         let inputs = resolve(&mut errors, channels, "/inputs", self.inputs.as_deref(), Role::Drive);
         let outputs = resolve(&mut errors, channels, "/outputs", self.outputs.as_deref(), Role::Response);
         for (i, output) in outputs.iter().enumerate().filter(|(_, output)| inputs.contains(output)) {
@@ -37,6 +57,16 @@ impl FitRequest {
         check_runs(&mut errors, "/validation_runs", self.validation_runs.as_ref());
         check_runs(&mut errors, "/frf/runs", self.frf.runs.as_ref());
         if errors.is_empty() { Ok(FitChannels { inputs, outputs }) } else { Err(errors) }
+    }
+}
+
+fn setting(errors: &mut Vec<FieldError>, checked: Result<(), EngineError>) {
+    match checked {
+        Ok(()) => {}
+        Err(EngineError::Setting { setting, limit, .. }) => {
+            errors.push(FieldError::new(format!("/{}", setting.replace('.', "/")), limit));
+        }
+        Err(other) => errors.push(FieldError::new("", other.to_string())),
     }
 }
 
@@ -71,12 +101,10 @@ fn resolve(
 
 fn check_runs(errors: &mut Vec<FieldError>, pointer: &str, selection: Option<&RunSelection>) {
     match selection {
-        None => {}
-        Some(RunSelection::Ids(ids)) => {
-            if ids.is_empty() || ids.len() > MAX_IDS {
-                errors.push(FieldError::new(pointer, format!("1 to {MAX_IDS} runs")));
-            }
+        Some(RunSelection::Ids(ids)) if ids.is_empty() || ids.len() > MAX_IDS => {
+            errors.push(FieldError::new(pointer, format!("1 to {MAX_IDS} runs")));
         }
+        Some(RunSelection::Ids(_)) | None => {}
         Some(RunSelection::Match(RunFilter { kinds, tags: _, split })) => {
             for (i, kind) in kinds.iter().flatten().enumerate() {
                 if !RunKind::ALL.iter().any(|known| known.as_str() == kind) {
@@ -117,14 +145,14 @@ mod tests {
 
     #[test]
     fn channels_left_open_are_all_drives_and_all_responses() {
-        let found = request(r#"{"kind": "frf"}"#).check(&channels()).unwrap();
+        let found = request(r#"{"kind": "frf"}"#).check(&channels(), 100.0).unwrap();
         assert_eq!(found, FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into(), "z".into()] });
     }
 
     #[test]
     fn unknown_repeated_and_shared_channels_are_named() {
         let errors = request(r#"{"kind": "frf", "inputs": ["u", "q", "u", "y"], "outputs": ["y"]}"#)
-            .check(&channels())
+            .check(&channels(), 100.0)
             .unwrap_err();
         let named: Vec<_> =
             errors.iter().map(|e| (e.pointer.as_str(), e.channel.as_deref().unwrap())).collect();
@@ -137,9 +165,21 @@ mod tests {
             r#"{"kind": "frf", "runs": {"split": "test"}, "validation_runs": {"kinds": ["nose"]},
                 "frf": {"runs": []}}"#,
         )
-        .check(&channels())
+        .check(&channels(), 100.0)
         .unwrap_err();
         let pointers: Vec<_> = errors.iter().map(|e| e.pointer.as_str()).collect();
         assert_eq!(pointers, ["/runs/split", "/validation_runs/kinds/0", "/frf/runs"]);
+    }
+
+    #[test]
+    fn settings_outside_their_limits_are_named_by_their_place_in_the_request() {
+        let errors = request(
+            r#"{"kind": "lstm", "preprocess": {"low_pass_hz": 50.0}, "frf": {"overlap": 1.0},
+                "lstm": {"window_len": 256, "hop": 200}}"#,
+        )
+        .check(&channels(), 100.0)
+        .unwrap_err();
+        let pointers: Vec<_> = errors.iter().map(|e| e.pointer.as_str()).collect();
+        assert_eq!(pointers, ["/preprocess/low_pass_hz", "/frf/overlap", "/lstm/hop"]);
     }
 }

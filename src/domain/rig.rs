@@ -196,7 +196,7 @@ impl RigDraft {
         }
         self.check_channels(&mut errors);
         if let Some(policy) = &self.fit_policy {
-            policy.check(&self.channels, &mut errors);
+            policy.check(self, &mut errors);
         }
         if errors.is_empty() { Ok(()) } else { Err(errors) }
     }
@@ -239,7 +239,7 @@ impl RigDraft {
 }
 
 impl FitPolicy {
-    fn check(&self, channels: &[Channel], errors: &mut Vec<FieldError>) {
+    fn check(&self, rig: &RigDraft, errors: &mut Vec<FieldError>) {
         let at = "/fit_policy";
         if self.kinds.is_empty() {
             errors.push(FieldError::new(format!("{at}/kinds"), "at least one kind of run"));
@@ -251,7 +251,7 @@ impl FitPolicy {
             errors.push(FieldError::new(format!("{at}/fits"), format!("1 to {MAX_POLICY_FITS} fits")));
         }
         for (i, fit) in self.fits.iter().take(MAX_POLICY_FITS).enumerate() {
-            if let Err(found) = fit.check(channels).map(drop) {
+            if let Err(found) = fit.check(&rig.channels, rig.sample_rate_hz) {
                 errors.extend(found.into_iter().map(|mut error| {
                     error.pointer = format!("{at}/fits/{i}{}", error.pointer);
                     error

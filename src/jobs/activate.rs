@@ -90,6 +90,7 @@ async fn compare(
         .compute
         .run(Class::Fit, move || {
             let active = from_safetensors(&weights)?;
+            let stretches = reference(stretches, &fitted, &active)?;
             let new = mean_rms(&fitted, &stretches, &watched)?;
             Ok((new, mean_rms(&active, &stretches, &watched)?))
         })
@@ -166,6 +167,21 @@ async fn stretches(runner: &Runner, plan: &FitPlan, active: &Model) -> Result<Ve
             channels: channels.clone(),
             score_from: index(span.from_sample) - first,
         });
+    }
+    Ok(stretches)
+}
+
+/// What both models are measured against: the responses as recorded, or, where both models have
+/// the same filter, behind that filter, as in their fits.
+fn reference(
+    mut stretches: Vec<Stretch>,
+    new: &RigModel,
+    active: &RigModel,
+) -> Result<Vec<Stretch>, EngineError> {
+    if new.preprocess == active.preprocess {
+        for stretch in &mut stretches {
+            stretch.pair.y = new.preprocess.apply(&stretch.pair.y)?;
+        }
     }
     Ok(stretches)
 }

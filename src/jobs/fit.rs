@@ -1,6 +1,7 @@
 //! The fit job: runs in, a model version out.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -8,7 +9,6 @@ use bytes::Bytes;
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Model, Origin, Rig, Run};
-use crate::engine::frf::FrfSettings;
 use crate::engine::lstm::Isa;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
@@ -70,9 +70,9 @@ async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitD
         if control.stopped().is_some() {
             return Err(JobError::Stopped);
         }
-        if !pairs.contains_key(&run.id) {
+        if let Entry::Vacant(place) = pairs.entry(run.id) {
             let signal = runner.store.load_signal(run).await?;
-            pairs.insert(run.id, pair(run, &signal, &plan.inputs, &plan.outputs)?);
+            place.insert(pair(run, &signal, &plan.inputs, &plan.outputs)?);
         }
     }
     Ok(assemble(plan, |run| pairs[&run.id].clone()))
@@ -126,23 +126,15 @@ fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
     FitData { training, frf, validation }
 }
 
-/// Settings of the engine: what the request leaves open is the engine's to choose.
 fn settings(plan: &FitPlan) -> FitSettings {
-    let request = &plan.request;
-    let default = FrfSettings::default();
     FitSettings {
-        kind: request.kind,
+        kind: plan.request.kind,
         inputs: plan.inputs.clone(),
         outputs: plan.outputs.clone(),
-        preprocess: request.preprocess,
-        frf: FrfSettings {
-            segment_len: request.frf.segment_len,
-            overlap: request.frf.overlap.unwrap_or(default.overlap),
-            estimator: request.frf.estimator.unwrap_or(default.estimator),
-            ridge: request.frf.ridge,
-        },
-        lstm: request.lstm.clone(),
-        preset: request.preset,
+        preprocess: plan.request.preprocess,
+        frf: plan.request.frf.settings(),
+        lstm: plan.request.lstm.clone(),
+        preset: plan.request.preset,
     }
 }
 
@@ -233,11 +225,11 @@ mod tests {
     #[test]
     fn without_validation_runs_each_training_run_gives_its_last_tenth() {
         let runs =
-            [run(1, RunKind::Noise, Split::Training, 1000), run(2, RunKind::Noise, Split::Training, 5)];
-        let plan = plan_of(&runs, r#"{"kind": "lstm"}"#).unwrap();
+            [run(1, RunKind::Noise, Split::Training, 1000), run(2, RunKind::Noise, Split::Training, 9)];
+        let plan = plan_of(&runs, r#"{"kind": "frf"}"#).unwrap();
         let data = assemble(&plan, ramp);
-        assert_eq!(data.training.iter().map(last).collect::<Vec<_>>(), [899.0, 4.0]);
-        assert_eq!(data.validation.len(), 1, "five samples have no tenth");
+        assert_eq!(data.training.iter().map(last).collect::<Vec<_>>(), [899.0, 8.0]);
+        assert_eq!(data.validation.len(), 1, "nine samples have no tenth");
         let held_out = &data.validation[0];
         assert_eq!(held_out.pair.x.channel(0)[held_out.score_from], 900.0);
         assert_eq!(last(&held_out.pair), 999.0);

@@ -40,6 +40,9 @@ pub enum FitProblem {
     /// A channel that is constant in every run (422 `signal.dead_channel`).
     #[error("a channel is constant in every run of the fit")]
     DeadChannel(Vec<FieldError>),
+    /// Runs that are too short for the settings (422 `signal.too_short`).
+    #[error("a run is too short for the settings")]
+    TooShort(Vec<FieldError>),
     /// Runs of the test split, which never enters a fit (422 `fit.test_run`).
     #[error("a test run never enters a fit")]
     TestRun(Vec<FieldError>),
@@ -76,6 +79,7 @@ impl FitProblem {
             Self::DeadChannel(errors) => {
                 named("signal.dead_channel", "A constant channel where power is needed", errors)
             }
+            Self::TooShort(errors) => named("signal.too_short", "Too few samples", errors),
             Self::TestRun(errors) => named(codes::FIT_TEST_RUN, "A test run never enters a fit", errors),
             Self::NotForward => {
                 let place = FieldError::new("/activate", "if_better or never for such a model");
@@ -110,7 +114,7 @@ fn sentence(error: &FieldError) -> String {
 /// # Errors
 /// See [`FitProblem`].
 pub async fn check(store: &Store, rig: &Rig, request: &FitRequest) -> Result<FitPlan, FitProblem> {
-    let channels = request.check(&rig.channels).map_err(FitProblem::Invalid)?;
+    let channels = request.check(&rig.channels, rig.sample_rate_hz).map_err(FitProblem::Invalid)?;
     if request.activate == Activate::Always && !model::is_forward(rig, &channels.inputs, &channels.outputs) {
         return Err(FitProblem::NotForward);
     }
@@ -150,7 +154,9 @@ fn plan(all: &[Run], request: &FitRequest, channels: FitChannels) -> Result<FitP
     request.frf.runs = frf.as_deref().map(ids);
     request.validation_runs = if validation.is_empty() { None } else { Some(ids(&validation)) };
     let FitChannels { inputs, outputs } = channels;
-    Ok(FitPlan { request, inputs, outputs, training, frf, validation })
+    let plan = FitPlan { request, inputs, outputs, training, frf, validation };
+    plan.long_enough()?;
+    Ok(plan)
 }
 
 /// Runs of a selection, each measurement once, by id. `kind` and `split` stand for what the
@@ -291,6 +297,39 @@ impl FitPlan {
     /// Channels of the fit.
     pub fn channels(&self) -> FitChannels {
         FitChannels { inputs: self.inputs.clone(), outputs: self.outputs.clone() }
+    }
+
+    /// Refuses runs that leave no window, no segment or nothing to validate on.
+    fn long_enough(&self) -> Result<(), FitProblem> {
+        let refuse =
+            |pointer: &str, limit: String| Err(FitProblem::TooShort(vec![FieldError::new(pointer, limit)]));
+        let lineage = self.lineage();
+        if lineage.validation.is_empty() {
+            return refuse("/runs", "a run of at least 10 samples, a tenth of which is held out".into());
+        }
+        let request = &self.request;
+        if request.kind != ModelKind::Lstm
+            && let Some(segment_len) = request.frf.segment_len
+        {
+            let used = if self.frf.is_some() { &lineage.frf } else { &lineage.training };
+            let longest = used.iter().map(|span| span.to_sample).max().unwrap_or(0);
+            if longest < segment_len as u64 {
+                return refuse(
+                    "/frf/segment_len",
+                    format!("at most {longest}, the samples of the longest run"),
+                );
+            }
+        }
+        if request.kind != ModelKind::Frf
+            && let Ok(lstm) = request.lstm.resolve(request.preset, request.kind, &[])
+            && let Some(shortest) = lineage.training.iter().min_by_key(|span| span.to_sample)
+            && shortest.to_sample < lstm.window_len as u64
+        {
+            let Span { run, to_sample, .. } = shortest;
+            let limit = format!("at most {to_sample}, the samples that run {run} gives to training");
+            return refuse("/lstm/window_len", limit);
+        }
+        Ok(())
     }
 
     /// Sample of a training run from which on it is held out for validation; its length when there

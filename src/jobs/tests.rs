@@ -13,8 +13,8 @@ use crate::engine::frf::Frf;
 use crate::engine::model::{FitData, FitSettings, Fitted, ModelKind, RigModel};
 use crate::engine::progress::report;
 use crate::engine::{EngineError, Watch};
-use crate::storage::JobQuery;
 use crate::storage::testing::{TestStore, draft, meta, now};
+use crate::storage::{JobQuery, RigUpdate};
 
 /// A store with one rig and one run of 20 s, `y = 2 u`, and a runner.
 struct Bench {
@@ -51,7 +51,7 @@ impl Bench {
 
     /// A fit of an FRF that is just a gain, seen to its end.
     async fn fit_gain(&self, gain: f64, activate: Activate) -> (Job, Model) {
-        let request = serde_json::json!({"kind": "frf", "frf": {"ridge": gain}, "activate": activate});
+        let request = serde_json::json!({"kind": "frf", "frf": {"ridge": gain / 10.0}, "activate": activate});
         let job = self.end_of(self.fit(request).await).await;
         let version = job.result.as_ref().expect("a model").id.parse().unwrap();
         let model = self.store.model(&self.rig.id, version).await.unwrap().unwrap();
@@ -81,7 +81,7 @@ fn noise(seed: u32, n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// "Fits" an FRF whose gain is the ridge of the settings.
+/// "Fits" an FRF whose gain is ten times the ridge of the settings, which must be one at most.
 fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
     report(watch, "FRF", 0.5)?;
     let frf = Frf {
@@ -89,7 +89,7 @@ fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitt
         segment_len: 64,
         n_inputs: 1,
         n_outputs: 1,
-        h: vec![Complex64::new(settings.frf.ridge.unwrap(), 0.0); 33],
+        h: vec![Complex64::new(10.0 * settings.frf.ridge.unwrap(), 0.0); 33],
         usable_hz: [0.0, 50.0],
         x_mean: vec![0.0],
         y_mean: vec![0.0],
@@ -166,7 +166,7 @@ async fn a_running_job_is_cancelled_and_a_cancel_twice_is_one() {
     assert!(matches!(bench.jobs.cancel(id).await, Ok(CancelOutcome::Noted(_))));
     let job = bench.end_of(id).await;
     assert_eq!((job.state, &job.problem, &job.result), (JobState::Cancelled, &None, &None));
-    assert_eq!(bench.jobs.cancel(id).await.unwrap(), CancelOutcome::Noted(job));
+    assert_eq!(bench.jobs.cancel(id).await.unwrap(), CancelOutcome::Noted(Box::new(job)));
 }
 
 #[tokio::test]
@@ -308,7 +308,7 @@ async fn without_fair_data_a_model_stays_inactive_and_the_job_says_why() {
     let first = rest.iter().find(|other| other.id != run.id).unwrap();
     let request = |training: JobId, validation: JobId| {
         serde_json::json!({
-            "kind": "frf", "frf": {"ridge": 2.0}, "runs": [training], "validation_runs": [validation]
+            "kind": "frf", "frf": {"ridge": 0.2}, "runs": [training], "validation_runs": [validation]
         })
     };
     let one = bench.end_of(bench.fit(request(first.id, run.id)).await).await;
@@ -317,7 +317,8 @@ async fn without_fair_data_a_model_stays_inactive_and_the_job_says_why() {
     let other = bench.end_of(bench.fit(request(run.id, first.id)).await).await;
     assert!(other.stage.unwrap().contains("no validation data that neither"));
     assert_eq!(bench.store.active_model(&bench.rig.id).await.unwrap().unwrap().version, Some(2));
-    let sensor = serde_json::json!({"kind": "frf", "frf": {"ridge": 0.5}, "inputs": ["y"], "outputs": ["u"]});
+    let sensor =
+        serde_json::json!({"kind": "frf", "frf": {"ridge": 0.05}, "inputs": ["y"], "outputs": ["u"]});
     let sensor = bench.end_of(bench.fit(sensor).await).await;
     assert!(sensor.stage.unwrap().contains("does not map all drives to all responses"));
 }
@@ -326,9 +327,10 @@ async fn without_fair_data_a_model_stays_inactive_and_the_job_says_why() {
 async fn a_policy_fits_after_uploads_with_all_their_runs() {
     let bench = Bench::new(gain).await;
     let patch = serde_json::json!({
-        "fit_policy": {"min_total_s": 25.0, "fits": [{"kind": "frf", "frf": {"ridge": 2.0}}]}
+        "fit_policy": {"min_total_s": 25.0, "fits": [{"kind": "frf", "frf": {"ridge": 0.2}}]}
     });
-    bench.store.patch_rig(&bench.rig.id, "*", &patch, now()).await.unwrap();
+    let patched = bench.store.patch_rig(&bench.rig.id, "*", &patch, now()).await.unwrap();
+    assert!(matches!(patched, RigUpdate::Updated(_)), "{patched:?}");
     let inserted = bench.store.upload_with(&bench.rig, meta(), &noise(4, 1000)).await;
     bench.jobs.wake();
     assert_eq!(inserted.jobs.len(), 1);

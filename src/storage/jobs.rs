@@ -74,7 +74,7 @@ pub enum CancelOutcome {
     /// No such job.
     Missing,
     /// The job as it is now: cancelled, about to be, or long finished.
-    Noted(Job),
+    Noted(Box<Job>),
 }
 
 /// Who asked for a job.
@@ -230,7 +230,7 @@ impl Store {
         tx.commit().await?;
         match row {
             None => Ok(CancelOutcome::Missing),
-            Some(row) => Ok(CancelOutcome::Noted(row.try_into()?)),
+            Some(row) => Ok(CancelOutcome::Noted(Box::new(row.try_into()?))),
         }
     }
 
@@ -483,7 +483,7 @@ mod tests {
         let store = TestStore::open().await;
         let jobs = queued(&store, 2).await;
         let cancel = async |id| match store.request_cancel(id, now()).await.unwrap() {
-            CancelOutcome::Noted(job) => job,
+            CancelOutcome::Noted(job) => *job,
             CancelOutcome::Missing => panic!("there is such a job"),
         };
         let once = cancel(jobs[0].id).await;

@@ -30,11 +30,11 @@ fn refused(runs: &[Run], request: &str) -> (String, FieldError) {
 #[test]
 fn a_fit_takes_noise_runs_of_the_training_split_and_all_validation_runs() {
     let runs = [
-        run(1, Noise, Training, 100),
-        run(2, Service, Training, 100),
-        run(3, Noise, Validation, 100),
-        run(4, Service, Validation, 100),
-        run(5, Noise, Test, 100),
+        run(1, Noise, Training, 1000),
+        run(2, Service, Training, 1000),
+        run(3, Noise, Validation, 1000),
+        run(4, Service, Validation, 1000),
+        run(5, Noise, Test, 1000),
     ];
     let plan = plan_of(&runs, r#"{"kind": "hybrid2"}"#).unwrap();
     assert_eq!((ids(&plan.training), ids(&plan.validation)), (vec![1], vec![3, 4]));
@@ -51,9 +51,9 @@ fn a_fit_takes_noise_runs_of_the_training_split_and_all_validation_runs() {
 #[test]
 fn selections_by_kind_tag_and_split_and_an_empty_list_of_kinds() {
     let runs = [
-        tagged(run(1, Noise, Training, 9), "a"),
-        tagged(tagged(run(2, Service, Training, 9), "a"), "b"),
-        run(3, Noise, Validation, 9),
+        tagged(run(1, Noise, Training, 900), "a"),
+        tagged(tagged(run(2, Service, Training, 900), "a"), "b"),
+        run(3, Noise, Validation, 900),
     ];
     let training = |selection: &str| {
         let request = format!(r#"{{"kind": "lstm", "runs": {selection}}}"#);
@@ -68,7 +68,7 @@ fn selections_by_kind_tag_and_split_and_an_empty_list_of_kinds() {
 
 #[test]
 fn the_frf_part_may_use_other_runs() {
-    let runs = [run(1, Noise, Training, 9), tagged(run(2, Noise, Training, 9), "linear")];
+    let runs = [run(1, Noise, Training, 900), tagged(run(2, Noise, Training, 900), "linear")];
     let frf_runs = r#""frf": {"runs": {"tags": ["linear"]}}"#;
     let hybrid = plan_of(&runs, &format!(r#"{{"kind": "hybrid1", {frf_runs}}}"#)).unwrap();
     assert_eq!((ids(&hybrid.training), ids(&hybrid.frf.unwrap())), (vec![1, 2], vec![2]));
@@ -83,11 +83,11 @@ fn the_frf_part_may_use_other_runs() {
 
 #[test]
 fn a_fit_without_runs_says_which_selection_is_empty() {
-    let runs = [run(1, Service, Training, 9)];
+    let runs = [run(1, Service, Training, 900)];
     assert_eq!(refused(&[], r#"{"kind": "frf"}"#).1.pointer, "/runs");
     let (code, place) = refused(&runs, r#"{"kind": "frf"}"#);
     assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.no_runs", "/runs"));
-    let runs = [run(1, Noise, Training, 9)];
+    let runs = [run(1, Noise, Training, 900)];
     let (_, place) = refused(&runs, r#"{"kind": "frf", "frf": {"runs": {"tags": ["no"]}}}"#);
     assert_eq!(place.pointer, "/frf/runs");
     let (_, place) = refused(&runs, r#"{"kind": "frf", "validation_runs": {"tags": ["no"]}}"#);
@@ -99,7 +99,7 @@ fn a_fit_without_runs_says_which_selection_is_empty() {
 
 #[test]
 fn an_unknown_run_is_named() {
-    let runs = [run(1, Noise, Training, 9)];
+    let runs = [run(1, Noise, Training, 900)];
     let request = format!(r#"{{"kind": "frf", "runs": ["{}", "{}"]}}"#, runs[0].id, RunId::from_u128(9));
     let (code, place) = refused(&runs, &request);
     assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.invalid", "/runs/1"));
@@ -107,9 +107,9 @@ fn an_unknown_run_is_named() {
 
 #[test]
 fn a_run_that_lacks_a_channel_is_named_with_the_channel() {
-    let mut partial = run(2, Noise, Training, 9);
+    let mut partial = run(2, Noise, Training, 900);
     partial.channels = vec!["u".into()];
-    let runs = [run(1, Noise, Training, 9), partial];
+    let runs = [run(1, Noise, Training, 900), partial];
     let (code, place) = refused(&runs, r#"{"kind": "frf"}"#);
     assert_eq!((code.as_str(), place.channel.as_deref()), ("fit.missing_channel", Some("y")));
     assert!(place.limit.unwrap().contains(&runs[1].id.to_string()));
@@ -117,16 +117,16 @@ fn a_run_that_lacks_a_channel_is_named_with_the_channel() {
 
 #[test]
 fn a_channel_that_is_constant_in_every_run_is_named_and_one_that_moves_once_is_not() {
-    let mut dead = run(1, Noise, Training, 9);
+    let mut dead = run(1, Noise, Training, 900);
     dead.quality.dead_channels = vec!["u".into()];
     let (code, place) = refused(std::slice::from_ref(&dead), r#"{"kind": "frf"}"#);
     assert_eq!((code.as_str(), place.channel.as_deref()), ("signal.dead_channel", Some("u")));
-    assert!(plan_of(&[dead, run(2, Noise, Training, 9)], r#"{"kind": "frf"}"#).is_ok());
+    assert!(plan_of(&[dead, run(2, Noise, Training, 900)], r#"{"kind": "frf"}"#).is_ok());
 }
 
 #[test]
 fn test_data_never_enter_a_fit_under_whatever_name() {
-    let test = run(1, Noise, Test, 9);
+    let test = run(1, Noise, Test, 900);
     let request = |id: RunId| format!(r#"{{"kind": "frf", "runs": ["{id}"]}}"#);
     let (code, _) = refused(std::slice::from_ref(&test), &request(test.id));
     assert_eq!(code, "fit.test_run");
@@ -135,10 +135,10 @@ fn test_data_never_enter_a_fit_under_whatever_name() {
     assert_eq!(refused(&disguised, &request(disguised[1].id)).0, "fit.test_run");
     assert_eq!(refused(&disguised, r#"{"kind": "frf"}"#).0, "fit.no_runs");
     // Training bytes that were uploaded again for a test.
-    let original = run(3, Noise, Training, 9);
+    let original = run(3, Noise, Training, 900);
     let both = [original.clone(), again(4, Test, &original)];
     assert_eq!(refused(&both, r#"{"kind": "frf"}"#).0, "fit.test_run");
-    let free = run(5, Noise, Training, 9);
+    let free = run(5, Noise, Training, 900);
     let frf =
         format!(r#"{{"kind": "hybrid1", "runs": ["{}"], "frf": {{"runs": ["{}"]}}}}"#, free.id, test.id);
     assert_eq!(refused(&[free, test], &frf).0, "fit.test_run");
@@ -146,8 +146,8 @@ fn test_data_never_enter_a_fit_under_whatever_name() {
 
 #[test]
 fn a_measurement_enters_once_however_often_it_was_uploaded() {
-    let first = run(1, Noise, Training, 9);
-    let runs = [first.clone(), again(2, Training, &first), run(3, Noise, Training, 9)];
+    let first = run(1, Noise, Training, 900);
+    let runs = [first.clone(), again(2, Training, &first), run(3, Noise, Training, 900)];
     assert_eq!(ids(&plan_of(&runs, r#"{"kind": "frf"}"#).unwrap().training), [1, 3]);
     let both = format!(r#"{{"kind": "frf", "runs": ["{}", "{}"]}}"#, runs[1].id, runs[0].id);
     assert_eq!(ids(&plan_of(&runs, &both).unwrap().training), [1]);
@@ -155,10 +155,25 @@ fn a_measurement_enters_once_however_often_it_was_uploaded() {
 
 #[test]
 fn no_run_is_trained_on_and_validated_on() {
-    let runs = [run(1, Noise, Training, 9), run(2, Noise, Validation, 9)];
+    let runs = [run(1, Noise, Training, 900), run(2, Noise, Validation, 900)];
     let (code, place) = refused(&runs, r#"{"kind": "frf", "validation_runs": {"split": "training"}}"#);
     assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.invalid", "/validation_runs"));
     // Validation runs that nobody asked for give way.
     let plan = plan_of(&runs, r#"{"kind": "frf", "runs": {"split": "validation"}}"#).unwrap();
     assert_eq!((ids(&plan.training), plan.validation), (vec![2], vec![]));
+}
+
+#[test]
+fn runs_that_are_too_short_for_the_settings_are_refused_before_the_job() {
+    let short = [run(1, Noise, Training, 9)];
+    let (code, place) = refused(&short, r#"{"kind": "frf"}"#);
+    assert_eq!((code.as_str(), place.pointer.as_str()), ("signal.too_short", "/runs"));
+    let runs = [run(1, Noise, Training, 300), run(2, Noise, Training, 280)];
+    let (code, place) = refused(&runs, r#"{"kind": "lstm"}"#);
+    assert_eq!((code.as_str(), place.pointer.as_str()), ("signal.too_short", "/lstm/window_len"));
+    assert!(place.limit.unwrap().starts_with("at most 252,"), "280 samples less the tenth held out");
+    assert!(plan_of(&runs, r#"{"kind": "lstm", "lstm": {"window_len": 252}}"#).is_ok());
+    let (_, place) =
+        refused(&runs, r#"{"kind": "hybrid1", "frf": {"segment_len": 512}, "lstm": {"window_len": 64}}"#);
+    assert_eq!(place.pointer, "/frf/segment_len");
 }
