@@ -2,7 +2,9 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{SAFETENSORS, TestApp, f4, f8, gain_weights, noise_csv, npy, read_f4, triple, wave};
+use crate::support::{
+    SAFETENSORS, TestApp, bench, f4, f8, gain_model, gain_weights, noise_csv, npy, read_f4, triple, wave,
+};
 
 const PREDICT: &str = "/v1/rigs/bench/predict";
 const NPY: &str = "application/x-npy";
@@ -85,6 +87,19 @@ async fn a_drive_outside_the_training_range_is_said_so_by_channel_and_span() {
     assert!((0.78..=0.8).contains(&inside), "{trust}");
     assert_eq!(trust["spans"][0]["channel"], "u");
     assert!((trust["spans"][0]["from_s"].as_f64().expect("seconds") - 0.4).abs() < 0.011, "{trust}");
+}
+
+#[tokio::test]
+async fn weights_that_do_not_say_what_they_were_fitted_on_give_no_trust() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let mut model = gain_model(&["u"], &["y"], 2.0);
+    model.range.clear();
+    app.activate("bench", rigcast::engine::model::to_safetensors(&model)).await;
+    let request = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0, 9.0]}}});
+    let reply = app.post_json(PREDICT, &request).await.expect(200);
+    assert_eq!(reply.json()["trust"], json!({"inside": null, "spans": []}));
+    assert!(!reply.headers.contains_key("rigcast-trust-inside"));
 }
 
 #[tokio::test]

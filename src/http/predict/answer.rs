@@ -12,7 +12,7 @@ use crate::domain::Rig;
 use crate::engine::Signal;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
-use crate::engine::model::{ModelKind, Trust};
+use crate::engine::model::{ModelKind, TrustSpan};
 use crate::formats;
 use crate::formats::npy::{Dtype, Order};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -48,8 +48,9 @@ pub struct Computed {
     pub media_type: &'static str,
     /// Samples predicted, all outputs together.
     pub samples: u64,
-    /// Share of samples at which every input is inside what the model was fitted on.
-    pub inside: f64,
+    /// Share of samples at which every input is inside what the model was fitted on, if that is
+    /// known.
+    pub inside: Option<f64>,
 }
 
 /// The JSON body.
@@ -63,7 +64,14 @@ struct PredictAnswer<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     errors: Option<ErrorReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    trust: Option<Trust>,
+    trust: Option<TrustAnswer>,
+}
+
+/// Trust, unknown for imported weights that do not say what they were fitted on.
+#[derive(Debug, Serialize)]
+struct TrustAnswer {
+    inside: Option<f64>,
+    spans: Vec<TrustSpan>,
 }
 
 /// Errors by channel name.

@@ -102,7 +102,12 @@ async fn compute(http: &Shared, job: Job) -> Answer {
     respond(&model, bytes, media_type, inside)
 }
 
-fn respond(model: &LoadedModel, bytes: Vec<u8>, media_type: &'static str, inside: f64) -> Answer<Response> {
+fn respond(
+    model: &LoadedModel,
+    bytes: Vec<u8>,
+    media_type: &'static str,
+    inside: Option<f64>,
+) -> Answer<Response> {
     let mut response = bytes.into_response();
     let headers = response.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
@@ -114,6 +119,8 @@ fn respond(model: &LoadedModel, bytes: Vec<u8>, media_type: &'static str, inside
     put("rigcast-model-version", model.version.to_string())?;
     put("rigcast-model-digest", model.sha256.clone())?;
     put("rigcast-channels", header_names(&model.model.outputs))?;
-    put("rigcast-trust-inside", inside.to_string())?;
+    if let Some(inside) = inside {
+        put("rigcast-trust-inside", inside.to_string())?;
+    }
     Ok(response)
 }
