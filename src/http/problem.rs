@@ -17,8 +17,13 @@ pub const MEDIA_TYPE: &str = "application/problem+json";
 
 /// Why a request was not answered as asked.
 #[derive(Debug, Clone)]
-pub struct Problem {
+pub struct Problem(Box<Parts>);
+
+/// Boxed, so that answers which succeed do not carry the room for it around.
+#[derive(Debug, Clone)]
+struct Parts {
     what: domain::Problem,
+    /// For the log only.
     cause: Option<String>,
     header: Option<(HeaderName, HeaderValue)>,
 }
@@ -48,54 +53,54 @@ impl Problem {
     pub fn internal(cause: impl std::fmt::Display) -> Self {
         let mut problem =
             Self::new(codes::INTERNAL, "The request failed on our side; the log has the cause.");
-        problem.cause = Some(cause.to_string());
+        problem.0.cause = Some(cause.to_string());
         problem
     }
 
     /// Keeps what a 5xx must not tell the client for the log.
     pub fn because(mut self, cause: impl std::fmt::Display) -> Self {
-        self.cause = Some(cause.to_string());
+        self.0.cause = Some(cause.to_string());
         self
     }
 
     /// Adds a place.
     pub fn with(mut self, error: FieldError) -> Self {
-        self.what.errors.push(error);
+        self.0.what.errors.push(error);
         self
     }
 
     /// Adds places.
     pub fn with_all(mut self, errors: impl IntoIterator<Item = FieldError>) -> Self {
-        self.what.errors.extend(errors);
+        self.0.what.errors.extend(errors);
         self
     }
 
     /// Says in how many seconds another try makes sense.
     pub fn retry_after(mut self, seconds: u32) -> Self {
-        self.header = Some((RETRY_AFTER, seconds.into()));
+        self.0.header = Some((RETRY_AFTER, seconds.into()));
         self
     }
 
     /// Its stable code.
     pub fn code(&self) -> &str {
-        &self.what.code
+        &self.0.what.code
     }
 
     /// What only the log may say.
     pub(super) fn cause(&self) -> Option<&str> {
-        self.cause.as_deref()
+        self.0.cause.as_deref()
     }
 
     /// The document, as the bytes of a body.
     pub(super) fn document(&self, request_id: &str) -> Vec<u8> {
         let document = Document {
-            r#type: &self.what.kind,
-            title: &self.what.title,
-            status: self.what.status,
-            detail: &self.what.detail,
-            code: &self.what.code,
+            r#type: &self.0.what.kind,
+            title: &self.0.what.title,
+            status: self.0.what.status,
+            detail: &self.0.what.detail,
+            code: &self.0.what.code,
             request_id,
-            errors: &self.what.errors,
+            errors: &self.0.what.errors,
         };
         serde_json::to_vec(&document).expect("a document of strings and integers always serialises")
     }
@@ -116,15 +121,15 @@ impl Problem {
 
 impl From<domain::Problem> for Problem {
     fn from(what: domain::Problem) -> Self {
-        Self { what, cause: None, header: None }
+        Self(Box::new(Parts { what, cause: None, header: None }))
     }
 }
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let status = StatusCode::from_u16(self.what.status).expect("a code's status is a valid one");
+        let status = StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one");
         let mut response = status.into_response();
-        if let Some((name, value)) = self.header.clone() {
+        if let Some((name, value)) = self.0.header.clone() {
             response.headers_mut().insert(name, value);
         }
         response.extensions_mut().insert(self);

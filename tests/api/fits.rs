@@ -115,7 +115,8 @@ async fn a_channel_without_power_and_runs_too_short_for_the_settings_are_refused
     let app = with_noise(100).await;
     refusal(&app, json!({"kind": "frf", "frf": {"segment_len": 4096}}), "signal.too_short").await;
     refusal(&app, json!({"kind": "lstm", "lstm": {"window_len": 4096, "hop": 1}}), "signal.too_short").await;
-    refusal(&app, json!({"kind": "frf", "frf": {"segment_len": 64}}), "frf.too_few_averages").await;
+    refusal(&app, json!({"kind": "frf", "frf": {"segment_len": 64, "overlap": 0.0}}), "frf.too_few_averages")
+        .await;
     for (request, pointer) in [
         (json!({"kind": "frf", "frf": {"overlap": 1.5}}), "/frf/overlap"),
         (json!({"kind": "frf", "frf": {"segment_len": 3}}), "/frf/segment_len"),

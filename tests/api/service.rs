@@ -122,6 +122,7 @@ async fn the_service_stays_quick_while_a_fit_uses_the_cores() {
     app.post(&format!("{path}/cancel")).await.expect(202);
     app.finished(job.json()["id"].as_str().expect("an id")).await;
     times.sort_unstable();
+    println!("GET /livez during a fit: median {:?}, 99th percentile {:?}", times[100], times[197]);
     // The promise is 100 ms at the 99th percentile on a machine of its own; other tests run here too.
     assert!(times[197] < Duration::from_millis(500), "99th percentile {:?}", times[197]);
 }

@@ -127,6 +127,8 @@ impl Job {
             .model
             .trust(&drive)
             .map_err(|error| errors::engine(&error, &model.model.inputs, "/drive/channels"))?;
+        let known = !model.model.range.is_empty();
+        let trust = TrustAnswer { inside: known.then_some(trust.inside), spans: trust.spans };
         let samples = (response.n_samples() * response.n_channels()) as u64;
         let inside = trust.inside;
         if media_type == NPY {

@@ -10,4 +10,4 @@ pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
 pub use raw::exchange;
-pub use reply::{Call, Reply};
+pub use reply::Reply;
