@@ -13,7 +13,7 @@ mod support;
 use std::path::PathBuf;
 
 use clap::Parser;
-use rigcast::client::Client;
+use rigcast::client::{self, Client};
 use rigcast::demo::LocalService;
 use serde_json::{Value, json};
 
@@ -119,7 +119,7 @@ async fn fit(client: &Client, data: &Dataset, kind: &str, lstm: &Value) -> Resul
         kind: kind.into(),
         version: model["version"].as_u64().ok_or("the model has no version")?,
         validation: rms.iter().sum::<f64>() / rms.len().max(1) as f64,
-        fit_s: support::progress::elapsed_s(&job).ok_or("the job has no times")?,
+        fit_s: client::elapsed_s(&job).ok_or("the job has no times")?,
         settings: json!({"frf": report["frf"], "lstm": report["lstm"], "recombine": report["recombine"], "seed": report["best_seed"]}),
     })
 }

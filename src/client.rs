@@ -169,6 +169,12 @@ impl Client {
     }
 }
 
+/// Seconds between start and end of a finished job.
+pub fn elapsed_s(job: &Value) -> Option<f64> {
+    let time = |key: &str| job[key].as_str()?.parse::<jiff::Timestamp>().ok();
+    Some(time("finished_at")?.duration_since(time("started_at")?).as_secs_f64())
+}
+
 fn header(headers: &HeaderMap, name: &str) -> Option<f64> {
     headers.get(name)?.to_str().ok()?.parse().ok()
 }

@@ -16,9 +16,3 @@ pub fn show(bar: &ProgressBar, job: &Value) {
     let eta = job["eta_s"].as_f64().map(|s| format!(", about {s:.0} s left")).unwrap_or_default();
     bar.set_message(format!("{}{eta}", job["stage"].as_str().unwrap_or("waiting")));
 }
-
-/// Seconds between start and end of a finished job.
-pub fn elapsed_s(job: &Value) -> Option<f64> {
-    let time = |key: &str| job[key].as_str()?.parse::<jiff::Timestamp>().ok();
-    Some(time("finished_at")?.duration_since(time("started_at")?).as_secs_f64())
-}

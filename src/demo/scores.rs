@@ -40,7 +40,7 @@ pub async fn table(
         let Some((_, version)) = models.iter().find(|(k, _)| k == kind) else { continue };
         rows.push((label, score_all(client, rig, *version, runs, &bar).await?));
     }
-    bar.finish();
+    bar.finish_and_clear();
 
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);

@@ -94,7 +94,7 @@ pub async fn all(client: &Client, rig: &str, runs: &[DemoRun]) -> Result<Uploade
         }
         bar.inc(1);
     }
-    bar.finish();
+    bar.finish_and_clear();
     uploaded.jobs.dedup();
     Ok(uploaded)
 }

@@ -45,7 +45,7 @@ fn a_fit_takes_noise_runs_of_the_training_split_and_all_validation_runs() {
     assert_eq!(plan.request.validation_runs, resolved(&[3, 4]));
     assert_eq!(plan.request.inputs, Some(vec!["u".into()]));
     assert_eq!(plan.lineage().validation.len(), 2);
-    assert_eq!(plan.lineage().training[0].to_sample, 100, "nothing is held out of training runs");
+    assert_eq!(plan.lineage().training[0].to_sample, 1000, "nothing is held out of training runs");
 }
 
 #[test]
