@@ -95,6 +95,8 @@ fn refusal(error: serde_json::Error, path: &Path) -> Problem {
         (codes::BODY_UNKNOWN_FIELD, beside(pointer, named))
     } else if text.starts_with("missing field") {
         (codes::BODY_MISSING_FIELD, beside(pointer, named))
+    } else if text.starts_with("duplicate field") {
+        (codes::BODY_INVALID_VALUE, beside(pointer, named))
     } else {
         (codes::BODY_INVALID_VALUE, pointer)
     };

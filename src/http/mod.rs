@@ -1,7 +1,7 @@
 //! The HTTP contract: routes, problem documents, one file a resource.
 //!
 //! Handlers parse, call and map. What needs the processor goes through [`crate::compute`]; what
-//! is wrong becomes a problem ([`problem`]), whose document the outermost layer ([`observe`])
+//! is wrong becomes a problem (`problem`), whose document the outermost layer (`observe`)
 //! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal.
 
 mod active_model;
