@@ -15,6 +15,9 @@ type AnyError = Box<dyn std::error::Error>;
 const SHAKER_RATE_HZ: f64 = 4096.0;
 const SHAKER_BAND_HZ: [f64; 2] = [12.0, 1250.0];
 
+/// Samples at either end of a training run that its filters have spoilt.
+const SHAKER_EDGE: usize = 128;
+
 /// The folder; measured files are read when they are asked for.
 pub struct Dataset {
     folder: PathBuf,
@@ -122,10 +125,12 @@ impl Dataset {
     /// Training files as they are uploaded: name, media type, bytes.
     pub fn training(&self) -> Result<Vec<(String, &'static str, Vec<u8>)>, AnyError> {
         if self.is_shaker() {
+            let run = self.shaker("run1")?;
+            let run = run.slice(SHAKER_EDGE..run.n_samples() - SHAKER_EDGE);
             return Ok(vec![(
                 "run1".into(),
                 "application/x-npy",
-                npy::write(self.shaker("run1")?.channels(), Dtype::F8, Order::C)?,
+                npy::write(run.channels(), Dtype::F8, Order::C)?,
             )]);
         }
         let path = self.folder.join("train.csv");

@@ -18,7 +18,7 @@ pub const MAX_CHANNELS: usize = 128;
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1e6;
 
 /// Most characters of a name, unit, axis, group or tag.
-pub const MAX_NAME_CHARS: usize = 100;
+pub const MAX_NAME_CHARS: usize = 1000;
 
 /// Most fits of a fit policy.
 pub const MAX_POLICY_FITS: usize = 16;
@@ -345,7 +345,7 @@ mod tests {
         for rate in [0.0, -1.0, 1e6 + 1.0] {
             assert_eq!(wrong_after(json!({"sample_rate_hz": rate})), ["/sample_rate_hz"]);
         }
-        assert_eq!(wrong_after(json!({"name": "x".repeat(101)})), ["/name"]);
+        assert_eq!(wrong_after(json!({"name": "x".repeat(MAX_NAME_CHARS + 1)})), ["/name"]);
         let channel = |name: &str, role: &str| json!({"name": name, "unit": "", "role": role});
         let channels = |list: Vec<Value>| wrong_after(json!({"channels": list, "fit_policy": null}));
         assert_eq!(channels(vec![channel("u", "drive"), channel("u", "response")]), ["/channels/1/name"]);

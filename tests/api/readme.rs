@@ -34,10 +34,15 @@ async fn the_readmes_session_works_as_it_stands() {
     let (out, err) = (String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
     assert!(done.status.success(), "{out}\n{err}");
 
-    for part in [r#""state":"succeeded""#, r#""ratio":"#, r#""inside":"#, r#""response":{"sample_rate_hz":200"#] {
+    for part in
+        [r#""state":"succeeded""#, r#""ratio":"#, r#""inside":"#, r#""response":{"sample_rate_hz":200"#]
+    {
         assert!(out.contains(part), "{part} is missing in\n{out}");
     }
     app.get("/v1/rigs/bench-1/active-model").await.expect(200);
     let weights = std::fs::read(folder.path().join("model.safetensors")).expect("weights were written");
-    assert_eq!(rigcast::engine::model::from_safetensors(&weights).expect("weights of ours").inputs, ["drive"]);
+    assert_eq!(
+        rigcast::engine::model::from_safetensors(&weights).expect("weights of ours").inputs,
+        ["drive"]
+    );
 }

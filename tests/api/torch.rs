@@ -32,7 +32,8 @@ fn columns(file: &SafeTensors, name: &str) -> Vec<Vec<f64>> {
 #[tokio::test]
 async fn the_services_prediction_is_that_of_the_framework_that_made_the_weights() {
     let app = TestApp::start();
-    let channel = |name: &str, role: &str| json!({"name": name, "unit": "kN", "role": role, "quantity": "force"});
+    let channel =
+        |name: &str, role: &str| json!({"name": name, "unit": "kN", "role": role, "quantity": "force"});
     let rig = json!({"id": "torch", "name": "Weights made elsewhere", "sample_rate_hz": 1000.0, "channels": [
         channel("drive_x", "drive"), channel("drive_y", "drive"), channel("drive_z", "drive"),
         channel("force_x", "response"), channel("force_y", "response")]});
