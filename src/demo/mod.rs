@@ -40,7 +40,7 @@ pub struct DemoArgs {
     pub minutes: f64,
 
     /// Epochs of each network.
-    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub epochs: u32,
 
     /// Address to listen on; port 0 takes a free one.
@@ -156,7 +156,7 @@ fn rig(args: &DemoArgs, training_s: f64) -> Value {
     // The FRF belongs where the rig is nearly linear.
     let linear = json!({"runs": {"tags": ["linear"]}});
     // One network each, so that the whole demo takes minutes; the default is the best of three.
-    let network = json!({"seeds": [args.seed], "epochs": args.epochs, "batch_size": 64});
+    let network = json!({"seeds": [args.seed], "epochs": args.epochs});
     let fits: Vec<Value> = KINDS
         .iter()
         .map(|(kind, _)| match *kind {
