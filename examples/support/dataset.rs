@@ -18,6 +18,12 @@ const SHAKER_BAND_HZ: [f64; 2] = [12.0, 1250.0];
 /// Samples at either end of a training run that its filters have spoilt.
 const SHAKER_EDGE: usize = 128;
 
+/// A method's name and its error in each published column.
+pub type PublishedMethod = (String, Vec<Option<f64>>);
+
+/// A file as it is uploaded: name, media type, bytes.
+pub type Upload = (String, &'static str, Vec<u8>);
+
 /// The folder; measured files are read when they are asked for.
 pub struct Dataset {
     folder: PathBuf,
@@ -80,7 +86,7 @@ impl Dataset {
     }
 
     /// Published figures: column names, and per method one value a column.
-    pub fn published(&self) -> (Vec<String>, Vec<(String, Vec<Option<f64>>)>) {
+    pub fn published(&self) -> (Vec<String>, Vec<PublishedMethod>) {
         let published = &self.about["published_rmse_mV"];
         let columns = strings(&published["columns"]);
         let methods = published.as_object().into_iter().flatten().filter(|(name, _)| *name != "columns");
@@ -123,7 +129,7 @@ impl Dataset {
     }
 
     /// Training files as they are uploaded: name, media type, bytes.
-    pub fn training(&self) -> Result<Vec<(String, &'static str, Vec<u8>)>, AnyError> {
+    pub fn training(&self) -> Result<Vec<Upload>, AnyError> {
         if self.is_shaker() {
             let run = self.shaker("run1")?;
             let run = run.slice(SHAKER_EDGE..run.n_samples() - SHAKER_EDGE);
