@@ -35,12 +35,12 @@ pub struct Trust {
     /// Share of samples at which every channel is inside, 0..=1.
     pub inside: f64,
     /// Spans outside, by start. Excursions of one channel in one way that are less than
-    /// [`JOIN_S`] apart are one span.
+    /// 0.1 s apart are one span.
     pub spans: Vec<TrustSpan>,
 }
 
 /// Excursions closer than this are one span, so that a vibration about the limit reads as one.
-pub const JOIN_S: f64 = 0.1;
+const JOIN_S: f64 = 0.1;
 
 /// Rounding of a filter or a file format must not put a training run outside of itself.
 const TOLERANCE: f64 = 1e-9;
