@@ -388,7 +388,7 @@ mod tests {
             panic!("no model saw this one")
         };
         assert_eq!(*changed, Run { split: Split::Test, ..free });
-        let too_long = RunPatch { name: Some(Some("x".repeat(101))), ..RunPatch::default() };
+        let too_long = RunPatch { name: Some(Some("x".repeat(1001))), ..RunPatch::default() };
         assert!(matches!(store.patch_run(&rig.id, run.id, too_long).await, Ok(RunUpdate::Invalid(_))));
         let missing = store.patch_run(&rig.id, new_id(now()), RunPatch::default()).await.unwrap();
         assert_eq!(missing, RunUpdate::Missing);

@@ -78,7 +78,7 @@ fn training_gives_the_same_bits_on_any_number_of_threads() {
         let one = on(1, 7);
         assert_eq!(one, on(2, 7));
         assert_eq!(one, on(3, 7));
-        assert_ne!(one.net, on(1, 8).net);
+        assert_ne!(one.history, on(1, 8).history);
     }
 }
 
