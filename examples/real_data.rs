@@ -31,8 +31,8 @@ struct Args {
     /// Only these kinds of model.
     #[arg(long, value_delimiter = ',', default_value = "frf,lstm,hybrid1,hybrid2")]
     kinds: Vec<String>,
-    /// Settings of the LSTM part as JSON, over the service's defaults. The windows of 512 samples are
-    /// two to three ring-downs of a lightly damped system; they were set on training data alone.
+    /// Settings of the LSTM part as JSON, over the service's defaults: windows of 512 samples are two
+    /// to three ring-downs of a lightly damped system.
     #[arg(long, default_value = r#"{"window_len": 512, "blocks": [40], "batch_size": 16}"#)]
     lstm: String,
 }
