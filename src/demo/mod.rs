@@ -40,7 +40,7 @@ pub struct DemoArgs {
     pub minutes: f64,
 
     /// Epochs of each network.
-    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub epochs: u32,
 
     /// Address to listen on; port 0 takes a free one.
