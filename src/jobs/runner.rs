@@ -104,9 +104,15 @@ impl Runner {
     async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
         let now = (self.clock)();
         // A worker that could not write its job's end left it running.
-        for id in self.store.requeue_expired(now, now).await? {
-            tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
-            self.hub.changed(id);
+        match self.store.requeue_expired(now, now).await {
+            Ok(expired) => {
+                for id in expired {
+                    tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
+                    self.hub.changed(id);
+                }
+            }
+            // One row that cannot be read must not keep the others waiting.
+            Err(error) => tracing::error!(%error, "jobs of lost workers could not be queued again"),
         }
         self.store.claim_job(name, self.lease_until(now), now).await
     }
