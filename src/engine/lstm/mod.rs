@@ -16,6 +16,7 @@ mod isa;
 mod net;
 mod optimizer;
 mod params;
+mod peak;
 mod predict;
 mod product;
 #[cfg(test)]
@@ -32,6 +33,7 @@ mod validate;
 
 pub use isa::{ISA_VARIABLE, Isa};
 pub use net::{LstmBlock, LstmNet};
+pub use peak::peak_fma;
 pub use predict::predict;
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
 pub use train::{EpochRecord, Stretch, Trained, train};
