@@ -11,6 +11,7 @@ pub mod model;
 pub mod progress;
 pub mod resample;
 pub mod signal;
+pub mod simd;
 pub mod spectral;
 pub mod virtual_rig;
 pub mod windowing;

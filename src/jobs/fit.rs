@@ -9,10 +9,10 @@ use bytes::Bytes;
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Model, Origin, Rig, Run};
-use crate::engine::lstm::Isa;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
 };
+use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
 use crate::storage::{Claim, NewModel, StoreError};
 

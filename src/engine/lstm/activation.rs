@@ -6,7 +6,7 @@
 //! Both are within 2e-7 of the truth; damage grows with the fifth power of an amplitude, so less
 //! would show.
 
-use super::simd::Simd;
+use crate::engine::simd::Simd;
 
 /// Factor of a sigmoid's argument, `-log2(e)`.
 pub(super) const SIGMOID_SCALE: f32 = -std::f32::consts::LOG2_E;
@@ -74,9 +74,9 @@ pub(super) fn output<S: Simd>(s: S, o: S::V, c: S::V) -> S::V {
 
 #[cfg(test)]
 mod tests {
-    use super::super::isa::Isa;
-    use super::super::simd::{Kernel, LANES, Lanes, dispatch};
     use super::*;
+    use crate::engine::simd::Isa;
+    use crate::engine::simd::{Kernel, LANES, Lanes, dispatch};
 
     /// Sigmoid, tanh and `sigmoid(a) * tanh(b)` at sixteen places.
     struct At(Lanes, Lanes);

@@ -8,7 +8,7 @@ use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
 use super::product::{Steps, outer, pack, product};
-use super::simd::{Kernel, LANES, Lanes, Simd};
+use crate::engine::simd::{Kernel, LANES, Lanes, Simd};
 
 /// Kept per cell and step: gates i, f, g, o, the cell state and its tanh.
 const KEPT: usize = 6;
@@ -380,13 +380,13 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::isa::Isa;
     use super::super::net::LstmNet;
     use super::super::params::flatten;
     use super::super::reference::Twin;
     use super::super::samples::noise;
-    use super::super::simd::dispatch;
     use super::*;
+    use crate::engine::simd::Isa;
+    use crate::engine::simd::dispatch;
 
     /// Planar signals as the twin takes them.
     fn steps(x: &[Vec<f32>], start: usize, len: usize) -> Vec<Vec<f64>> {

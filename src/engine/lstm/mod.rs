@@ -12,11 +12,9 @@
 mod activation;
 mod bptt;
 mod forward;
-mod isa;
 mod net;
 mod optimizer;
 mod params;
-mod peak;
 mod predict;
 mod product;
 #[cfg(test)]
@@ -24,16 +22,13 @@ mod reference;
 #[cfg(test)]
 mod samples;
 mod settings;
-mod simd;
 mod stream;
 #[cfg(test)]
 mod torch_vectors;
 mod train;
 mod validate;
 
-pub use isa::{ISA_VARIABLE, Isa};
 pub use net::{LstmBlock, LstmNet};
-pub use peak::peak_fma;
 pub use predict::predict;
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
 pub use train::{EpochRecord, Stretch, Trained, train};

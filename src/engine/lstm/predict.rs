@@ -5,13 +5,13 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::forward::{Forward, Packed, State};
-use super::isa::Isa;
 use super::net::LstmNet;
 use super::params::{Shape, flatten};
 use super::settings::Recombine;
-use super::simd::{LANES, Lanes, dispatch};
 use super::stream::{Stream, StreamWeights};
 use crate::engine::EngineError;
+use crate::engine::simd::Isa;
+use crate::engine::simd::{LANES, Lanes, dispatch};
 use crate::engine::windowing::{Weights, Windows, check_window};
 
 /// Windows of pre-roll before a stream, in which the first value is held.

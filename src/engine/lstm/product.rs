@@ -1,6 +1,6 @@
 //! The two products that a network spends its time in, blocked for registers.
 
-use super::simd::{Columns, Lanes, Simd};
+use crate::engine::simd::{Columns, Lanes, Simd};
 
 /// `R` rows of weights times step vectors of `NV * 16` windows.
 ///
@@ -160,9 +160,9 @@ fn tile<S: Simd, const R: usize, const C: usize>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::isa::Isa;
-    use super::super::simd::{Kernel, LANES, dispatch};
     use super::*;
+    use crate::engine::simd::Isa;
+    use crate::engine::simd::{Kernel, LANES, dispatch};
 
     /// Values that differ everywhere, in +-1.
     fn lanes(n: usize, phase: f32) -> Vec<Lanes> {

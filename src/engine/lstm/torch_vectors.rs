@@ -5,13 +5,13 @@ use safetensors::{Dtype, SafeTensors};
 
 use super::bptt::{Backprop, Group, TrainWeights};
 use super::forward::{Packed, State};
-use super::isa::Isa;
 use super::net::{LstmBlock, LstmNet};
 use super::params::{Shape, flatten};
 use super::predict::{predict_on, run_windows};
 use super::samples::{distance, std_of};
 use super::settings::Recombine;
-use super::simd::{LANES, dispatch};
+use crate::engine::simd::Isa;
+use crate::engine::simd::{LANES, dispatch};
 
 /// Of an output's standard deviation; the reference is exact, `f32` sums of 50 products are not.
 const FORWARD: f64 = 1e-5;

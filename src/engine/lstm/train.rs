@@ -6,15 +6,15 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::bptt::{Backprop, Group, TrainWeights};
-use super::isa::Isa;
 use super::net::LstmNet;
 use super::optimizer::{Descent, clip, relative_rate};
 use super::params::{Shape, flatten, unflatten};
 use super::predict::check_channels;
 use super::settings::LstmSettings;
-use super::simd::{LANES, dispatch};
 use super::validate::Scored;
 use crate::engine::progress::report;
+use crate::engine::simd::Isa;
+use crate::engine::simd::{LANES, dispatch};
 use crate::engine::{EngineError, Watch};
 
 /// Standardised inputs and outputs of one run, planar `[channel][sample]`.

@@ -3,12 +3,12 @@
 use rayon::prelude::*;
 
 use super::forward::{Packed, State};
-use super::isa::Isa;
 use super::predict::run_windows;
 use super::settings::LstmSettings;
-use super::simd::LANES;
 use super::train::Stretch;
 use crate::engine::EngineError;
+use crate::engine::simd::Isa;
+use crate::engine::simd::LANES;
 
 /// Windows that score each sample of the validation data once, after a burn-in of context.
 pub(super) struct Scored<'a> {

@@ -16,10 +16,10 @@ use rand_distr::{Distribution, StandardNormal};
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
 use rigcast::engine::frf::{Estimator, FrfSettings, estimate};
 use rigcast::engine::lstm::{
-    Isa, LstmNet, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, Stretch, peak_fma, predict,
-    train,
+    LstmNet, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, Stretch, predict, train,
 };
 use rigcast::engine::progress::{Progress, unwatched};
+use rigcast::engine::simd::{Isa, peak_fma};
 use rigcast::engine::{EngineError, Signal};
 use serde_json::json;
 

@@ -5,8 +5,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::isa::Isa;
-use super::simd::{Kernel, LANES, Simd, dispatch};
+use super::{Isa, Kernel, LANES, Simd, dispatch};
 use crate::engine::EngineError;
 
 /// Multiply-adds per accumulator and measurement; a few milliseconds a thread.
