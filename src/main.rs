@@ -6,6 +6,7 @@ use clap::Parser;
 use rigcast::app::App;
 use rigcast::config::{Cli, Command, ServeArgs};
 use rigcast::demo::DemoArgs;
+use rigcast::engine::simd::Isa;
 use rigcast::telemetry::{self, LogFormat};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
@@ -30,6 +31,8 @@ fn main() -> ExitCode {
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, args.log_format)?;
     let config = args.check()?;
+    // A wrong instruction set is told now, not by the first prediction.
+    let isa = Isa::of_process()?;
     runtime()?.block_on(async {
         // Signals are caught before anything is opened: a stop during the start is a clean one.
         let mut terminate = signal(SignalKind::terminate())?;
@@ -40,6 +43,7 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
         tracing::info!(
             http.address = %address,
             data.dir = %config.data_dir.display(),
+            cpu.isa = isa.name(),
             version = env!("CARGO_PKG_VERSION"),
             "rigcast listens on http://{address}"
         );

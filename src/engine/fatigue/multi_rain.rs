@@ -13,6 +13,7 @@ use serde::Serialize;
 use super::block::{BLOCK, Block};
 use super::damage::{DamageSettings, MinerSum, Power, WithPower, check_finite, finite, with_power};
 use crate::engine::EngineError;
+use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 
 /// The largest damage and where it points.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -68,7 +69,7 @@ pub(super) fn multi_rain_unchecked(
     if !largest.is_finite() {
         return Err(EngineError::DamageOverflow { what, channel });
     }
-    let damages = with_power(settings.slope, Directions { group, settings });
+    let damages = with_power(settings.slope, Directions { isa: Isa::of_process()?, group, settings });
     let mut best = 0;
     for (i, d) in damages.iter().enumerate() {
         finite(*d, what, channel)?;
@@ -84,6 +85,7 @@ const AT_ONCE: usize = 16;
 
 /// Damage of each direction.
 struct Directions<'a> {
+    isa: Isa,
     group: [&'a [f64]; 3],
     settings: &'a DamageSettings,
 }
@@ -124,7 +126,7 @@ impl Directions<'_> {
             let span = start..(start + BLOCK).min(n);
             let block = self.group.map(|s| &s[span.clone()]);
             for (d, sum) in directions.iter().zip(&mut sums) {
-                project_and_take(block, *d, &mut work);
+                dispatch(self.isa, ProjectAndTake { channels: block, d: *d, block: &mut work });
                 sum.push_block(&work);
             }
         }
@@ -135,39 +137,29 @@ impl Directions<'_> {
     }
 }
 
-/// Takes the samples `d . channels` into `block`.
-///
-/// Products and sums are rounded one by one (no fused multiply-add), so every instruction set
-/// gives the same bits.
-#[inline(always)]
-fn project_and_take_here(channels: [&[f64]; 3], d: [f64; 3], block: &mut Block) {
-    let n = channels[0].len();
-    let (x, y, z) = (&channels[0][..n], &channels[1][..n], &channels[2][..n]);
-    block.take(n, |projected| {
-        let projected = &mut projected[..n];
-        for i in 0..n {
-            projected[i] = d[0] * x[i] + d[1] * y[i] + d[2] * z[i];
-        }
-    });
+/// Takes the samples `d . channels` into `block`; bit-equal on every instruction set.
+struct ProjectAndTake<'a> {
+    channels: [&'a [f64]; 3],
+    d: [f64; 3],
+    block: &'a mut Block,
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2")]
-fn project_and_take_avx2(channels: [&[f64]; 3], d: [f64; 3], block: &mut Block) {
-    project_and_take_here(channels, d, block);
-}
+impl Kernel for ProjectAndTake<'_> {
+    type Out = ();
+    const WIDE: bool = false;
 
-fn project_and_take(channels: [&[f64]; 3], d: [f64; 3], block: &mut Block) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::is_x86_feature_detected as has;
-        if has!("avx2") && has!("bmi1") && has!("bmi2") {
-            // SAFETY: the processor has just said that it has all that the function asks for.
-            unsafe { project_and_take_avx2(channels, d, block) };
-            return;
-        }
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Self { channels: [x, y, z], d, block } = self;
+        let n = x.len();
+        let (y, z) = (&y[..n], &z[..n]);
+        block.take(n, |projected| {
+            let projected = &mut projected[..n];
+            for i in 0..n {
+                projected[i] = d[0] * x[i] + d[1] * y[i] + d[2] * z[i];
+            }
+        });
     }
-    project_and_take_here(channels, d, block);
 }
 
 #[cfg(test)]
@@ -281,15 +273,21 @@ mod tests {
     #[test]
     fn every_instruction_set_gives_the_same_bits() {
         let group = group(BLOCK, 5);
-        let (mut here, mut portable) = (Block::new(), Block::new());
-        for n in [1, 2, 3, 4, 9, 1000, BLOCK] {
-            let channels = refs(&group).map(|s| &s[..n]);
-            project_and_take(channels, direction(33, 500), &mut here);
-            project_and_take_here(channels, direction(33, 500), &mut portable);
-            assert_eq!(here.points(), portable.points(), "{n} samples");
-            assert_eq!(here.closed(), portable.closed(), "{n} samples");
+        let (mut found, mut portable) = (Block::new(), Block::new());
+        for isa in Isa::ALL {
+            if !isa.is_available() {
+                println!("skipped {}: not on this machine", isa.name());
+                continue;
+            }
+            for n in [1, 2, 3, 4, 9, 1000, BLOCK] {
+                let (channels, d) = (refs(&group).map(|s| &s[..n]), direction(33, 500));
+                dispatch(isa, ProjectAndTake { channels, d, block: &mut found });
+                dispatch(Isa::Portable, ProjectAndTake { channels, d, block: &mut portable });
+                assert_eq!(found.points(), portable.points(), "{} {n} samples", isa.name());
+                assert_eq!(found.closed(), portable.closed(), "{} {n} samples", isa.name());
+            }
+            assert!(!found.closed().is_empty());
         }
-        assert!(!here.closed().is_empty());
     }
 
     #[test]

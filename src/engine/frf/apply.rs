@@ -7,6 +7,7 @@ use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::Frf;
+use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 use crate::engine::{EngineError, Signal};
 
 /// An FRF made ready for repeated use.
@@ -16,6 +17,7 @@ use crate::engine::{EngineError, Signal};
 /// signal is held at its first value, after its end at its last.
 #[derive(Clone)]
 pub struct FrfFilter {
+    isa: Isa,
     sample_rate_hz: f64,
     x_mean: Vec<f64>,
     y_mean: Vec<f64>,
@@ -52,7 +54,7 @@ impl Frf {
     /// Transforms the impulse responses once.
     ///
     /// # Errors
-    /// An FRF whose fields do not belong together ([`Frf::check`]).
+    /// An FRF whose fields do not belong together ([`Frf::check`]); see [`Isa::of_process`].
     pub fn filter(&self) -> Result<FrfFilter, EngineError> {
         self.check()?;
         let taps = self.segment_len;
@@ -83,6 +85,7 @@ impl Frf {
             })
             .collect();
         Ok(FrfFilter {
+            isa: Isa::of_process()?,
             sample_rate_hz: self.sample_rate_hz,
             x_mean: self.x_mean.clone(),
             y_mean: self.y_mean.clone(),
@@ -159,12 +162,8 @@ impl FrfFilter {
                 .expect("buffers are the plan's own");
         }
         for (o, output) in outputs.iter_mut().enumerate() {
-            s.y.fill(Complex64::default());
-            for (h, x) in self.spectra[o * self.x_mean.len() * bins..].chunks(bins).zip(s.x.chunks(bins)) {
-                for ((y, h), x) in s.y.iter_mut().zip(h).zip(x) {
-                    *y += h * x;
-                }
-            }
+            let h = &self.spectra[o * s.x.len()..(o + 1) * s.x.len()];
+            dispatch(self.isa, Multiply { h, x: &s.x, y: &mut s.y });
             // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
             s.y[0].im = 0.0;
             s.y[bins - 1].im = 0.0;
@@ -185,6 +184,29 @@ impl FrfFilter {
             y: self.inverse.make_input_vec(),
             forward: self.forward.make_scratch_vec(),
             inverse: self.inverse.make_scratch_vec(),
+        }
+    }
+}
+
+/// `y = sum_i h_i * x_i` per line, `h` and `x` as `[input, line]`.
+struct Multiply<'a> {
+    h: &'a [Complex64],
+    x: &'a [Complex64],
+    y: &'a mut [Complex64],
+}
+
+impl Kernel for Multiply<'_> {
+    type Out = ();
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let bins = self.y.len();
+        self.y.fill(Complex64::default());
+        for (h, x) in self.h.chunks_exact(bins).zip(self.x.chunks_exact(bins)) {
+            for ((y, h), x) in self.y.iter_mut().zip(h).zip(x) {
+                *y += h * x;
+            }
         }
     }
 }

@@ -7,14 +7,14 @@ use crate::engine::EngineError;
 /// Environment variable that names an instruction set: `portable`, `avx2` or `avx512`.
 pub const ISA_VARIABLE: &str = "RIGCAST_ISA";
 
-/// Instruction set of the kernels. Results agree within rounding; on one set they are bit-equal.
+/// Instruction set of the kernels. The LSTM's results agree within rounding; on one set they are bit-equal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Isa {
     /// What every machine of the target has; no fused multiply-add.
     Portable,
-    /// AVX2 and FMA.
+    /// AVX2, FMA, BMI1 and BMI2.
     Avx2,
-    /// AVX-512 F.
+    /// AVX-512 F, VL, DQ and BW, which all but the first such machines have.
     Avx512,
 }
 
@@ -36,13 +36,9 @@ impl Isa {
         match self {
             Self::Portable => true,
             #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            Self::Avx2 => super::x86::has_avx2(),
             #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => {
-                is_x86_feature_detected!("avx512f")
-                    && is_x86_feature_detected!("avx2")
-                    && Self::Avx2.is_available()
-            }
+            Self::Avx512 => super::x86::has_avx512(),
             #[cfg(not(target_arch = "x86_64"))]
             Self::Avx2 | Self::Avx512 => false,
         }

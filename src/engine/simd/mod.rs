@@ -4,6 +4,10 @@
 //! of an instruction set can be made in [`dispatch`] only, after the machine was asked for it, and
 //! because [`Columns`] checks its bounds before the first step.
 //!
+//! Plain loops become kernels too, with the token left alone: the compiler then vectorises them for
+//! that instruction set. Rust never fuses a product and a sum by itself, so their bits are the same
+//! on every set.
+//!
 //! Everything that runs on a token is `#[inline(always)]` and free of closures, so that it ends up
 //! inside the one function that carries the `target_feature` attribute.
 

@@ -4,25 +4,37 @@ use std::arch::x86_64::*;
 
 use super::{Kernel, Lanes, Simd};
 
+/// Whether this machine has all that [`on_avx2`] may use.
+pub(super) fn has_avx2() -> bool {
+    use std::arch::is_x86_feature_detected as has;
+    has!("avx2") && has!("fma") && has!("bmi1") && has!("bmi2")
+}
+
+/// Whether this machine has all that [`on_avx512`] may use.
+pub(super) fn has_avx512() -> bool {
+    use std::arch::is_x86_feature_detected as has;
+    has_avx2() && has!("avx512f") && has!("avx512vl") && has!("avx512dq") && has!("avx512bw")
+}
+
 /// # Safety
-/// The machine must have AVX2 and FMA.
-#[target_feature(enable = "avx2,fma")]
+/// The machine must have what [`has_avx2`] asks for.
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn on_avx2<K: Kernel>(kernel: K) -> K::Out {
     kernel.run(Avx2(()))
 }
 
 /// # Safety
-/// The machine must have AVX-512 F, AVX2 and FMA.
-#[target_feature(enable = "avx512f,avx2,fma")]
+/// The machine must have what [`has_avx512`] asks for.
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn on_avx512<K: Kernel>(kernel: K) -> K::Out {
     kernel.run(Avx512(()))
 }
 
-/// Proof that the machine has AVX2 and FMA; the private field keeps others from making one.
+/// Proof that the machine has AVX2; the private field keeps others from making one.
 #[derive(Clone, Copy)]
 struct Avx2(());
 
-/// Proof that the machine has AVX-512 F; the private field keeps others from making one.
+/// Proof that the machine has AVX-512; the private field keeps others from making one.
 #[derive(Clone, Copy)]
 struct Avx512(());
 

@@ -1,10 +1,14 @@
 //! The one loop that all averaged spectra share.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use realfft::RealFftPlanner;
+use realfft::num_complex::Complex64;
 
 use super::{Detrend, Welch, hann};
 use crate::engine::EngineError;
+use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 
 /// Channels of one run, equally long.
 pub(super) type Source<'a> = Vec<&'a [f64]>;
@@ -50,7 +54,7 @@ pub(super) fn accumulate(
     let effective_averages =
         runs.iter().map(|run| welch.effective_averages(welch.n_segments(n_samples(run)))).sum();
 
-    let job = Job { runs, offsets, welch, pairs, window: &hann(len) };
+    let job = Job { isa: Isa::of_process()?, runs, offsets, welch, pairs, window: &hann(len) };
     let bytes = 16 * pairs.len() * welch.n_lines();
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
     let bound = |part: usize| part * segments.len() / parts;
@@ -86,6 +90,7 @@ pub(super) fn accumulate(
 }
 
 struct Job<'a> {
+    isa: Isa,
     runs: &'a [Source<'a>],
     offsets: &'a [f64],
     welch: &'a Welch,
@@ -119,27 +124,14 @@ impl Job<'_> {
                     fft.process_with_scratch(&mut input, &mut output, &mut scratch)
                         .expect("buffers are the plan's own");
                     let at = (b * channels + c) * lines;
-                    for ((re, im), z) in re[at..].iter_mut().zip(&mut im[at..]).zip(&output) {
-                        (*re, *im) = (z.re, z.im);
-                    }
+                    let (re, im) = (&mut re[at..at + lines], &mut im[at..at + lines]);
+                    dispatch(self.isa, Split { spectrum: &output, re, im });
                 }
             }
             for from in (0..lines).step_by(TILE) {
                 let tile = from..lines.min(from + TILE);
-                for (p, &(a, b)) in self.pairs.iter().enumerate() {
-                    for k in 0..batch.len() {
-                        let at = |c: usize| {
-                            let first = (k * channels + c) * lines;
-                            first + tile.start..first + tile.end
-                        };
-                        let (sum_re, sum_im) = (&mut part.re[p][tile.clone()], &mut part.im[p][tile.clone()]);
-                        if a == b {
-                            add_power(sum_re, &re[at(a)], &im[at(a)]);
-                        } else {
-                            add_product(sum_re, sum_im, (&re[at(a)], &im[at(a)]), (&re[at(b)], &im[at(b)]));
-                        }
-                    }
-                }
+                let spectra = Spectra { re: &re, im: &im, channels, lines, n_segments: batch.len() };
+                dispatch(self.isa, AddProducts { spectra, pairs: self.pairs, tile, sums: &mut part });
             }
         }
         part
@@ -152,26 +144,133 @@ impl Job<'_> {
                 offset + samples.iter().map(|v| v - offset).sum::<f64>() / samples.len() as f64
             }
         };
-        for ((out, v), w) in out.iter_mut().zip(samples).zip(self.window) {
-            *out = (v - mean) * w;
+        dispatch(self.isa, WindowSegment { samples, mean, window: self.window, out });
+    }
+}
+
+/// `out = (samples - mean) * window`
+struct WindowSegment<'a> {
+    samples: &'a [f64],
+    mean: f64,
+    window: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl Kernel for WindowSegment<'_> {
+    type Out = ();
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        for ((out, v), w) in self.out.iter_mut().zip(self.samples).zip(self.window) {
+            *out = (v - self.mean) * w;
         }
     }
 }
 
-/// `sum += |A|^2`
-fn add_power(sum: &mut [f64], re: &[f64], im: &[f64]) {
-    for ((sum, re), im) in sum.iter_mut().zip(re).zip(im) {
-        *sum += re * re + im * im;
+/// Real and imaginary parts apart.
+struct Split<'a> {
+    spectrum: &'a [Complex64],
+    re: &'a mut [f64],
+    im: &'a mut [f64],
+}
+
+impl Kernel for Split<'_> {
+    type Out = ();
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        for ((re, im), z) in self.re.iter_mut().zip(self.im).zip(self.spectrum) {
+            (*re, *im) = (z.re, z.im);
+        }
     }
 }
 
-/// `sum += A * conj(B)`
-fn add_product(sum_re: &mut [f64], sum_im: &mut [f64], a: (&[f64], &[f64]), b: (&[f64], &[f64])) {
+/// Spectra of a batch, parts apart, `[segment, channel, line]`.
+#[derive(Clone, Copy)]
+struct Spectra<'a> {
+    re: &'a [f64],
+    im: &'a [f64],
+    channels: usize,
+    lines: usize,
+    n_segments: usize,
+}
+
+impl<'a> Spectra<'a> {
+    /// Lines `tile` of one segment and channel: real parts, imaginary parts.
+    #[inline(always)]
+    fn lines(&self, segment: usize, channel: usize, tile: &Range<usize>) -> (&'a [f64], &'a [f64]) {
+        let first = (segment * self.channels + channel) * self.lines;
+        let lines = first + tile.start..first + tile.end;
+        (&self.re[lines.clone()], &self.im[lines])
+    }
+}
+
+/// Adds the products of all pairs over the segments of a batch, for the lines of `tile`.
+struct AddProducts<'a> {
+    spectra: Spectra<'a>,
+    pairs: &'a [(usize, usize)],
+    tile: Range<usize>,
+    sums: &'a mut Part,
+}
+
+impl Kernel for AddProducts<'_> {
+    type Out = ();
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Self { spectra, pairs, tile, sums } = self;
+        for (pair, &channels) in pairs.iter().enumerate() {
+            let sum = (&mut sums.re[pair][tile.clone()], &mut sums.im[pair][tile.clone()]);
+            if spectra.n_segments == BATCH {
+                add_products::<BATCH>(sum, spectra, 0, channels, &tile);
+            } else {
+                for segment in 0..spectra.n_segments {
+                    let sum = (&mut *sum.0, &mut *sum.1);
+                    add_products::<1>(sum, spectra, segment, channels, &tile);
+                }
+            }
+        }
+    }
+}
+
+/// `sum += A * conj(B)` over `N` segments, one after another, with the sum in a register.
+#[inline(always)]
+fn add_products<const N: usize>(
+    (sum_re, sum_im): (&mut [f64], &mut [f64]),
+    spectra: Spectra<'_>,
+    first_segment: usize,
+    (a, b): (usize, usize),
+    tile: &Range<usize>,
+) {
     let n = sum_re.len();
-    let (sum_im, ar, ai, br, bi) = (&mut sum_im[..n], &a.0[..n], &a.1[..n], &b.0[..n], &b.1[..n]);
+    let cut = |channel: usize, k: usize| {
+        let (re, im) = spectra.lines(first_segment + k, channel, tile);
+        (&re[..n], &im[..n])
+    };
+    let first: [_; N] = std::array::from_fn(|k| cut(a, k));
+    if a == b {
+        for i in 0..n {
+            let mut re = sum_re[i];
+            for (ar, ai) in first {
+                re += ar[i] * ar[i] + ai[i] * ai[i];
+            }
+            sum_re[i] = re;
+        }
+        return;
+    }
+    let second: [_; N] = std::array::from_fn(|k| cut(b, k));
+    let sum_im = &mut sum_im[..n];
     for i in 0..n {
-        sum_re[i] += ar[i] * br[i] + ai[i] * bi[i];
-        sum_im[i] += ai[i] * br[i] - ar[i] * bi[i];
+        let (mut re, mut im) = (sum_re[i], sum_im[i]);
+        for k in 0..N {
+            let ((ar, ai), (br, bi)) = (first[k], second[k]);
+            re += ar[i] * br[i] + ai[i] * bi[i];
+            im += ai[i] * br[i] - ar[i] * bi[i];
+        }
+        (sum_re[i], sum_im[i]) = (re, im);
     }
 }
 
