@@ -1,30 +1,26 @@
 //! Speed of the engine on this machine, one JSON line a row:
 //! `cargo run --release --example speed -- [--works infer,train,frf,rainflow,latency] [--threads N]`
 //!
-//! The network is the paper's hybrid 2: 9 inputs, 39 cells, 6 outputs, windows of 256 samples that
-//! half overlap, at 1 kHz. `peak_fma` comes first and again after each group of works: the other
+//! `peak_fma` comes first and again after each group of works: the other
 //! figures are to be read as shares of it, since machines and their neighbours differ.
 
 use std::ops::ControlFlow;
-use std::sync::Mutex;
+use std::slice::from_ref;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
+use rigcast::engine::EngineError;
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
-use rigcast::engine::frf::{Estimator, FrfSettings, estimate};
-use rigcast::engine::lstm::{
-    LstmNet, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, Stretch, predict, train,
-};
+use rigcast::engine::frf::estimate;
+use rigcast::engine::lstm::{Recombine, predict, train};
 use rigcast::engine::progress::{Progress, unwatched};
 use rigcast::engine::simd::{Isa, peak_fma};
-use rigcast::engine::{EngineError, Signal};
 use serde_json::json;
 
-const FS: usize = 1000;
-const WINDOW: usize = 256;
+mod works;
+
+use works::{FS, HOP, WINDOW};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Work {
@@ -105,36 +101,11 @@ fn seconds<T>(
         .collect()
 }
 
-/// Noise below about 80 Hz at 1 kHz, standard deviation near one.
-fn noise(samples: usize, seed: u64) -> Vec<f64> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut state = [0.0_f64; 4];
-    (0..samples)
-        .map(|_| {
-            let mut value: f64 = StandardNormal.sample(&mut rng);
-            for s in &mut state {
-                *s += 0.5 * (value - *s);
-                value = *s;
-            }
-            2.2 * value
-        })
-        .collect()
-}
-
-fn noise_f32(channels: usize, samples: usize) -> Vec<Vec<f32>> {
-    (0..channels).map(|c| noise(samples, c as u64).iter().map(|&v| v as f32).collect()).collect()
-}
-
-fn net() -> LstmNet {
-    LstmNet::init(9, &[39], 6, 1.0, &mut ChaCha8Rng::seed_from_u64(1))
-}
-
 fn infer(report: &Report) -> Result<(), EngineError> {
-    let net = net();
-    let all = noise_f32(9, 3600 * FS);
+    let (net, all) = (works::net(), works::net_input(3600));
     for (length_s, reps) in [(60, 41), (600, 11), (3600, 5)] {
         let x: Vec<Vec<f32>> = all.iter().map(|x| x[..length_s * FS].to_vec()).collect();
-        let took = seconds(reps, || predict(&net, &x, WINDOW, WINDOW / 2, Recombine::Welch))?;
+        let took = seconds(reps, || predict(&net, &x, WINDOW, HOP, Recombine::Welch))?;
         let rates = took.iter().map(|s| length_s as f64 / s).collect();
         report.print(&format!("infer_{length_s}s"), "signal_s_per_s", rates);
     }
@@ -142,49 +113,20 @@ fn infer(report: &Report) -> Result<(), EngineError> {
 }
 
 fn training(report: &Report) -> Result<(), EngineError> {
-    let stretch = Stretch { x: noise_f32(9, 600 * FS), y: noise_f32(6, 600 * FS), score_from: 0 };
-    let short = |c: &Vec<f32>| c[..WINDOW].to_vec();
-    let validation = Stretch {
-        x: stretch.x.iter().map(short).collect(),
-        y: stretch.y.iter().map(short).collect(),
-        score_from: 0,
-    };
+    const EPOCHS: usize = 6;
+    let (stretch, validation) = works::training();
     for batch_size in [32, 128, 512] {
-        let settings = LstmSettings {
-            blocks: vec![39],
-            window_len: WINDOW,
-            hop: WINDOW / 2,
-            optimizer: Optimizer::Adam,
-            learning_rate: 5e-3,
-            schedule: Schedule::Cosine,
-            warmup_steps: 100,
-            epochs: 6,
-            batch_size,
-            burn_in: 0.25,
-            clip_norm: Some(1.0),
-            forget_bias: 1.0,
-            recombine: RecombineChoice::Welch,
-            seeds: vec![1],
-        };
         // One call a mini-batch; a whole mini-batch lies between two calls of one epoch.
         let calls = Mutex::new(Vec::new());
         let watch = |progress: Progress<'_>| {
-            calls
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .push((progress.fraction, Instant::now()));
+            let call = (progress.fraction, Instant::now());
+            calls.lock().unwrap_or_else(PoisonError::into_inner).push(call);
             ControlFlow::Continue(())
         };
-        train(
-            std::slice::from_ref(&stretch),
-            std::slice::from_ref(&validation),
-            &net(),
-            &settings,
-            1,
-            &watch,
-        )?;
-        let calls = calls.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let epoch = |fraction: f64| (fraction * settings.epochs as f64 + 1e-9).floor();
+        let settings = works::training_settings(batch_size, EPOCHS);
+        train(from_ref(&stretch), from_ref(&validation), &works::net(), &settings, 1, &watch)?;
+        let calls = calls.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let epoch = |fraction: f64| (fraction * EPOCHS as f64 + 1e-9).floor();
         let rates: Vec<f64> = calls
             .chunk_by(|a, b| epoch(a.0) == epoch(b.0))
             .filter(|calls| calls.len() > 2)
@@ -201,31 +143,24 @@ fn training(report: &Report) -> Result<(), EngineError> {
 }
 
 fn frf(report: &Report) -> Result<(), EngineError> {
-    let signal = |channels: usize, seconds: usize, seed: u64| {
-        Signal::new(FS as f64, (0..channels).map(|c| noise(seconds * FS, seed + c as u64)).collect())
-    };
-    let (x, y) = (signal(3, 1800, 1)?, signal(6, 1800, 100)?);
-    let settings =
-        FrfSettings { segment_len: Some(4096), overlap: 0.5, estimator: Estimator::H1, ridge: Some(0.0) };
-    let took = seconds(11, || estimate(&[(&x, &y)], &settings, &unwatched))?;
-    report.print("frf_h1_30min", "s", took);
-    let filter = estimate(&[(&x, &y)], &settings, &unwatched)?.frf.filter()?;
-    let drive = signal(3, 600, 1)?;
+    let (x, y) = (works::drives(1800)?, works::responses(1800)?);
+    let once = || estimate(&[(&x, &y)], &works::frf_settings(), &unwatched);
+    report.print("frf_h1_30min", "s", seconds(11, once)?);
+    let (filter, drive) = (once()?.frf.filter()?, works::drives(600)?);
     report.print("frf_apply_10min", "s", seconds(31, || filter.apply(&drive))?);
     Ok(())
 }
 
 fn rainflow(report: &Report) -> Result<(), EngineError> {
-    let group: Vec<Vec<f64>> = (0..3).map(|c| noise(600 * FS, c)).collect();
-    let settings = DamageSettings { directions: 500, ..DamageSettings::default() };
-    let took = seconds(11, || multi_rain([&group[0], &group[1], &group[2]], &settings))?;
+    let [x, y, z] = &works::group();
+    let took = seconds(11, || multi_rain([x, y, z], &DamageSettings::default()))?;
     report.print("multirain_500x600s", "s", took);
     Ok(())
 }
 
 fn latency(report: &Report) -> Result<(), EngineError> {
-    let (net, x) = (net(), noise_f32(9, 10 * FS));
-    let took = seconds(201, || predict(&net, &x, WINDOW, WINDOW / 2, Recombine::Welch))?;
+    let (net, x) = (works::net(), works::net_input(10));
+    let took = seconds(201, || predict(&net, &x, WINDOW, HOP, Recombine::Welch))?;
     report.print("infer_10s_latency", "s", took);
     Ok(())
 }
