@@ -5,6 +5,7 @@ mod bad_runs;
 mod contract;
 mod damage;
 mod fits;
+mod isa;
 mod jobs;
 mod models;
 mod operations;

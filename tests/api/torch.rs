@@ -2,46 +2,18 @@
 
 use rigcast::formats::npy::{self, Dtype, Order};
 use safetensors::SafeTensors;
-use serde_json::json;
 
-use crate::support::TestApp;
-
-/// A committed file of `tests/vectors/`.
-fn file(name: &str) -> Vec<u8> {
-    let path = format!("{}/tests/vectors/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
-    std::fs::read(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
-}
-
-/// A `[sample, channel]` tensor as `[channel][sample]`.
-fn columns(file: &SafeTensors, name: &str) -> Vec<Vec<f64>> {
-    let view = file.tensor(name).expect("the tensor is there");
-    let data = view.data();
-    let values: Vec<f64> = match view.dtype() {
-        safetensors::Dtype::F32 => {
-            data.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().expect("four")))).collect()
-        }
-        safetensors::Dtype::F64 => {
-            data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight"))).collect()
-        }
-        other => panic!("{other:?}"),
-    };
-    let channels = view.shape()[1];
-    (0..channels).map(|c| values.iter().skip(c).step_by(channels).copied().collect()).collect()
-}
+use crate::support::{TestApp, columns, vector_file, vector_rig};
 
 #[tokio::test]
 async fn the_services_prediction_is_that_of_the_framework_that_made_the_weights() {
     let app = TestApp::start();
-    let channel =
-        |name: &str, role: &str| json!({"name": name, "unit": "kN", "role": role, "quantity": "force"});
-    let rig = json!({"id": "torch", "name": "Weights made elsewhere", "sample_rate_hz": 1000.0, "channels": [
-        channel("drive_x", "drive"), channel("drive_y", "drive"), channel("drive_z", "drive"),
-        channel("force_x", "response"), channel("force_y", "response")]});
-    app.post_json("/v1/rigs", &rig).await.expect(201);
+    app.post_json("/v1/rigs", &vector_rig()).await.expect(201);
     for name in ["torch_lstm", "torch_hybrid2"] {
         let path = "/v1/rigs/torch/models";
-        let model = app.post_file(path, "application/octet-stream", file(name)).await.expect(201).json();
-        let bytes = file(&format!("{name}_io"));
+        let model =
+            app.post_file(path, "application/octet-stream", vector_file(name)).await.expect(201).json();
+        let bytes = vector_file(&format!("{name}_io"));
         let vectors = SafeTensors::deserialize(&bytes).expect("a safetensors file");
         let drive = npy::write(&columns(&vectors, "x"), Dtype::F8, Order::C).expect("finite");
         let predict = format!("/v1/rigs/torch/predict?model={}&sample_rate_hz=1000", model["version"]);

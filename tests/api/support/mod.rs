@@ -3,11 +3,15 @@
 mod app;
 mod contract;
 mod fixtures;
+mod program;
 mod raw;
 mod reply;
+mod vectors;
 
 pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
+pub use program::{Program, rigcast};
 pub use raw::exchange;
 pub use reply::Reply;
+pub use vectors::{columns, vector_file, vector_rig};
