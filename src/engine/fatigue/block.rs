@@ -6,16 +6,16 @@
 //! and after, and in noise a third of all ranges is such. Three passes leave about a sixth of the
 //! points to the stack; the cycles are the same, in another order.
 
-use super::turning::may_turn;
+use crate::engine::simd::Simd;
 
 /// Samples that are looked at in one go: small enough for the first-level cache.
 pub(super) const BLOCK: usize = 1024;
 
-/// A block and two more places, so that whole mask words can be computed to its end.
-type Padded = [f64; BLOCK + 2];
+/// Values that are looked at together.
+const AT_ONCE: usize = 8;
 
-/// One bit per sample.
-type Masks = [u64; BLOCK / 64];
+/// A block and some more places, so that the last values can be read and written like all others.
+type Padded = [f64; BLOCK + 2 * AT_ONCE];
 
 /// Passes that close cycles; a fourth gains nothing.
 const PASSES: usize = 3;
@@ -23,43 +23,39 @@ const PASSES: usize = 3;
 /// Work space of a block; nothing in it outlives one.
 pub(super) struct Block {
     samples: Padded,
-    points: [f64; BLOCK],
+    points: Padded,
     n_points: usize,
     ranges: Padded,
-    closed: [f64; BLOCK],
+    closed: Padded,
     n_closed: usize,
-    masks: Masks,
 }
 
 impl Block {
     /// Empty.
     pub(super) fn new() -> Self {
-        Self {
-            samples: [0.0; BLOCK + 2],
-            points: [0.0; BLOCK],
-            n_points: 0,
-            ranges: [0.0; BLOCK + 2],
-            closed: [0.0; BLOCK],
-            n_closed: 0,
-            masks: [0; BLOCK / 64],
-        }
+        let empty = [0.0; BLOCK + 2 * AT_ONCE];
+        Self { samples: empty, points: empty, n_points: 0, ranges: empty, closed: empty, n_closed: 0 }
     }
 
     /// Lets `fill` write `n` samples (at most [`BLOCK`]), finds the turning points among the inner
     /// ones and closes cycles among them.
     #[inline(always)]
-    pub(super) fn take(&mut self, n: usize, fill: impl FnOnce(&mut [f64])) {
+    pub(super) fn take<S: Simd>(&mut self, s: S, n: usize, fill: impl FnOnce(&mut [f64])) {
         fill(&mut self.samples[..n]);
-        mask_of_three(&self.samples, n, &mut self.masks, may_turn);
-        let mut n_points = 0;
-        for_each_bit(&self.masks, |i| {
-            self.points[n_points % BLOCK] = self.samples[i + 1];
-            n_points += 1;
-        });
-        self.n_points = n_points;
+        let tests = n.saturating_sub(2);
+        self.n_points = 0;
+        for first in (0..tests).step_by(AT_ONCE) {
+            let [a, b, c] = [0, 1, 2].map(|k| eight(&self.samples, first + k));
+            // All but the inside of a strictly monotone stretch; comparisons only, so that no
+            // difference can overflow.
+            let monotone = s.less(a, b) & s.less(b, c) | s.less(b, a) & s.less(c, b);
+            let turns = !monotone & valid(tests - first);
+            s.compress(*b, turns, eight_mut(&mut self.points, self.n_points));
+            self.n_points += turns.count_ones() as usize;
+        }
         self.n_closed = 0;
         for _ in 0..PASSES {
-            if !self.close_small_ranges() {
+            if !self.close_small_ranges(s) {
                 break;
             }
         }
@@ -77,7 +73,7 @@ impl Block {
 
     /// One pass; says whether another may find more.
     #[inline(always)]
-    fn close_small_ranges(&mut self) -> bool {
+    fn close_small_ranges<S: Simd>(&mut self, s: S) -> bool {
         let n = self.n_points;
         if n < 8 {
             return false;
@@ -92,65 +88,44 @@ impl Block {
             // A plateau left points that do not turn: the rule below needs points that alternate.
             return false;
         }
-        // Bit i: the cycle between points i + 1 and i + 2 closes. Of equal neighbours only the
-        // last may, so that no point belongs to two cycles.
-        mask_of_three(&self.ranges, n - 1, &mut self.masks, |before, range, after| {
-            (range <= before) & (range < after)
-        });
-        let mut n_closed = self.n_closed;
-        for_each_bit(&self.masks[..n.div_ceil(64)], |i| {
-            self.closed[n_closed % BLOCK] = self.ranges[(i + 1) % BLOCK];
-            n_closed += 1;
-        });
-        let found = n_closed - self.n_closed;
-        let mut carry = 0;
-        for mask in &mut self.masks {
-            let closing = *mask;
-            *mask = !((closing << 1) | (closing << 2) | carry);
-            carry = (closing >> 63) | (closing >> 62);
+        // The cycle between points i + 1 and i + 2 closes. Of equal neighbours only the last may,
+        // so that no point belongs to two cycles.
+        let tests = n - 3;
+        let (mut kept, mut found, mut carry) = (0, 0, 0);
+        for first in (0..n).step_by(AT_ONCE) {
+            let [before, range, after] = [0, 1, 2].map(|k| eight(&self.ranges, first + k));
+            let closing = !s.less(before, range) & s.less(range, after) & valid(tests.saturating_sub(first));
+            s.compress(*range, closing, eight_mut(&mut self.closed, self.n_closed + found));
+            found += closing.count_ones() as usize;
+            let keep = !(closing << 1 | closing << 2 | carry);
+            carry = closing >> 7 | closing >> 6;
+            // Where it is written has been read already.
+            let points = *eight(&self.points, first);
+            s.compress(points, keep, eight_mut(&mut self.points, kept));
+            kept += keep.count_ones() as usize;
         }
-        let mut kept = 0;
-        for_each_bit(&self.masks[..n.div_ceil(64)], |i| {
-            // What lies behind the last point is written, but not counted below.
-            self.points[kept % BLOCK] = self.points[i % BLOCK];
-            kept += 1;
-        });
         self.n_points = n - 2 * found;
-        self.n_closed = n_closed;
+        self.n_closed += found;
         found > 0
     }
 }
 
-/// Bit `i` says `test(x[i], x[i + 1], x[i + 2])` within the first `n` values; all other bits are 0.
+/// Eight values from `at` on.
 #[inline(always)]
-fn mask_of_three(x: &Padded, n: usize, masks: &mut Masks, test: impl Fn(f64, f64, f64) -> bool) {
-    let tests = n.saturating_sub(2);
-    for (word, mask) in masks.iter_mut().enumerate() {
-        let wanted = tests.saturating_sub(64 * word);
-        if wanted == 0 {
-            *mask = 0;
-            continue;
-        }
-        // Always 66 values, whatever is wanted: this is the loop that the compiler vectorises.
-        let x = x[64 * word..].first_chunk::<66>().expect("a padded block holds 66 values from each word on");
-        let mut bits = 0;
-        for i in 0..64 {
-            bits |= u64::from(test(x[i], x[i + 1], x[i + 2])) << i;
-        }
-        *mask = if wanted < 64 { bits & ((1 << wanted) - 1) } else { bits };
-    }
+fn eight(values: &Padded, at: usize) -> &[f64; AT_ONCE] {
+    values[at..].first_chunk().expect("a padded block goes on for eight values")
 }
 
-/// Calls `f` with the place of every set bit, in order.
+/// Eight places from `at` on.
 #[inline(always)]
-fn for_each_bit(masks: &[u64], mut f: impl FnMut(usize)) {
-    for (word, &mask) in masks.iter().enumerate() {
-        let mut left = mask;
-        while left != 0 {
-            f(64 * word + left.trailing_zeros() as usize);
-            left &= left - 1;
-        }
-    }
+fn eight_mut(values: &mut Padded, at: usize) -> &mut [f64; AT_ONCE] {
+    values[at..].first_chunk_mut().expect("a padded block goes on for eight values")
+}
+
+/// A bit for each of the first `n` of eight.
+#[inline(always)]
+fn valid(n: usize) -> u8 {
+    if n < AT_ONCE { (1 << n) - 1 } else { u8::MAX }
 }
 
 #[cfg(test)]
@@ -158,6 +133,7 @@ mod tests {
     use super::super::rainflow::Rainflow;
     use super::super::turning::{TurningPoint, turning_points};
     use super::*;
+    use crate::engine::simd::{Isa, Kernel, dispatch};
     use proptest::prelude::*;
 
     /// Closed ranges and residue of `x`, sorted ranges: the order of closing is free.
@@ -168,15 +144,31 @@ mod tests {
         (ranges, counted.residue.iter().map(|p: &TurningPoint| p.value).collect())
     }
 
-    fn take(block: &mut Block, x: &[f64]) {
-        block.take(x.len(), |samples| samples.copy_from_slice(x));
+    /// Takes `x` on one instruction set.
+    fn take(isa: Isa, block: &mut Block, x: &[f64]) {
+        struct Take<'a>(&'a mut Block, &'a [f64]);
+        impl Kernel for Take<'_> {
+            type Out = ();
+            const WIDE: bool = false;
+            #[inline(always)]
+            fn run<S: Simd>(self, s: S) {
+                self.0.take(s, self.1.len(), |samples| samples.copy_from_slice(self.1));
+            }
+        }
+        dispatch(isa, Take(block, x));
     }
 
     fn check(x: &[f64]) {
+        for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
+            check_on(isa, x);
+        }
+    }
+
+    fn check_on(isa: Isa, x: &[f64]) {
         let mut block = Block::new();
         // A dirty work space must not show.
-        take(&mut block, &(0..BLOCK).map(|i| ((i * i) % 101) as f64).collect::<Vec<_>>());
-        take(&mut block, x);
+        take(isa, &mut block, &(0..BLOCK).map(|i| ((i * i) % 101) as f64).collect::<Vec<_>>());
+        take(isa, &mut block, x);
         let mut left = vec![x[0]];
         left.extend(block.points());
         left.push(x[x.len() - 1]);
@@ -198,7 +190,7 @@ mod tests {
     fn most_points_of_noise_never_reach_the_stack() {
         let x: Vec<f64> = (0..BLOCK).map(|i| ((i * i * 7919) % 10_007) as f64).collect();
         let mut block = Block::new();
-        take(&mut block, &x);
+        take(Isa::Portable, &mut block, &x);
         let all = turning_points(&x).len();
         assert!(block.points().len() * 5 < all, "{} of {all}", block.points().len());
     }
@@ -212,19 +204,6 @@ mod tests {
             ]
         ) {
             check(&x);
-        }
-
-        #[test]
-        fn masks_hold_the_test_of_every_three(x in prop::collection::vec(-1.0..1.0f64, 0..=BLOCK)) {
-            let mut masks = [u64::MAX; BLOCK / 64];
-            let mut padded = [0.5; BLOCK + 2];
-            padded[..x.len()].copy_from_slice(&x);
-            mask_of_three(&padded, x.len(), &mut masks, |a, b, c| a + c < b);
-            let mut found = Vec::new();
-            for_each_bit(&masks, |i| found.push(i));
-            let expected: Vec<usize> =
-                x.windows(3).enumerate().filter(|(_, w)| w[0] + w[2] < w[1]).map(|(i, _)| i).collect();
-            prop_assert_eq!(found, expected);
         }
     }
 }

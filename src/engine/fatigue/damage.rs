@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::block::{BLOCK, Block};
 use super::rainflow::{Residue, Stack};
 use crate::engine::EngineError;
+use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 
 /// Settings of every damage figure; echoed with it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -60,16 +61,21 @@ impl DamageSettings {
 pub fn damage(samples: &[f64], settings: &DamageSettings) -> Result<f64, EngineError> {
     settings.check()?;
     check_finite("signal", 0, samples)?;
-    finite(damage_unchecked(samples, settings), "signal", 0)
+    damage_unchecked(samples, settings, "signal", 0)
 }
 
-/// Damage of finite samples for checked settings; not finite where it overflows.
-pub(super) fn damage_unchecked(samples: &[f64], settings: &DamageSettings) -> f64 {
-    struct Channel<'a>(&'a [f64], Residue);
+/// Damage of finite samples for checked settings; `what` and `channel` are for the error.
+pub(super) fn damage_unchecked(
+    samples: &[f64],
+    settings: &DamageSettings,
+    what: &'static str,
+    channel: usize,
+) -> Result<f64, EngineError> {
+    struct Channel<'a>(Isa, &'a [f64], Residue);
     impl WithPower for Channel<'_> {
         type Answer = f64;
         fn run<P: Power>(self, power: P) -> f64 {
-            let Self(samples, residue) = self;
+            let Self(isa, samples, residue) = self;
             let [first, .., last] = *samples else { return 0.0 };
             let mut sum = MinerSum::new(power);
             let mut block = Block::new();
@@ -77,14 +83,31 @@ pub(super) fn damage_unchecked(samples: &[f64], settings: &DamageSettings) -> f6
             // Blocks share two samples: each inner sample is once the middle of three.
             for start in (0..samples.len().saturating_sub(2)).step_by(BLOCK - 2) {
                 let part = &samples[start..(start + BLOCK).min(samples.len())];
-                block.take(part.len(), |block| block.copy_from_slice(part));
+                dispatch(isa, Take { samples: part, block: &mut block });
                 sum.push_block(&block);
             }
             sum.push(last);
             sum.finish(residue)
         }
     }
-    with_power(settings.slope, Channel(samples, settings.residue)) / settings.constant
+    let channel_sum = Channel(Isa::of_process()?, samples, settings.residue);
+    finite(with_power(settings.slope, channel_sum) / settings.constant, what, channel)
+}
+
+/// Takes samples into a block; bit-equal on every instruction set.
+struct Take<'a> {
+    samples: &'a [f64],
+    block: &'a mut Block,
+}
+
+impl Kernel for Take<'_> {
+    type Out = ();
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        self.block.take(s, self.samples.len(), |block| block.copy_from_slice(self.samples));
+    }
 }
 
 /// `S_a -> S_a^k` for one slope; a type each, so that the counting loop is compiled around it.
@@ -177,10 +200,14 @@ impl<P: Power> MinerSum<P> {
         // Lanes, so that the powers are computed in parallel; their order is fixed here, not by
         // the instruction set.
         let mut lanes = [0.0; 8];
-        for ranges in block.closed().chunks(lanes.len()) {
+        let (eights, rest) = block.closed().as_chunks::<8>();
+        for ranges in eights {
             for (lane, range) in lanes.iter_mut().zip(ranges) {
                 *lane += self.power.of(0.5 * range);
             }
+        }
+        for (lane, range) in lanes.iter_mut().zip(rest) {
+            *lane += self.power.of(0.5 * range);
         }
         self.sum += lanes.iter().sum::<f64>();
         for &value in block.points() {

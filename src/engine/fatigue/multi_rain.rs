@@ -149,11 +149,11 @@ impl Kernel for ProjectAndTake<'_> {
     const WIDE: bool = false;
 
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
+    fn run<S: Simd>(self, s: S) {
         let Self { channels: [x, y, z], d, block } = self;
         let n = x.len();
         let (y, z) = (&y[..n], &z[..n]);
-        block.take(n, |projected| {
+        block.take(s, n, |projected| {
             let projected = &mut projected[..n];
             for i in 0..n {
                 projected[i] = d[0] * x[i] + d[1] * y[i] + d[2] * z[i];

@@ -103,10 +103,10 @@ pub fn damage_report(
     settings.check()?;
     check(channels)?;
     let channel_damage = |i: usize, c: &DamageChannel<'_>| {
-        let predicted = finite(damage_unchecked(c.predicted, settings), "predicted", i)?;
+        let predicted = damage_unchecked(c.predicted, settings, "predicted", i)?;
         let target = match c.target {
             Some(target) => {
-                let target = finite(damage_unchecked(target, settings), "target", i)?;
+                let target = damage_unchecked(target, settings, "target", i)?;
                 Some(TargetDamage { target, ratio: ratio(predicted, target, i)? })
             }
             None => None,

@@ -116,6 +116,26 @@ pub(super) trait Simd: Copy {
     fn recip(self, a: Self::V) -> Self::V;
     /// Sum over the lanes, always in the same tree: 8, 4, 2, 1 lanes apart.
     fn sum(self, a: Self::V) -> f32;
+
+    /// Bit `i` says `a[i] < b[i]`.
+    #[inline(always)]
+    fn less(self, a: &[f64; 8], b: &[f64; 8]) -> u8 {
+        let mut mask = 0;
+        for i in 0..8 {
+            mask |= u8::from(a[i] < b[i]) << i;
+        }
+        mask
+    }
+    /// Moves the values whose bit is set to the front of `to`, in order; behind them `to` is left open.
+    #[inline(always)]
+    fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
+        let mut n = 0;
+        for (i, value) in values.into_iter().enumerate() {
+            // Written either way: a branch on data costs more.
+            to[n] = value;
+            n += usize::from(mask >> i & 1);
+        }
+    }
 }
 
 /// Work that runs on some instruction set. `run` must be `#[inline(always)]`.

@@ -1,16 +1,21 @@
-//! Plain arrays, for every machine.
+//! Four lanes at a time as the target has them (SSE2, NEON, or plain values), for every machine.
+
+use wide::{f32x4, i32x4};
 
 use super::{LANES, Lanes, Simd};
 
-/// Plain arrays; the compiler uses what the target has.
+/// What the compiler's target has for certain.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
 
-/// One lane after another.
-macro_rules! lanewise {
+/// Adding 1.5 * 2^23 leaves no bits for the fraction.
+const TO_INTEGER: f32 = 12_582_912.0;
+
+/// One quarter of the lanes after another.
+macro_rules! quarters {
     ($i:ident => $value:expr) => {{
-        let mut to = [0.0_f32; LANES];
-        for $i in 0..LANES {
+        let mut to = [f32x4::splat(0.0); LANES / 4];
+        for $i in 0..LANES / 4 {
             to[$i] = $value;
         }
         to
@@ -18,69 +23,72 @@ macro_rules! lanewise {
 }
 
 impl Simd for Portable {
-    type V = [f32; LANES];
+    type V = [f32x4; LANES / 4];
 
     #[inline(always)]
     fn splat(self, a: f32) -> Self::V {
-        [a; LANES]
+        [f32x4::splat(a); LANES / 4]
     }
     #[inline(always)]
     fn load(self, from: &Lanes) -> Self::V {
-        from.0
+        let from = from.0.as_chunks::<4>().0;
+        quarters!(i => f32x4::new(from[i]))
     }
     #[inline(always)]
     fn store(self, to: &mut Lanes, a: Self::V) {
-        to.0 = a;
+        for (to, a) in to.0.as_chunks_mut::<4>().0.iter_mut().zip(a) {
+            *to = a.to_array();
+        }
     }
     #[inline(always)]
     fn add(self, a: Self::V, b: Self::V) -> Self::V {
-        lanewise!(i => a[i] + b[i])
+        quarters!(i => a[i] + b[i])
     }
     #[inline(always)]
     fn sub(self, a: Self::V, b: Self::V) -> Self::V {
-        lanewise!(i => a[i] - b[i])
+        quarters!(i => a[i] - b[i])
     }
     #[inline(always)]
     fn mul(self, a: Self::V, b: Self::V) -> Self::V {
-        lanewise!(i => a[i] * b[i])
+        quarters!(i => a[i] * b[i])
     }
     #[inline(always)]
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        // f32::mul_add would be a library call on machines without FMA.
-        lanewise!(i => a[i] * b[i] + c[i])
+        quarters!(i => a[i].mul_add(b[i], c[i]))
     }
     #[inline(always)]
     fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        lanewise!(i => c[i] - a[i] * b[i])
+        quarters!(i => a[i].mul_neg_add(b[i], c[i]))
     }
     #[inline(always)]
     fn limit(self, a: Self::V, limit: f32) -> Self::V {
-        lanewise!(i => if a[i] > limit { limit } else if a[i] < -limit { -limit } else { a[i] })
+        // No comparison holds for NaN, which therefore stays.
+        let (lo, hi) = (f32x4::splat(-limit), f32x4::splat(limit));
+        quarters!(i => a[i].simd_gt(hi).bitselect(hi, a[i].simd_lt(lo).bitselect(lo, a[i])))
     }
     #[inline(always)]
     fn round(self, a: Self::V) -> Self::V {
-        // Adding 1.5 * 2^23 leaves no bits for the fraction.
-        lanewise!(i => (a[i] + 12_582_912.0) - 12_582_912.0)
+        let to_integer = f32x4::splat(TO_INTEGER);
+        quarters!(i => (a[i] + to_integer) - to_integer)
     }
     #[inline(always)]
     fn scale(self, a: Self::V, n: Self::V) -> Self::V {
         // In 1.5 * 2^23 + n the low bits are n; shifted into the exponent they give 2^n.
-        lanewise!(i => a[i] * f32::from_bits(
-            ((n[i] + 12_582_912.0).to_bits() << 23).wrapping_add(127 << 23)
-        ))
+        let (to_integer, one) = (f32x4::splat(TO_INTEGER), i32x4::splat(127 << 23));
+        quarters!(i => {
+            let bits: i32x4 = bytemuck::cast(n[i] + to_integer);
+            let power: f32x4 = bytemuck::cast((bits << 23_i32) + one);
+            a[i] * power
+        })
     }
     #[inline(always)]
     fn recip(self, a: Self::V) -> Self::V {
-        lanewise!(i => 1.0 / a[i])
+        let one = f32x4::splat(1.0);
+        quarters!(i => one / a[i])
     }
     #[inline(always)]
     fn sum(self, a: Self::V) -> f32 {
-        let mut a = a;
-        for apart in [8, 4, 2, 1] {
-            for i in 0..apart {
-                a[i] += a[i + apart];
-            }
-        }
-        a[0]
+        let four = ((a[0] + a[2]) + (a[1] + a[3])).to_array();
+        (four[0] + four[2]) + (four[1] + four[3])
     }
 }

@@ -49,6 +49,28 @@ macro_rules! op {
 /// Nearest, without exceptions.
 const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
 
+/// Halves of four doubles in the order that brings those whose bit of the index is set to the front.
+#[repr(align(32))]
+struct Order([i32; 8]);
+
+static ORDER: [Order; 16] = {
+    let mut table = [const { Order([0; 8]) }; 16];
+    let mut mask = 0;
+    while mask < 16 {
+        let (mut from, mut to) = (0, 0);
+        while from < 4 {
+            if mask >> from & 1 == 1 {
+                table[mask].0[2 * to] = 2 * from;
+                table[mask].0[2 * to + 1] = 2 * from + 1;
+                to += 1;
+            }
+            from += 1;
+        }
+        mask += 1;
+    }
+    table
+};
+
 /// Sum of eight lanes, 4, 2, 1 apart.
 #[inline(always)]
 fn sum_of_8(_proof: Avx2, a: __m256) -> f32 {
@@ -137,6 +159,34 @@ impl Simd for Avx2 {
     fn sum(self, a: Self::V) -> f32 {
         sum_of_8(self, op!(_mm256_add_ps(a.0, a.1)))
     }
+
+    #[inline(always)]
+    fn less(self, a: &[f64; 8], b: &[f64; 8]) -> u8 {
+        let (a, b) = (a.as_ptr(), b.as_ptr());
+        let mask = op!({
+            let low = _mm256_cmp_pd::<_CMP_LT_OQ>(_mm256_loadu_pd(a), _mm256_loadu_pd(b));
+            let high = _mm256_cmp_pd::<_CMP_LT_OQ>(_mm256_loadu_pd(a.add(4)), _mm256_loadu_pd(b.add(4)));
+            _mm256_movemask_pd(low) | _mm256_movemask_pd(high) << 4
+        });
+        mask as u8
+    }
+    #[inline(always)]
+    fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
+        let (low, high) = (mask & 15, mask >> 4);
+        let from = values.as_ptr();
+        // The high half comes at most behind four values of the low half.
+        let behind = to[low.count_ones() as usize..].as_mut_ptr();
+        op!({
+            let order = |mask: u8| _mm256_load_si256(std::ptr::from_ref(&ORDER[usize::from(mask)]).cast());
+            let pick = |at, mask| {
+                let values = _mm256_castpd_ps(_mm256_loadu_pd(from.add(at)));
+                _mm256_castps_pd(_mm256_permutevar8x32_ps(values, order(mask)))
+            };
+            let (low, high) = (pick(0, low), pick(4, high));
+            _mm256_storeu_pd(to.as_mut_ptr(), low);
+            _mm256_storeu_pd(behind, high);
+        });
+    }
 }
 
 impl Simd for Avx512 {
@@ -207,5 +257,18 @@ impl Simd for Avx512 {
             _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(a))),
         ));
         sum_of_8(Avx2(()), eight)
+    }
+
+    #[inline(always)]
+    fn less(self, a: &[f64; 8], b: &[f64; 8]) -> u8 {
+        op!(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(_mm512_loadu_pd(a.as_ptr()), _mm512_loadu_pd(b.as_ptr())))
+    }
+    #[inline(always)]
+    fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
+        // Not the instruction that compresses into memory, which some makers have in microcode only.
+        op!({
+            let picked = _mm512_maskz_compress_pd(mask, _mm512_loadu_pd(values.as_ptr()));
+            _mm512_storeu_pd(to.as_mut_ptr(), picked);
+        });
     }
 }
