@@ -17,6 +17,8 @@ pub(super) struct Data<'a> {
     /// Standard deviation of each input about its runs' means: inputs of different units and
     /// levels are weighed alike once divided by it.
     pub x_scale: Vec<f64>,
+    /// Working point: mean of each channel over all samples of all runs.
+    pub means: Means,
 }
 
 impl<'a> Data<'a> {
@@ -38,14 +40,15 @@ impl<'a> Data<'a> {
         }
         let inputs: Vec<&Signal> = runs.iter().map(|r| r.0).collect();
         let outputs: Vec<&Signal> = runs.iter().map(|r| r.1).collect();
-        let x_scale = deviations("frf inputs", &inputs)?;
-        deviations("frf outputs", &outputs)?;
+        let (x_mean, x_scale) = moments("frf inputs", &inputs)?;
+        let (y_mean, _) = moments("frf outputs", &outputs)?;
         Ok(Self {
             runs,
             sample_rate_hz: x.sample_rate_hz(),
             n_inputs: x.n_channels(),
             n_outputs: y.n_channels(),
             x_scale,
+            means: Means { x: x_mean, y: y_mean },
         })
     }
 
@@ -86,45 +89,83 @@ fn channel_means(runs: &[&Vec<&[f64]>]) -> Vec<f64> {
     let count: usize = runs.iter().map(|run| run[0].len()).sum();
     (0..runs[0].len())
         .into_par_iter()
-        .map(|c| runs.iter().map(|run| sum(run[c], |v| v)).sum::<f64>() / count.max(1) as f64)
+        .map(|c| {
+            let sum = |run: &&Vec<&[f64]>| in_lanes(run[c], |sum, v| sum + v).iter().sum::<f64>();
+            runs.iter().map(sum).sum::<f64>() / count.max(1) as f64
+        })
         .collect()
 }
 
-/// Standard deviation of each channel, each run about its own mean.
-fn deviations(what: &'static str, runs: &[&Signal]) -> Result<Vec<f64>, EngineError> {
+/// Mean of each channel over all runs, and its standard deviation, each run about its own mean.
+fn moments(what: &'static str, runs: &[&Signal]) -> Result<(Vec<f64>, Vec<f64>), EngineError> {
     let n_channels = runs.first().map_or(0, |r| r.n_channels());
-    let deviation = |channel: usize| {
-        let (mut square, mut count, mut largest) = (0.0, 0_usize, 0.0_f64);
+    let moments = |channel: usize| {
+        let (mut total, mut square, mut count, mut largest) = (0.0, 0.0, 0_usize, 0.0_f64);
         for samples in runs.iter().map(|r| r.channel(channel)) {
-            let mean = sum(samples, |v| v) / samples.len().max(1) as f64;
-            square += sum(samples, |v| (v - mean) * (v - mean));
-            largest = samples.iter().fold(largest, |l, v| l.max(v.abs()));
+            let moments = Moments::of(samples);
+            total += moments.mean * samples.len() as f64;
+            square += moments.square;
+            largest = largest.max(moments.largest);
             count += samples.len();
         }
-        let deviation = (square / count.max(1) as f64).sqrt();
-        if !deviation.is_finite() {
+        let count = count.max(1) as f64;
+        let (mean, deviation) = (total / count, (square / count).sqrt());
+        if !(mean.is_finite() && deviation.is_finite()) {
             return Err(EngineError::NonFiniteResult { what, channel, sample: 0 });
         }
         // What the sums' rounding leaves of a constant does not move.
         if deviation <= 1e-12 * largest {
             return Err(EngineError::DeadChannel { what, channel });
         }
-        Ok(deviation)
+        Ok((mean, deviation))
     };
-    let all: Vec<Result<f64, EngineError>> = (0..n_channels).into_par_iter().map(deviation).collect();
+    let all: Vec<Result<(f64, f64), EngineError>> = (0..n_channels).into_par_iter().map(moments).collect();
     // Collected in order first: with several bad channels, the first is always the one named.
     all.into_iter().collect()
 }
 
-/// Sum of `f` over the samples, in lanes: one running sum would wait for each addition.
-fn sum(samples: &[f64], f: impl Fn(f64) -> f64) -> f64 {
+/// What one reading of a run from memory gives.
+struct Moments {
+    mean: f64,
+    /// Sum of squared distances from the mean.
+    square: f64,
+    largest: f64,
+}
+
+impl Moments {
+    /// Two passes over each block while it is in the first-level cache, the blocks joined pairwise
+    /// (Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing sample
+    /// variances", 1979, eq. 1.5): as exact as two passes over all, with half the memory traffic.
+    fn of(samples: &[f64]) -> Self {
+        const BLOCK: usize = 2048;
+        let mut all = Self { mean: 0.0, square: 0.0, largest: 0.0 };
+        let mut count = 0.0;
+        for block in samples.chunks(BLOCK) {
+            let n = block.len() as f64;
+            let mean = in_lanes(block, |sum, v| sum + v).iter().sum::<f64>() / n;
+            let squares = in_lanes(block, |sum, v| sum + (v - mean) * (v - mean));
+            let largest = in_lanes(block, |largest, v| if v.abs() > largest { v.abs() } else { largest });
+            let shift = mean - all.mean;
+            all.square += squares.iter().sum::<f64>() + shift * shift * count * n / (count + n);
+            count += n;
+            all.mean += shift * n / count;
+            all.largest = largest.into_iter().fold(all.largest, f64::max);
+        }
+        all
+    }
+}
+
+/// Folds the samples from zero in eight lanes: one running value would wait for each operation.
+fn in_lanes(samples: &[f64], fold: impl Fn(f64, f64) -> f64) -> [f64; 8] {
     let mut lanes = [0.0; 8];
-    let chunks = samples.chunks_exact(lanes.len());
-    let rest: f64 = chunks.remainder().iter().map(|&v| f(v)).sum();
+    let (chunks, rest) = samples.as_chunks::<8>();
     for chunk in chunks {
         for (lane, &v) in lanes.iter_mut().zip(chunk) {
-            *lane += f(v);
+            *lane = fold(*lane, v);
         }
     }
-    lanes.iter().sum::<f64>() + rest
+    for (lane, &v) in lanes.iter_mut().zip(rest) {
+        *lane = fold(*lane, v);
+    }
+    lanes
 }

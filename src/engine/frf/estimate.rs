@@ -6,7 +6,7 @@ pub(super) use crate::engine::spectral::Means;
 
 use super::band::Band;
 use super::choose::{ENOUGH_AVERAGES, choose};
-use super::data::{Data, means};
+use super::data::Data;
 use super::lines::Lines;
 use super::{Estimator, Frf, FrfSettings};
 use crate::engine::progress::{Watch, report};
@@ -97,10 +97,10 @@ pub fn estimate(
     }
     report(watch, "FRF", 0.9)?;
     let stretches = data.all();
-    let means = means(&stretches);
-    let spectra = cross_spectra(&stretches, &means, &welch, data.sample_rate_hz)?;
+    let means = &data.means;
+    let spectra = cross_spectra(&stretches, means, &welch, data.sample_rate_hz)?;
     let lines = Lines::new(&spectra, &data.x_scale)?;
-    let (frf, band) = solve(&data, &lines, &means, settings.estimator, choice.ridge, choice.segment_len)?;
+    let (frf, band) = solve(&data, &lines, means, settings.estimator, choice.ridge, choice.segment_len)?;
 
     let (nx, ny) = (data.n_inputs, data.n_outputs);
     let mut estimate = FrfEstimate {

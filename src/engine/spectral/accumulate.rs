@@ -1,7 +1,5 @@
 //! The one loop that all averaged spectra share.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
@@ -22,10 +20,16 @@ pub(super) struct Sums {
     pub effective_averages: f64,
 }
 
-/// Segments transformed before their products are added: keeps the sums in cache.
-const BATCH: usize = 4;
-/// Lines whose products are added at a time.
-const TILE: usize = 256;
+/// Lines that lie together: what a tile holds of all channels stays in the first-level cache while
+/// all pairs are multiplied.
+const TILE: usize = 64;
+/// Segments whose products are added at a time, their sum in registers.
+const AT_ONCE: usize = 4;
+/// Segments transformed before their products are added: the sums travel through the caches once a
+/// batch.
+const BATCH: usize = 16;
+/// Memory that the spectra of a batch may take; beyond it a batch has fewer segments.
+const BATCH_BYTES: usize = 1 << 23;
 /// Parts that are summed independently; a constant, so that no bit depends on the thread count.
 const PARTS: usize = 8;
 /// Memory that the parts' sums may take; beyond it there are fewer parts.
@@ -55,21 +59,31 @@ pub(super) fn accumulate(
         runs.iter().map(|run| welch.effective_averages(welch.n_segments(n_samples(run)))).sum();
 
     let job = Job { isa: Isa::of_process()?, runs, offsets, welch, pairs, window: &hann(len) };
-    let bytes = 16 * pairs.len() * welch.n_lines();
+    let tiles = welch.n_lines().div_ceil(TILE);
+    let bytes = size_of::<Tile>() * pairs.len() * tiles;
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
     let bound = |part: usize| part * segments.len() / parts;
-    let sums: Vec<Part> =
+    let sums: Vec<Vec<Tile>> =
         (0..parts).into_par_iter().map(|p| job.sum(&segments[bound(p)..bound(p + 1)])).collect();
 
     let mut sums = sums.into_iter();
     let mut total = sums.next().expect("at least one part");
     for part in sums {
-        add(&mut total.re, &part.re);
-        add(&mut total.im, &part.im);
+        for (total, part) in
+            total.as_flattened_mut().as_flattened_mut().iter_mut().zip(part.as_flattened().as_flattened())
+        {
+            *total += part;
+        }
     }
+    let lines = |pair: usize, part: usize| -> Vec<f64> {
+        let tiles = total.iter().skip(pair).step_by(pairs.len());
+        tiles.flat_map(|tile| tile[part]).take(welch.n_lines()).collect()
+    };
+    let mut re: Vec<Vec<f64>> = (0..pairs.len()).map(|pair| lines(pair, 0)).collect();
+    let mut im: Vec<Vec<f64>> = (0..pairs.len()).map(|pair| lines(pair, 1)).collect();
     let power: f64 = job.window.iter().map(|w| w * w).sum();
     let scale = 1.0 / (sample_rate_hz * power * segments.len() as f64);
-    for (pair, (re, im)) in total.re.iter_mut().zip(&mut total.im).enumerate() {
+    for (pair, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
         for (line, (re, im)) in re.iter_mut().zip(im).enumerate() {
             let single = line == 0 || 2 * line == len;
             let scale = if single { scale } else { 2.0 * scale };
@@ -80,13 +94,7 @@ pub(super) fn accumulate(
             }
         }
     }
-    Ok(Sums {
-        re: total.re,
-        im: total.im,
-        df_hz: sample_rate_hz / len as f64,
-        n_averages: segments.len(),
-        effective_averages,
-    })
+    Ok(Sums { re, im, df_hz: sample_rate_hz / len as f64, n_averages: segments.len(), effective_averages })
 }
 
 struct Job<'a> {
@@ -98,43 +106,38 @@ struct Job<'a> {
     window: &'a [f64],
 }
 
-/// Sums of one part, `[pair][line]`.
-struct Part {
-    re: Vec<Vec<f64>>,
-    im: Vec<Vec<f64>>,
-}
+/// Real and imaginary parts of some lines; beyond the last line anything finite.
+type Tile = [[f64; TILE]; 2];
 
 impl Job<'_> {
-    fn sum(&self, segments: &[(usize, usize)]) -> Part {
-        let (lines, channels) = (self.welch.n_lines(), self.offsets.len());
+    /// Sums over `segments`, `[tile, pair]`.
+    fn sum(&self, segments: &[(usize, usize)]) -> Vec<Tile> {
+        let (tiles, channels) = (self.welch.n_lines().div_ceil(TILE), self.offsets.len());
         let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.welch.segment_len);
         let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
         let mut scratch = fft.make_scratch_vec();
-        // Real and imaginary parts lie apart so that the products vectorise; [in batch, channel, line].
-        let mut re = vec![0.0; BATCH * channels * lines];
-        let mut im = re.clone();
-        let mut part = Part {
-            re: vec![vec![0.0; lines]; self.pairs.len()],
-            im: vec![vec![0.0; lines]; self.pairs.len()],
-        };
-        for batch in segments.chunks(BATCH) {
+        let per_segment = tiles * channels * size_of::<Tile>();
+        let batch_len = BATCH.min(BATCH_BYTES / per_segment.max(1)).clamp(1, segments.len());
+        // [tile, segment, channel]
+        let mut spectra = vec![[[0.0; TILE]; 2]; tiles * batch_len * channels];
+        let mut sums = vec![[[0.0; TILE]; 2]; tiles * self.pairs.len()];
+        for batch in segments.chunks(batch_len) {
             for (b, &(run, start)) in batch.iter().enumerate() {
                 for (c, samples) in self.runs[run].iter().enumerate() {
                     self.window_segment(&samples[start..start + input.len()], self.offsets[c], &mut input);
                     fft.process_with_scratch(&mut input, &mut output, &mut scratch)
                         .expect("buffers are the plan's own");
-                    let at = (b * channels + c) * lines;
-                    let (re, im) = (&mut re[at..at + lines], &mut im[at..at + lines]);
-                    dispatch(self.isa, Split { spectrum: &output, re, im });
+                    let tiles = spectra.iter_mut().skip(b * channels + c).step_by(batch_len * channels);
+                    dispatch(self.isa, Split { spectrum: &output, tiles });
                 }
             }
-            for from in (0..lines).step_by(TILE) {
-                let tile = from..lines.min(from + TILE);
-                let spectra = Spectra { re: &re, im: &im, channels, lines, n_segments: batch.len() };
-                dispatch(self.isa, AddProducts { spectra, pairs: self.pairs, tile, sums: &mut part });
+            let tiles = spectra.chunks(batch_len * channels).zip(sums.chunks_mut(self.pairs.len()));
+            for (spectra, sums) in tiles {
+                let spectra = &spectra[..batch.len() * channels];
+                dispatch(self.isa, AddProducts { spectra, channels, pairs: self.pairs, sums });
             }
         }
-        part
+        sums
     }
 
     fn window_segment(&self, samples: &[f64], offset: f64, out: &mut [f64]) {
@@ -168,51 +171,34 @@ impl Kernel for WindowSegment<'_> {
     }
 }
 
-/// Real and imaginary parts apart.
-struct Split<'a> {
+/// A spectrum to tiles, real and imaginary parts apart.
+struct Split<'a, T> {
     spectrum: &'a [Complex64],
-    re: &'a mut [f64],
-    im: &'a mut [f64],
+    tiles: T,
 }
 
-impl Kernel for Split<'_> {
+impl<'a, T: Iterator<Item = &'a mut Tile>> Kernel for Split<'_, T> {
     type Out = ();
     const WIDE: bool = false;
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        for ((re, im), z) in self.re.iter_mut().zip(self.im).zip(self.spectrum) {
-            (*re, *im) = (z.re, z.im);
+        for ([re, im], lines) in self.tiles.zip(self.spectrum.chunks(TILE)) {
+            for ((re, im), z) in re.iter_mut().zip(im).zip(lines) {
+                (*re, *im) = (z.re, z.im);
+            }
         }
     }
 }
 
-/// Spectra of a batch, parts apart, `[segment, channel, line]`.
-#[derive(Clone, Copy)]
-struct Spectra<'a> {
-    re: &'a [f64],
-    im: &'a [f64],
-    channels: usize,
-    lines: usize,
-    n_segments: usize,
-}
-
-impl<'a> Spectra<'a> {
-    /// Lines `tile` of one segment and channel: real parts, imaginary parts.
-    #[inline(always)]
-    fn lines(&self, segment: usize, channel: usize, tile: &Range<usize>) -> (&'a [f64], &'a [f64]) {
-        let first = (segment * self.channels + channel) * self.lines;
-        let lines = first + tile.start..first + tile.end;
-        (&self.re[lines.clone()], &self.im[lines])
-    }
-}
-
-/// Adds the products of all pairs over the segments of a batch, for the lines of `tile`.
+/// Adds the products of all pairs over the segments of a batch, for the lines of a tile.
 struct AddProducts<'a> {
-    spectra: Spectra<'a>,
+    /// `[segment, channel]`
+    spectra: &'a [Tile],
+    channels: usize,
     pairs: &'a [(usize, usize)],
-    tile: Range<usize>,
-    sums: &'a mut Part,
+    /// `[pair]`
+    sums: &'a mut [Tile],
 }
 
 impl Kernel for AddProducts<'_> {
@@ -221,61 +207,32 @@ impl Kernel for AddProducts<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Self { spectra, pairs, tile, sums } = self;
-        for (pair, &channels) in pairs.iter().enumerate() {
-            let sum = (&mut sums.re[pair][tile.clone()], &mut sums.im[pair][tile.clone()]);
-            if spectra.n_segments == BATCH {
-                add_products::<BATCH>(sum, spectra, 0, channels, &tile);
-            } else {
-                for segment in 0..spectra.n_segments {
-                    let sum = (&mut *sum.0, &mut *sum.1);
-                    add_products::<1>(sum, spectra, segment, channels, &tile);
-                }
+        let Self { spectra, channels, pairs, sums } = self;
+        let mut segments = spectra.chunks_exact(AT_ONCE * channels);
+        for segments in &mut segments {
+            for (sum, &(a, b)) in sums.iter_mut().zip(pairs) {
+                let tile = |c: usize| std::array::from_fn(|k| &segments[k * channels + c]);
+                add_products::<AT_ONCE>(sum, tile(a), tile(b));
+            }
+        }
+        for segment in segments.remainder().chunks_exact(channels) {
+            for (sum, &(a, b)) in sums.iter_mut().zip(pairs) {
+                add_products(sum, [&segment[a]], [&segment[b]]);
             }
         }
     }
 }
 
-/// `sum += A * conj(B)` over `N` segments, one after another, with the sum in a register.
+/// `sum += A * conj(B)` over `N` segments, one after another.
 #[inline(always)]
-fn add_products<const N: usize>(
-    (sum_re, sum_im): (&mut [f64], &mut [f64]),
-    spectra: Spectra<'_>,
-    first_segment: usize,
-    (a, b): (usize, usize),
-    tile: &Range<usize>,
-) {
-    let n = sum_re.len();
-    let cut = |channel: usize, k: usize| {
-        let (re, im) = spectra.lines(first_segment + k, channel, tile);
-        (&re[..n], &im[..n])
-    };
-    let first: [_; N] = std::array::from_fn(|k| cut(a, k));
-    if a == b {
-        for i in 0..n {
-            let mut re = sum_re[i];
-            for (ar, ai) in first {
-                re += ar[i] * ar[i] + ai[i] * ai[i];
-            }
-            sum_re[i] = re;
-        }
-        return;
-    }
-    let second: [_; N] = std::array::from_fn(|k| cut(b, k));
-    let sum_im = &mut sum_im[..n];
-    for i in 0..n {
+fn add_products<const N: usize>([sum_re, sum_im]: &mut Tile, a: [&Tile; N], b: [&Tile; N]) {
+    for i in 0..TILE {
         let (mut re, mut im) = (sum_re[i], sum_im[i]);
         for k in 0..N {
-            let ((ar, ai), (br, bi)) = (first[k], second[k]);
+            let ([ar, ai], [br, bi]) = (a[k], b[k]);
             re += ar[i] * br[i] + ai[i] * bi[i];
             im += ai[i] * br[i] - ar[i] * bi[i];
         }
         (sum_re[i], sum_im[i]) = (re, im);
-    }
-}
-
-fn add(total: &mut [Vec<f64>], part: &[Vec<f64>]) {
-    for (total, part) in total.iter_mut().flatten().zip(part.iter().flatten()) {
-        *total += part;
     }
 }
