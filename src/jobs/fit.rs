@@ -64,18 +64,30 @@ pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) 
 
 /// Loads every run once and cuts it to the fit's channels.
 async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
-    let mut pairs = HashMap::new();
+    // Each run with the number of its uses.
+    let mut pairs: HashMap<_, (Pair, usize)> = HashMap::new();
     let runs = plan.training.iter().chain(plan.frf.iter().flatten()).chain(&plan.validation);
     for run in runs {
         if control.stopped().is_some() {
             return Err(JobError::Stopped);
         }
-        if let Entry::Vacant(place) = pairs.entry(run.id) {
-            let signal = runner.store.load_signal(run).await?;
-            place.insert(pair(run, &signal, &plan.inputs, &plan.outputs)?);
+        match pairs.entry(run.id) {
+            Entry::Vacant(place) => {
+                let signal = runner.store.load_signal(run).await?;
+                place.insert((pair(run, &signal, &plan.inputs, &plan.outputs)?, 1));
+            }
+            Entry::Occupied(mut place) => place.get_mut().1 += 1,
         }
     }
-    Ok(assemble(plan, |run| pairs[&run.id].clone()))
+    // Only a run that is used twice is copied: all together they may be gigabytes.
+    Ok(assemble(plan, |run| match pairs.entry(run.id) {
+        Entry::Occupied(mut place) if place.get().1 > 1 => {
+            place.get_mut().1 -= 1;
+            place.get().0.clone()
+        }
+        Entry::Occupied(place) => place.remove().0,
+        Entry::Vacant(_) => unreachable!("every run was loaded as often as it is used"),
+    }))
 }
 
 /// A run as inputs and outputs, in the order of `inputs` and `outputs`.
@@ -99,7 +111,7 @@ pub(super) fn pair(
 }
 
 /// Splits the runs as the plan's lineage says.
-fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
+fn assemble(plan: &FitPlan, mut load: impl FnMut(&Run) -> Pair) -> FitData {
     let mut validation: Vec<Validation> =
         plan.validation.iter().map(|run| Validation { pair: load(run), score_from: 0 }).collect();
     let mut training = Vec::with_capacity(plan.training.len());
@@ -118,9 +130,8 @@ fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
     }
     let until = |run: &Run| usize::try_from(plan.frf_until(run)).unwrap_or(usize::MAX);
     let cut = |run: &Run| {
-        let whole = load(run);
-        let end = until(run).min(whole.x.n_samples());
-        Pair { x: whole.x.slice(0..end), y: whole.y.slice(0..end) }
+        let (end, whole) = (until(run), load(run));
+        Pair { x: whole.x.truncated(end), y: whole.y.truncated(end) }
     };
     let frf = plan.frf.as_ref().map(|runs| runs.iter().map(cut).collect());
     FitData { training, frf, validation }

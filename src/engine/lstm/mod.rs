@@ -34,6 +34,6 @@ mod validate;
 pub use isa::{ISA_VARIABLE, Isa};
 pub use net::{LstmBlock, LstmNet};
 pub use peak::peak_fma;
-pub use predict::predict;
+pub use predict::{Streaming, predict};
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
 pub use train::{EpochRecord, Stretch, Trained, train};
