@@ -74,7 +74,7 @@ async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitD
         match pairs.entry(run.id) {
             Entry::Vacant(place) => {
                 let signal = runner.store.load_signal(run).await?;
-                place.insert((pair(run, &signal, &plan.inputs, &plan.outputs)?, 1));
+                place.insert((pair(run, signal, &plan.inputs, &plan.outputs)?, 1));
             }
             Entry::Occupied(mut place) => place.get_mut().1 += 1,
         }
@@ -93,7 +93,7 @@ async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitD
 /// A run as inputs and outputs, in the order of `inputs` and `outputs`.
 pub(super) fn pair(
     run: &Run,
-    signal: &Signal,
+    signal: Signal,
     inputs: &[String],
     outputs: &[String],
 ) -> Result<Pair, StoreError> {
@@ -104,10 +104,24 @@ pub(super) fn pair(
             what: format!("it was checked to hold channel {name:?}"),
         })
     };
-    let select = |names: &[String]| {
-        Ok::<_, StoreError>(signal.select(&names.iter().map(place).collect::<Result<Vec<_>, _>>()?))
+    let inputs: Vec<usize> = inputs.iter().map(place).collect::<Result<_, _>>()?;
+    let outputs: Vec<usize> = outputs.iter().map(place).collect::<Result<_, _>>()?;
+    let bad = |error: EngineError| StoreError::Row {
+        table: "runs",
+        key: run.id.to_string(),
+        what: error.to_string(),
     };
-    Ok(Pair { x: select(inputs)?, y: select(outputs)? })
+    // Samples are moved, not copied: hours of runs fill memory as it is.
+    let rate = signal.sample_rate_hz();
+    let mut channels = signal.into_channels();
+    let mut select = |places: &[usize], later: &[usize]| {
+        let select = places.iter().enumerate().map(|(i, &place)| {
+            let again = later.contains(&place) || places[i + 1..].contains(&place);
+            if again { channels[place].clone() } else { std::mem::take(&mut channels[place]) }
+        });
+        Signal::new(rate, select.collect()).map_err(bad)
+    };
+    Ok(Pair { x: select(&inputs, &outputs)?, y: select(&outputs, &[])? })
 }
 
 /// Splits the runs as the plan's lineage says.
@@ -231,6 +245,18 @@ mod tests {
 
     fn last(pair: &Pair) -> f64 {
         *pair.x.channel(0).last().unwrap()
+    }
+
+    #[test]
+    fn a_run_is_cut_to_its_channels_in_their_order_even_if_one_is_on_both_sides() {
+        let mut run = run(1, RunKind::Noise, Split::Training, 2);
+        run.channels = ["a", "b", "c"].map(String::from).to_vec();
+        let samples = |v: f64| vec![v, v + 0.5];
+        let signal = Signal::new(100.0, vec![samples(1.0), samples(2.0), samples(3.0)]).unwrap();
+        let names = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let found = pair(&run, signal.clone(), &names(&["c", "a"]), &names(&["b", "a"])).unwrap();
+        assert_eq!(found, Pair { x: signal.select(&[2, 0]), y: signal.select(&[1, 0]) });
+        assert!(pair(&run, signal, &names(&["d"]), &names(&["a"])).is_err());
     }
 
     #[test]
