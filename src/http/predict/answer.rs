@@ -12,7 +12,7 @@ use crate::compute::Class;
 use crate::domain::Rig;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
-use crate::engine::model::{ModelKind, RigModel, TrustSpan};
+use crate::engine::model::{ModelKind, Predictor, RigModel, TrustSpan};
 use crate::engine::{EngineError, Signal};
 use crate::formats;
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -97,13 +97,8 @@ impl Job {
 
     /// Whether somebody waits for it or it takes long.
     pub fn class(&self) -> Class {
-        let model = self.model.model();
-        let samples = self.drive.n_samples(model.inputs.len());
-        let values = samples.saturating_mul(model.inputs.len() + model.outputs.len());
-        if self.model.predictor.network_work(samples) > SHORT_WORK {
-            return Class::Long;
-        }
-        Class::of_values(values)
+        let inputs = self.model.model().inputs.len();
+        class(&self.model.predictor, self.drive.n_samples(inputs))
     }
 
     /// Predicts, compares, counts, writes.
@@ -158,6 +153,14 @@ impl Job {
         }
         Ok(Computed { bytes: answer.finish(), media_type: json::MEDIA_TYPE, samples, inside })
     }
+}
+
+fn class(predictor: &Predictor, samples: usize) -> Class {
+    if predictor.network_work(samples) > SHORT_WORK {
+        return Class::Long;
+    }
+    let model = predictor.model();
+    Class::of_values(samples.saturating_mul(model.inputs.len() + model.outputs.len()))
 }
 
 /// The drive as a signal; an NPY body has the model's inputs as columns.
@@ -240,4 +243,43 @@ fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<E
         .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
     let channels = target.names.iter().cloned().zip(found.channels).collect();
     Ok(ErrorReport { settings: found.settings, channels })
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::engine::lstm::{LstmNet, Recombine};
+    use crate::engine::model::{LstmPart, Preprocess, Scaler};
+
+    /// A network of three inputs and six outputs at 1 kHz, windows of 256.
+    fn network(cells: usize, hop: usize) -> Predictor {
+        let names = |n: usize| (0..n).map(|i| format!("c{i}")).collect();
+        let scaler = |n: usize| Scaler { mean: vec![0.0; n], std: vec![1.0; n] };
+        let net = LstmNet::init(3, &[cells], 6, 1.0, &mut ChaCha8Rng::seed_from_u64(1));
+        let part =
+            LstmPart { net, x: scaler(3), y: scaler(6), window_len: 256, hop, recombine: Recombine::Welch };
+        Predictor::new(RigModel {
+            kind: ModelKind::Lstm,
+            inputs: names(3),
+            outputs: names(6),
+            sample_rate_hz: 1000.0,
+            preprocess: Preprocess::default(),
+            frf: None,
+            lstm: Some(part),
+            range: Vec::new(),
+        })
+        .expect("a model")
+    }
+
+    #[test]
+    fn an_hour_is_long_and_so_is_a_minute_of_a_large_network() {
+        assert_eq!(class(&network(39, 128), 60_000), Class::Predict);
+        assert_eq!(class(&network(39, 128), 3_600_000), Class::Long);
+        assert_eq!(class(&network(39, 1), 60_000), Class::Long, "a window a sample");
+        assert_eq!(class(&network(200, 128), 60_000), Class::Long);
+        assert_eq!(class(&network(200, 128), 1000), Class::Predict);
+    }
 }
