@@ -19,8 +19,9 @@ use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
 
-/// Models that stay in memory; one is below a megabyte.
-const MODEL_CACHE: usize = 64;
+/// Models that stay in memory; one of the usual size takes some three megabytes, most of it the
+/// FRF's spectra.
+const MODEL_CACHE: usize = 32;
 
 /// How long answers under way may take after the wish to stop. Jobs then have the rest of the
 /// 30 seconds that a stop may take.

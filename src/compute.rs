@@ -1,8 +1,9 @@
 //! The only door from async code to work for the processor: permits, blocking threads, spans.
 //!
 //! Each class of work has its own permits and its own pool of threads, so that a fit that keeps
-//! every core busy never holds a thread that a prediction needs. Threads of fits have a lower
-//! priority: the system gives them what the others leave.
+//! every core busy never holds a thread that a prediction needs, and a prediction of an hour none
+//! that one of seconds waits for: it is the system that shares the cores between them. Threads of
+//! long work and of fits have lower priorities: they get what the others leave.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,11 +17,21 @@ use tokio::sync::Semaphore;
 /// about a tenth of a core, and all of it when nobody else wants it.
 const FIT_NICENESS: i32 = 10;
 
+/// Niceness of threads that do long work for an answer: about a quarter of a core against a thread
+/// of normal priority.
+const LONG_NICENESS: i32 = 5;
+
+/// Most values that work may go over and still count as short: a minute of a large rig, whose
+/// parsing, prediction or damage takes some tens of milliseconds.
+const SHORT_VALUES: usize = 1 << 20;
+
 /// What kind of work it is; each has permits and threads of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Class {
     /// An answer that somebody waits for: predictions, damage, parsing.
     Predict,
+    /// The same when it takes long: whoever asks for an hour of signal can wait a little more.
+    Long,
     /// A fit: long, and at a lower priority.
     Fit,
 }
@@ -34,21 +45,48 @@ pub struct ComputeSettings {
     pub predict_queue: usize,
     /// Threads that share the work of predictions.
     pub predict_threads: usize,
+    /// Pieces of long work at once; each holds an hour of signal or more in memory.
+    pub long_permits: usize,
+    /// Pieces of long work that may wait.
+    pub long_queue: usize,
+    /// Threads that share long work.
+    pub long_threads: usize,
     /// Fits at once; as many as there are job workers, which are their only queue.
     pub fit_permits: usize,
     /// Threads that share the work of fits.
     pub fit_threads: usize,
 }
 
+impl Class {
+    /// Class of work for an answer that goes over so many values (samples of all channels).
+    pub fn of_values(values: usize) -> Self {
+        if values > SHORT_VALUES { Self::Long } else { Self::Predict }
+    }
+
+    /// Class of work on so many bytes that hold values.
+    pub fn of_bytes(bytes: usize) -> Self {
+        Self::of_values(bytes / size_of::<f64>())
+    }
+
+    /// The longer of two.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        if self == Self::Predict { other } else { self }
+    }
+}
+
 impl Default for ComputeSettings {
-    /// One prediction and one thread of each class a core, thirty-two waiting predictions a core,
-    /// one fit.
+    /// One prediction, one piece of long work and one thread of each class a core, thirty-two
+    /// waiting of each a core, one fit.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             predict_permits: cores,
             predict_queue: 32 * cores,
             predict_threads: cores,
+            long_permits: cores,
+            long_queue: 32 * cores,
+            long_threads: cores,
             fit_permits: 1,
             fit_threads: cores,
         }
@@ -76,6 +114,7 @@ pub enum ComputeError {
 #[derive(Debug, Clone)]
 pub struct Compute {
     predict: Arc<Lane>,
+    long: Arc<Lane>,
     fit: Arc<Lane>,
 }
 
@@ -108,6 +147,7 @@ impl Compute {
         let s = settings;
         Ok(Self {
             predict: lane(s.predict_permits, s.predict_queue, s.predict_threads, "predict", 0)?,
+            long: lane(s.long_permits, s.long_queue, s.long_threads, "long", LONG_NICENESS)?,
             fit: lane(s.fit_permits, usize::MAX, s.fit_threads, "fit", FIT_NICENESS)?,
         })
     }
@@ -124,6 +164,7 @@ impl Compute {
     {
         let lane = match class {
             Class::Predict => &self.predict,
+            Class::Long => &self.long,
             Class::Fit => &self.fit,
         };
         let permit = lane.permit().await?;
@@ -167,14 +208,14 @@ impl Lane {
 }
 
 /// Lowers the priority of the calling thread (on Linux niceness belongs to the thread). Elsewhere,
-/// or where it is forbidden, fits compete as equals.
+/// or where it is forbidden, all compete as equals.
 fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
     if niceness > 0
         && let Err(error) = rustix::process::getpriority_process(None)
             .and_then(|own| rustix::process::setpriority_process(None, own.max(niceness)))
     {
-        tracing::warn!(%error, "threads of fits keep their normal priority");
+        tracing::warn!(%error, "threads of fits and of long work keep their normal priority");
     }
     #[cfg(not(target_os = "linux"))]
     let _ = niceness;
@@ -198,6 +239,9 @@ mod tests {
             predict_permits: permits,
             predict_queue: queue,
             predict_threads: 2,
+            long_permits: permits,
+            long_queue: queue,
+            long_threads: 2,
             fit_permits: 1,
             fit_threads: 1,
         })
@@ -242,10 +286,57 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn short_work_is_done_while_long_work_holds_all_its_permits_and_threads() {
+        let compute = compute(2, 8);
+        // Each piece of long work keeps both threads of its class until it is let go.
+        let (started, at_work) = mpsc::channel::<()>();
+        let gates: Vec<_> = (0..2)
+            .map(|_| {
+                let (started, compute) = (started.clone(), compute.clone());
+                let (release, gate) = mpsc::channel::<()>();
+                let work = move || {
+                    started.send(()).unwrap();
+                    gate.recv().unwrap();
+                };
+                (release, tokio::spawn(async move { compute.run(Class::Long, work).await }))
+            })
+            .collect();
+        tokio::task::spawn_blocking(move || (0..2).for_each(|_| at_work.recv().unwrap())).await.unwrap();
+        // The third waits for a permit; nobody short does.
+        let third = tokio::spawn({
+            let compute = compute.clone();
+            async move { compute.run(Class::Long, || 3).await }
+        });
+        let join = || rayon::join(|| 1, || 2);
+        for _ in 0..3 {
+            assert_eq!(compute.run(Class::Predict, join).await, Ok((1, 2)));
+        }
+        assert!(!third.is_finished(), "long work waits for its own kind");
+        for (release, task) in gates {
+            release.send(()).unwrap();
+            task.await.unwrap().unwrap();
+        }
+        assert_eq!(third.await.unwrap(), Ok(3));
+    }
+
+    #[test]
+    fn a_minute_is_short_and_an_hour_long() {
+        let values = |seconds: usize| seconds * 1000 * (3 + 6);
+        assert_eq!(Class::of_values(values(60)), Class::Predict);
+        assert_eq!(Class::of_values(values(3600)), Class::Long);
+        assert_eq!(Class::of_bytes(8 << 20), Class::Predict);
+        assert_eq!(Class::of_bytes((8 << 20) + 8), Class::Long);
+        assert_eq!(Class::Long.or(Class::Predict), Class::Long);
+        assert_eq!(Class::Predict.or(Class::Long), Class::Long);
+        assert_eq!(Class::Predict.or(Class::Predict), Class::Predict);
+    }
+
+    #[tokio::test]
     async fn parallel_work_stays_on_the_threads_of_its_class() {
         use rayon::iter::{IntoParallelIterator, ParallelIterator};
         let compute = compute(1, 1);
-        for (class, name, threads) in [(Class::Predict, "predict-", 2), (Class::Fit, "fit-", 1)] {
+        let classes = [(Class::Predict, "predict-", 2), (Class::Long, "long-", 2), (Class::Fit, "fit-", 1)];
+        for (class, name, threads) in classes {
             let names: Vec<String> = compute
                 .run(class, || {
                     (0..64)
@@ -262,11 +353,12 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[tokio::test]
-    async fn only_fits_run_at_a_lower_priority() {
+    async fn long_work_and_fits_run_at_lower_priorities() {
         let compute = compute(1, 1);
         let niceness = || rustix::process::getpriority_process(None).unwrap();
         let own = niceness();
         assert_eq!(compute.run(Class::Predict, niceness).await, Ok(own));
+        assert_eq!(compute.run(Class::Long, niceness).await, Ok(own.max(LONG_NICENESS)));
         assert_eq!(compute.run(Class::Fit, niceness).await, Ok(own.max(FIT_NICENESS)));
     }
 }

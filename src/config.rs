@@ -54,9 +54,13 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_UPLOAD_LIMIT_BYTES", default_value_t = Limits::default().upload_bytes)]
     pub upload_limit_bytes: u64,
 
-    /// Largest JSON body, and largest NPY drive of a prediction, bytes.
+    /// Largest JSON body, bytes.
     #[arg(long, env = "RIGCAST_JSON_LIMIT_BYTES", default_value_t = Limits::default().json_bytes)]
     pub json_limit_bytes: u64,
+
+    /// Largest NPY drive of a prediction, bytes; a prediction takes several times that in memory.
+    #[arg(long, env = "RIGCAST_DRIVE_LIMIT_BYTES", default_value_t = Limits::default().drive_bytes)]
+    pub drive_limit_bytes: u64,
 
     /// Listen beyond loopback although the service has no authentication: whoever reaches the
     /// port may read and delete everything. For closed networks and containers only.
@@ -99,7 +103,11 @@ impl ServeArgs {
         Ok(Config {
             data_dir: self.data_dir.clone(),
             workers: self.workers,
-            limits: Limits { json_bytes: self.json_limit_bytes, upload_bytes: self.upload_limit_bytes },
+            limits: Limits {
+                json_bytes: self.json_limit_bytes,
+                drive_bytes: self.drive_limit_bytes,
+                upload_bytes: self.upload_limit_bytes,
+            },
         })
     }
 }
@@ -121,7 +129,10 @@ mod tests {
         let args = serve(&[]);
         assert_eq!(args.listen.to_string(), "127.0.0.1:8080");
         let config = args.check().expect("loopback is fine");
-        assert_eq!(config.limits, Limits { json_bytes: 67_108_864, upload_bytes: 4_294_967_296 });
+        assert_eq!(
+            config.limits,
+            Limits { json_bytes: 67_108_864, drive_bytes: 134_217_728, upload_bytes: 4_294_967_296 }
+        );
         assert_eq!(config.data_dir, PathBuf::from("./rigcast-data"));
     }
 

@@ -12,7 +12,7 @@ use tokio::sync::OnceCell;
 use crate::compute::{Class, Compute, ComputeError};
 use crate::domain::{Model, RigId};
 use crate::engine::EngineError;
-use crate::engine::model::{RigModel, from_safetensors};
+use crate::engine::model::{Predictor, RigModel, from_safetensors};
 use crate::storage::{Store, StoreError};
 use crate::telemetry::names;
 
@@ -23,8 +23,15 @@ pub struct LoadedModel {
     pub version: u32,
     /// SHA-256 of its weight file, verified when it was loaded.
     pub sha256: String,
+    /// The model, ready to predict.
+    pub predictor: Predictor,
+}
+
+impl LoadedModel {
     /// The model.
-    pub model: RigModel,
+    pub fn model(&self) -> &RigModel {
+        self.predictor.model()
+    }
 }
 
 /// Why a model cannot be loaded.
@@ -153,12 +160,13 @@ impl Models {
 
     async fn load(&self, model: &Model) -> Result<Arc<LoadedModel>, ModelError> {
         let bytes = self.store.weights(model).await?;
-        let read = self.compute.run(Class::Predict, move || from_safetensors(&bytes)).await?;
+        let read =
+            self.compute.run(Class::Predict, move || Predictor::new(from_safetensors(&bytes)?)).await?;
         let (rig, version) = (model.rig.clone(), model.version);
         let read = read.map_err(|source| ModelError::Weights { rig: rig.clone(), version, source })?;
         metrics::counter!(names::MODEL_LOADS).increment(1);
         tracing::info!(rig.id = %rig, model.version = version, "loaded a model");
-        Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), model: read }))
+        Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), predictor: read }))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Cache> {

@@ -18,4 +18,4 @@ pub mod windowing;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
-pub use signal::Signal;
+pub use signal::{Signal, first_not_finite};

@@ -34,7 +34,7 @@ impl Signal {
                     found: samples.len(),
                 });
             }
-            if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
+            if let Some(sample) = first_not_finite(samples) {
                 return Err(EngineError::NonFinite { what: "signal", channel, sample });
             }
         }
@@ -91,6 +91,16 @@ impl Signal {
         }
     }
 
+    /// The first `n` samples, or all if there are fewer, in the same memory.
+    #[must_use]
+    pub fn truncated(mut self, n: usize) -> Self {
+        for channel in &mut self.channels {
+            channel.truncate(n);
+            channel.shrink_to_fit();
+        }
+        self
+    }
+
     /// A stretch of all channels.
     ///
     /// # Panics
@@ -108,9 +118,30 @@ impl Signal {
     }
 }
 
+/// Place of the first NaN or infinity.
+///
+/// Whole blocks are looked at without a branch a sample: every signal passes here several times.
+pub fn first_not_finite(samples: &[f64]) -> Option<usize> {
+    const BLOCK: usize = 512;
+    let bad = |block: &[f64]| block.iter().fold(false, |bad, v| bad | !v.is_finite());
+    let block = samples.chunks(BLOCK).position(bad)? * BLOCK;
+    samples[block..].iter().position(|v| !v.is_finite()).map(|at| block + at)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_first_sample_that_is_not_finite_is_found_in_any_block() {
+        let mut samples = vec![f64::MAX; 1300];
+        assert_eq!(first_not_finite(&samples), None);
+        for at in [1299, 1024, 600, 511, 0] {
+            samples[at] = f64::NEG_INFINITY;
+            assert_eq!(first_not_finite(&samples), Some(at));
+        }
+        assert_eq!(first_not_finite(&[]), None);
+    }
 
     #[test]
     fn a_signal_names_the_channel_and_sample_that_is_not_finite() {

@@ -14,6 +14,8 @@ use std::collections::HashSet;
 
 pub use error::{ChannelAt, FormatError};
 
+use crate::engine::first_not_finite;
+
 /// Most channels of a file: a bound on memory per byte (each channel is a vector of its own), far
 /// above any rig.
 pub const MAX_CHANNELS: usize = 1024;
@@ -65,7 +67,7 @@ impl ParsedRun {
             return Err(FormatError::Empty);
         }
         for (index, samples) in self.channels.iter().enumerate() {
-            if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
+            if let Some(sample) = first_not_finite(samples) {
                 return Err(FormatError::NonFinite { channel: at(index), sample, row: None, column: None });
             }
         }

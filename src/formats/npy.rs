@@ -45,6 +45,10 @@ pub enum Order {
     Fortran,
 }
 
+/// Samples that are sorted into or out of channels at once: few enough to stay in the cache until the
+/// last channel has had its turn.
+const SAMPLES_AT_ONCE: usize = 1024;
+
 /// Reads a file; names, units and sample rate are not part of the format.
 ///
 /// # Errors
@@ -74,9 +78,9 @@ fn values<const N: usize>(header: &Header, data: &[u8], number: impl Fn([u8; N])
         }
         Order::C => {
             let mut channels = vec![Vec::with_capacity(header.samples); header.channels];
-            for row in numbers.chunks_exact(header.channels) {
-                for (channel, &bytes) in channels.iter_mut().zip(row) {
-                    channel.push(number(bytes));
+            for rows in numbers.chunks(SAMPLES_AT_ONCE * header.channels) {
+                for (c, channel) in channels.iter_mut().enumerate() {
+                    channel.extend(rows[c..].iter().step_by(header.channels).map(|&b| number(b)));
                 }
             }
             channels
@@ -97,41 +101,100 @@ pub fn write(channels: &[Vec<f64>], dtype: Dtype, order: Order) -> Result<Vec<u8
     let samples = check_equal(channels)?;
     let mut file = npy_header(samples, channels.len(), dtype, order);
     file.reserve_exact(samples * channels.len() * dtype.size());
-    let mut put = |channel: usize, sample: usize| {
-        let value = channels[channel][sample];
-        let finite = match dtype {
-            Dtype::F4 => {
-                file.extend_from_slice(&(value as f32).to_le_bytes());
-                (value as f32).is_finite()
-            }
-            _ => {
-                file.extend_from_slice(&value.to_le_bytes());
-                value.is_finite()
-            }
-        };
-        if finite {
-            return Ok(());
-        }
-        let channel = ChannelAt { index: channel, name: None };
-        Err(FormatError::NonFinite { channel, sample, row: None, column: None })
-    };
     match order {
-        Order::C => {
-            for sample in 0..samples {
-                for channel in 0..channels.len() {
-                    put(channel, sample)?;
-                }
-            }
-        }
+        Order::C => put(&mut file, channels, dtype, 0)?,
+        // One channel after the other, each as a file of its own would have it.
         Order::Fortran => {
-            for channel in 0..channels.len() {
-                for sample in 0..samples {
-                    put(channel, sample)?;
-                }
+            for (index, channel) in channels.iter().enumerate() {
+                put(&mut file, std::slice::from_ref(channel), dtype, 0).map_err(|error| match error {
+                    FormatError::NonFinite { channel, sample, row, column } => {
+                        let channel = ChannelAt { index, ..channel };
+                        FormatError::NonFinite { channel, sample, row, column }
+                    }
+                    error => error,
+                })?;
             }
         }
     }
     Ok(file)
+}
+
+/// Writes a `<f4` file of shape `[samples, channels]` in C order, stretch by stretch.
+#[derive(Debug)]
+pub struct Writer {
+    file: Vec<u8>,
+    samples: usize,
+    written: usize,
+}
+
+impl Writer {
+    /// A file of this size, empty yet.
+    pub fn new(samples: usize, channels: usize) -> Self {
+        let mut file = npy_header(samples, channels, Dtype::F4, Order::C);
+        file.reserve_exact(samples * channels * Dtype::F4.size());
+        Self { file, samples, written: 0 }
+    }
+
+    /// Adds the next samples of all channels.
+    ///
+    /// # Errors
+    /// `run.unequal_lengths`; `run.non_finite` where a number does not fit into `<f4`, with the
+    /// sample counted from the start of the file.
+    pub fn write(&mut self, channels: &[Vec<f64>]) -> Result<(), FormatError> {
+        let samples = check_equal(channels)?;
+        put(&mut self.file, channels, Dtype::F4, self.written)?;
+        self.written += samples;
+        Ok(())
+    }
+
+    /// The file.
+    ///
+    /// # Panics
+    /// If not all samples have been written: our bug.
+    pub fn finish(self) -> Vec<u8> {
+        assert_eq!(self.written, self.samples, "a file has as many samples as its header says");
+        self.file
+    }
+}
+
+/// Appends `[channel][sample]` in C order; `first` is the number of the first sample.
+fn put(file: &mut Vec<u8>, channels: &[Vec<f64>], dtype: Dtype, first: usize) -> Result<(), FormatError> {
+    let finite = match dtype {
+        Dtype::F4 => put_as(file, channels, |v| ((v as f32).to_le_bytes(), (v as f32).is_finite())),
+        _ => put_as(file, channels, |v| (v.to_le_bytes(), v.is_finite())),
+    };
+    if finite {
+        return Ok(());
+    }
+    let fits = |v: f64| if dtype == Dtype::F4 { (v as f32).is_finite() } else { v.is_finite() };
+    let places =
+        channels.iter().enumerate().filter_map(|(c, s)| Some((s.iter().position(|&v| !fits(v))?, c)));
+    let (sample, index) = places.min().expect("one of them was not finite");
+    let channel = ChannelAt { index, name: None };
+    Err(FormatError::NonFinite { channel, sample: first + sample, row: None, column: None })
+}
+
+/// Appends numbers of `N` bytes; answers whether all were finite.
+fn put_as<const N: usize>(
+    file: &mut Vec<u8>,
+    channels: &[Vec<f64>],
+    number: impl Fn(f64) -> ([u8; N], bool),
+) -> bool {
+    let (samples, mut finite) = (channels[0].len(), true);
+    for from in (0..samples).step_by(SAMPLES_AT_ONCE) {
+        let to = samples.min(from + SAMPLES_AT_ONCE);
+        let start = file.len();
+        file.resize(start + (to - from) * channels.len() * N, 0);
+        let (places, _) = file[start..].as_chunks_mut::<N>();
+        for (c, channel) in channels.iter().enumerate() {
+            for (place, &v) in places[c..].iter_mut().step_by(channels.len()).zip(&channel[from..to]) {
+                let (bytes, is_finite) = number(v);
+                *place = bytes;
+                finite &= is_finite;
+            }
+        }
+    }
+    finite
 }
 
 /// Samples per channel.

@@ -3,11 +3,13 @@
 use axum::extract::State;
 use serde::{Deserialize, Serialize};
 
-use super::json::{self, Json};
+use super::arrays::HoldsSignals;
+use super::json::{self, SignalsJson};
 use super::params::NoParams;
 use super::problem::{Answer, FieldError, Problem};
 use super::signals::{Channels, Signals};
 use super::{Shared, codes, errors};
+use crate::compute::Class;
 use crate::engine::fatigue::{
     ClassSettings, CountsReport, DamageChannel, DamageGroup, DamageReport, DamageSettings, counts_report,
     damage_report,
@@ -29,6 +31,13 @@ pub struct DamageRequest {
     classes: ClassSettings,
 }
 
+impl HoldsSignals for DamageRequest {
+    fn signals(&mut self) -> Vec<&mut Channels> {
+        let signals = std::iter::once(&mut self.predicted).chain(&mut self.target);
+        signals.map(|signals| &mut signals.channels).collect()
+    }
+}
+
 /// Channels of each group, in the order of the groups' names.
 type Groups = std::collections::BTreeMap<String, [String; 3]>;
 
@@ -39,8 +48,14 @@ struct DamageAnswer {
 }
 
 /// `POST /v1/damage`
-pub async fn damage(State(http): State<Shared>, _: NoParams, Json(request): Json<DamageRequest>) -> Answer {
-    http.off_thread(move || report(request)).await?.map(json::respond)
+pub async fn damage(
+    State(http): State<Shared>,
+    _: NoParams,
+    SignalsJson(request): SignalsJson<DamageRequest>,
+) -> Answer {
+    let signals = [Some(&request.predicted), request.target.as_ref()];
+    let values = signals.iter().flatten().map(|s| s.channels.values()).sum();
+    http.off_thread(Class::of_values(values), move || report(request)).await?.map(json::respond)
 }
 
 fn report(request: DamageRequest) -> Answer<Vec<u8>> {

@@ -11,9 +11,11 @@ use serde_json::error::Category;
 use serde_path_to_error::Path;
 
 use super::Shared;
+use super::arrays::{self, HoldsSignals};
 use super::body::{self, Limited};
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use crate::compute::Class;
 use crate::domain::problem::pointer;
 
 /// Media type.
@@ -23,7 +25,7 @@ pub const MEDIA_TYPE: &str = "application/json";
 const MAX_DEPTH: usize = 64;
 
 /// Larger bodies are parsed off the async threads: a quarter MiB takes about a millisecond.
-const PARSE_HERE_BYTES: usize = 256 << 10;
+pub const PARSE_HERE_BYTES: usize = 256 << 10;
 
 /// A request's JSON body.
 #[derive(Debug)]
@@ -34,19 +36,33 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Shared> for Json<T> {
 
     async fn from_request(request: Request, http: &Shared) -> Result<Self, Problem> {
         let (parts, body) = request.into_parts();
-        take(&parts.headers, body, http, &[MEDIA_TYPE]).await.map(Self)
+        take(&parts.headers, body, http, &[MEDIA_TYPE], parse).await.map(Self)
     }
 }
 
-/// Reads and parses a body of one of these media types.
+/// A request's JSON body that holds signals.
+#[derive(Debug)]
+pub struct SignalsJson<T>(pub T);
+
+impl<T: HoldsSignals + Send + 'static> FromRequest<Shared> for SignalsJson<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, http: &Shared) -> Result<Self, Problem> {
+        let (parts, body) = request.into_parts();
+        take(&parts.headers, body, http, &[MEDIA_TYPE], arrays::parse).await.map(Self)
+    }
+}
+
+/// Reads a body of one of these media types, which `parse` takes apart.
 ///
 /// # Errors
 /// `content_type.unsupported`, `body.*`.
-pub async fn take<T: DeserializeOwned + Send + 'static>(
+pub async fn take<T: Send + 'static>(
     headers: &HeaderMap,
     body: axum::body::Body,
     http: &Shared,
     media_types: &[&str],
+    parse: fn(&[u8]) -> Answer<T>,
 ) -> Answer<T> {
     let found = body::media_type(headers);
     if !found.as_deref().is_some_and(|f| media_types.contains(&f)) {
@@ -56,7 +72,7 @@ pub async fn take<T: DeserializeOwned + Send + 'static>(
     if bytes.len() <= PARSE_HERE_BYTES {
         parse(&bytes)
     } else {
-        http.off_thread(move || parse(&bytes)).await?
+        http.off_thread(Class::of_bytes(bytes.len()), move || parse(&bytes)).await?
     }
 }
 
@@ -144,6 +160,40 @@ fn check_depth(bytes: &[u8]) -> Answer<()> {
         }
     }
     Ok(())
+}
+
+/// An object that is put together from parts, some of which are JSON already.
+#[derive(Debug)]
+pub struct Object(Vec<u8>);
+
+impl Object {
+    /// An object without fields.
+    pub fn new() -> Self {
+        Self(vec![b'{'])
+    }
+
+    /// Adds a field.
+    ///
+    /// # Errors
+    /// A value that JSON cannot hold.
+    pub fn add(&mut self, name: &'static str, value: &impl Serialize) -> Answer<()> {
+        serde_json::to_writer(self.field(name), value).map_err(Problem::internal)
+    }
+
+    /// Adds a field whose value, one of JSON, is to be appended.
+    pub fn field(&mut self, name: &'static str) -> &mut Vec<u8> {
+        if self.0.len() > 1 {
+            self.0.push(b',');
+        }
+        self.0.extend_from_slice(format!("\"{name}\":").as_bytes());
+        &mut self.0
+    }
+
+    /// The text.
+    pub fn finish(mut self) -> Vec<u8> {
+        self.0.push(b'}');
+        self.0
+    }
 }
 
 /// A small JSON answer; what holds signals goes through [`super::Http::off_thread`] instead.

@@ -5,6 +5,7 @@
 //! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal.
 
 mod active_model;
+mod arrays;
 mod body;
 pub mod codes;
 mod contract;
@@ -48,16 +49,18 @@ use problem::Answer;
 /// Largest bodies that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// JSON bodies and NPY drives, bytes.
+    /// JSON bodies, bytes.
     pub json_bytes: u64,
+    /// NPY drives of predictions, bytes.
+    pub drive_bytes: u64,
     /// Run files and weights, bytes.
     pub upload_bytes: u64,
 }
 
 impl Default for Limits {
-    /// 64 MiB and 4 GiB.
+    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB.
     fn default() -> Self {
-        Self { json_bytes: 64 << 20, upload_bytes: 4 << 30 }
+        Self { json_bytes: 64 << 20, drive_bytes: 128 << 20, upload_bytes: 4 << 30 }
     }
 }
 
@@ -94,12 +97,12 @@ impl Http {
     }
 
     /// Does work that takes longer than a millisecond where it holds up nobody else.
-    async fn off_thread<T, F>(&self, work: F) -> Answer<T>
+    async fn off_thread<T, F>(&self, class: Class, work: F) -> Answer<T>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        self.compute.run(Class::Predict, work).await.map_err(Into::into)
+        self.compute.run(class, work).await.map_err(Into::into)
     }
 }
 

@@ -15,6 +15,7 @@ use super::params::{NoParams, Params};
 use super::paths::{OfModel, OfRig, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
 use super::{Shared, body, codes, errors, json, upload};
+use crate::compute::Class;
 use crate::domain::{Lineage, Origin, Rig};
 use crate::engine::Signal;
 use crate::engine::model::{RigModel, from_safetensors};
@@ -58,7 +59,9 @@ pub async fn weights(State(http): State<Shared>, OfModel(rig, version): OfModel,
     let model = http.store.model(&rig, version).await?.ok_or_else(|| no_model(&version.to_string()))?;
     let bytes = http.store.weights(&model).await?;
     let hashed = bytes.clone();
-    let digest = http.off_thread(move || STANDARD.encode(Sha256::digest(&hashed))).await?;
+    let digest = http
+        .off_thread(Class::of_bytes(bytes.len()), move || STANDARD.encode(Sha256::digest(&hashed)))
+        .await?;
     let head = [
         (CONTENT_TYPE, SAFETENSORS.to_owned()),
         (ETAG, format!("\"{}\"", model.sha256)),
@@ -83,7 +86,9 @@ pub async fn import(
     }
     let upload =
         upload::receive(&headers, request, http.limits.upload_bytes, &http.store.scratch_dir()).await?;
-    let new = http.off_thread(move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
+    let class = Class::of_bytes(upload.size());
+    let new =
+        http.off_thread(class, move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
     let model = http.store.insert_model(&id, new, http.now()).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let location = [(LOCATION, format!("/v1/rigs/{id}/models/{}", model.version))];
     Ok((StatusCode::CREATED, location, json::answer(&model)?).into_response())

@@ -11,8 +11,9 @@ use super::params::{Params, invalid};
 use super::paths::{OfRun, no_run};
 use super::predict::NPY;
 use super::problem::{Answer, FieldError, Problem};
-use super::signals::{Named, header_names};
+use super::signals::{header_names, write_json};
 use super::{Shared, codes, json, negotiate};
+use crate::compute::Class;
 use crate::domain::Run;
 use crate::engine::Signal;
 use crate::formats::npy::{Dtype, Order};
@@ -45,8 +46,9 @@ pub async fn show(
         (HeaderName::from_static("rigcast-channels"), header_names(&names)),
         (HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string()),
     ];
+    let class = Class::of_values(run.samples as usize * run.channels.len());
     let bytes = http
-        .off_thread(move || {
+        .off_thread(class, move || {
             let signal = whole.select(&columns).slice(range.clone());
             match media_type {
                 NPY => formats::npy::write(signal.channels(), Dtype::F8, Order::C).map_err(Problem::internal),
@@ -54,7 +56,11 @@ pub async fn show(
                     let units = columns.iter().map(|&c| run.units[c].clone()).collect();
                     table(names, units, signal, range.start).map_err(Problem::internal)
                 }
-                _ => serde_json::to_vec(&Named { names: &names, signal: &signal }).map_err(Problem::internal),
+                _ => {
+                    let mut json = Vec::new();
+                    write_json(&mut json, &names, &signal);
+                    Ok(json)
+                }
             }
         })
         .await??;

@@ -13,6 +13,7 @@ use super::paths::{OfRig, OfRun, no_rig, no_run};
 use super::problem::{Answer, FieldError, Problem};
 use super::run_file::{Format, RunFile};
 use super::{Shared, body, codes, errors, json, rigs, upload};
+use crate::compute::Class;
 use crate::domain::run::RunMeta;
 use crate::domain::{RunKind, RunPatch, Split};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
@@ -47,7 +48,8 @@ pub async fn upload(
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let upload =
         upload::receive(&headers, request, http.limits.upload_bytes, &http.store.scratch_dir()).await?;
-    let run = http.off_thread(move || file.prepare(&rig, meta, format, &upload)).await??;
+    let class = Class::of_bytes(upload.size());
+    let run = http.off_thread(class, move || file.prepare(&rig, meta, format, &upload)).await??;
     match http.store.insert_run(&id, run, http.now()).await? {
         RunInsert::Inserted(inserted) => {
             if !inserted.jobs.is_empty() {
@@ -93,7 +95,7 @@ pub async fn change(
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
-    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES).await?;
+    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES, json::parse).await?;
     match http.store.patch_run(&rig, id, patch).await? {
         RunUpdate::Updated(run) => json::answer(&*run),
         RunUpdate::Missing => Err(no_run(&id.to_string())),

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
+use rayon::prelude::*;
 use serde::de::{Error, MapAccess, Visitor};
-use serde::ser::SerializeMap;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer};
 
 use crate::engine::Signal;
 
@@ -30,6 +30,11 @@ impl Channels {
     pub fn take(&mut self, name: &str) -> Option<Vec<f64>> {
         let at = self.0.iter().position(|(n, _)| n == name)?;
         Some(self.0.swap_remove(at).1)
+    }
+
+    /// Number of samples, all channels together.
+    pub fn values(&self) -> usize {
+        self.0.iter().map(|(_, samples)| samples.len()).sum()
     }
 
     /// Names, in order.
@@ -68,30 +73,54 @@ impl<'de> Visitor<'de> for ChannelsVisitor {
     }
 }
 
-/// A signal and the names of its channels, to be written as JSON.
-#[derive(Debug)]
-pub struct Named<'a> {
-    /// Names, in the order of the signal's channels.
-    pub names: &'a [String],
-    /// The signal: finite, so every number is one in JSON.
-    pub signal: &'a Signal,
+/// Samples that are printed by one thread at a stretch: a third of a millisecond.
+const SAMPLES_AT_ONCE: usize = 1 << 14;
+
+/// Longest text of a number, with the comma before it: `-2.2250738585072014e-308`.
+const NUMBER_BYTES: usize = 25;
+
+/// Appends a signal and the names of its channels as JSON; every number in the shortest form that
+/// reads back as the same 64-bit one.
+pub fn write_json(json: &mut Vec<u8>, names: &[String], signal: &Signal) {
+    // Numbers are most of it, and each is printed by itself: all threads at it.
+    let stretches: Vec<(usize, &[f64])> = signal
+        .channels()
+        .iter()
+        .enumerate()
+        .flat_map(|(c, samples)| samples.chunks(SAMPLES_AT_ONCE).map(move |stretch| (c, stretch)))
+        .collect();
+    let texts: Vec<(usize, Vec<u8>)> =
+        stretches.par_iter().map(|&(c, samples)| (c, numbers(samples))).collect();
+    json.reserve(texts.iter().map(|(_, text)| text.len()).sum::<usize>() + 4096);
+    json.extend_from_slice(b"{\"sample_rate_hz\":");
+    json.extend_from_slice(zmij::Buffer::new().format_finite(signal.sample_rate_hz()).as_bytes());
+    json.extend_from_slice(b",\"channels\":{");
+    let mut texts = texts.into_iter().peekable();
+    for (c, name) in names.iter().enumerate() {
+        if c > 0 {
+            json.push(b',');
+        }
+        json.extend_from_slice(serde_json::Value::from(name.as_str()).to_string().as_bytes());
+        json.extend_from_slice(b":[");
+        let start = json.len();
+        while let Some((_, text)) = texts.next_if(|(of, _)| *of == c) {
+            // Every number has a comma before it, but the first.
+            json.extend_from_slice(&text[usize::from(json.len() == start)..]);
+        }
+        json.push(b']');
+    }
+    json.extend_from_slice(b"}}");
 }
 
-impl Serialize for Named<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(2))?;
-        map.serialize_entry("sample_rate_hz", &self.signal.sample_rate_hz())?;
-        map.serialize_entry("channels", &NamedChannels(self))?;
-        map.end()
+/// Numbers, a comma before each. A signal is finite, so all of them are numbers in JSON.
+fn numbers(samples: &[f64]) -> Vec<u8> {
+    let mut text = Vec::with_capacity(samples.len() * NUMBER_BYTES);
+    let mut buffer = zmij::Buffer::new();
+    for &sample in samples {
+        text.push(b',');
+        text.extend_from_slice(buffer.format_finite(sample).as_bytes());
     }
-}
-
-struct NamedChannels<'a>(&'a Named<'a>);
-
-impl Serialize for NamedChannels<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.0.names.iter().zip(self.0.signal.channels()))
-    }
+    text
 }
 
 /// Names for a header: commas between them; percent, blanks and what is not ASCII as `%XX`.
@@ -116,6 +145,12 @@ pub fn header_names(names: &[String]) -> String {
 mod tests {
     use super::*;
 
+    fn written(names: &[String], signal: &Signal) -> String {
+        let mut json = Vec::new();
+        write_json(&mut json, names, signal);
+        String::from_utf8(json).expect("text")
+    }
+
     #[test]
     fn signals_keep_their_order_both_ways() {
         let text = r#"{"sample_rate_hz":10.0,"channels":{"b":[1.0,0.1],"a":[-2.5,3e-300]}}"#;
@@ -124,7 +159,30 @@ mod tests {
         assert_eq!(names, ["b", "a"]);
         let samples = signals.channels.0.into_iter().map(|(_, s)| s).collect();
         let signal = Signal::new(signals.sample_rate_hz, samples).expect("a signal");
-        assert_eq!(serde_json::to_string(&Named { names: &names, signal: &signal }).expect("JSON"), text);
+        assert_eq!(written(&names, &signal), text);
+    }
+
+    #[test]
+    fn every_number_is_written_as_serde_writes_it_in_stretches_or_not() {
+        let mut samples =
+            vec![0.0, -0.0, 5e-324, f64::MAX, f64::MIN_POSITIVE, 1e16, 1e15, 0.1, -123.456, 1e-5];
+        samples.extend((0..2 * SAMPLES_AT_ONCE).map(|i| (i as f64).sin() * 10f64.powi(i as i32 % 40 - 20)));
+        let names = ["a\"\u{7f}\u{f6}".to_owned(), "b".to_owned(), "c".to_owned()];
+        for n in [0, 1, 10, SAMPLES_AT_ONCE, SAMPLES_AT_ONCE + 1, samples.len()] {
+            let channels: Vec<Vec<f64>> =
+                [1.0, 3.0, 2.0].iter().map(|k| samples[..n].iter().map(|v| v / k).collect()).collect();
+            let signal = Signal::new(0.1, channels.clone()).expect("a signal");
+            let found = written(&names, &signal);
+            let texts: Vec<String> = names
+                .iter()
+                .zip(&channels)
+                .map(|(name, c)| {
+                    let name = serde_json::to_string(name).expect("JSON");
+                    format!("{name}:{}", serde_json::to_string(c).expect("JSON"))
+                })
+                .collect();
+            assert_eq!(found, format!("{{\"sample_rate_hz\":0.1,\"channels\":{{{}}}}}", texts.join(",")));
+        }
     }
 
     #[test]

@@ -22,6 +22,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 pub struct Upload {
     file: NamedTempFile,
+    size: usize,
     sha256: [u8; 32],
 }
 
@@ -29,6 +30,11 @@ impl Upload {
     /// SHA-256 of the bytes, hex.
     pub fn sha256(&self) -> String {
         self.sha256.iter().map(|b| format!("{b:02x}")).collect()
+    }
+
+    /// Number of bytes.
+    pub fn size(&self) -> usize {
+        self.size
     }
 
     /// The bytes. Blocks: call it off the async threads.
@@ -51,7 +57,9 @@ pub async fn receive(headers: &HeaderMap, body: Body, limit: u64, directory: &Pa
     let handle = file.reopen().map_err(disk)?;
     let mut writer = BufWriter::with_capacity(BUFFER_BYTES, tokio::fs::File::from_std(handle));
     let mut hash = Sha256::new();
+    let mut size = 0;
     while let Some(chunk) = body.next().await? {
+        size += chunk.len();
         hash.update(&chunk);
         writer.write_all(&chunk).await.map_err(disk)?;
     }
@@ -67,7 +75,7 @@ pub async fn receive(headers: &HeaderMap, body: Body, limit: u64, directory: &Pa
         );
         return Err(Problem::new(codes::DIGEST_MISMATCH, detail));
     }
-    Ok(Upload { file, sha256 })
+    Ok(Upload { file, size, sha256 })
 }
 
 /// The SHA-256 that `Content-Digest` promises (RFC 9530); other algorithms are passed over.

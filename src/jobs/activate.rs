@@ -158,7 +158,7 @@ async fn stretches(runner: &Runner, plan: &FitPlan, active: &Model) -> Result<Ve
             continue;
         }
         let signal = runner.store.load_signal(run).await?;
-        let whole = pair(run, &signal, &channels.inputs, &channels.outputs)?;
+        let whole = pair(run, signal, &channels.inputs, &channels.outputs)?;
         let index = |sample: u64| usize::try_from(sample).unwrap_or(usize::MAX).min(whole.x.n_samples());
         let first = index(span.from_sample.saturating_sub(CONTEXT_SAMPLES));
         let range = first..index(span.to_sample);

@@ -64,24 +64,36 @@ pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) 
 
 /// Loads every run once and cuts it to the fit's channels.
 async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
-    let mut pairs = HashMap::new();
+    // Each run with the number of its uses.
+    let mut pairs: HashMap<_, (Pair, usize)> = HashMap::new();
     let runs = plan.training.iter().chain(plan.frf.iter().flatten()).chain(&plan.validation);
     for run in runs {
         if control.stopped().is_some() {
             return Err(JobError::Stopped);
         }
-        if let Entry::Vacant(place) = pairs.entry(run.id) {
-            let signal = runner.store.load_signal(run).await?;
-            place.insert(pair(run, &signal, &plan.inputs, &plan.outputs)?);
+        match pairs.entry(run.id) {
+            Entry::Vacant(place) => {
+                let signal = runner.store.load_signal(run).await?;
+                place.insert((pair(run, signal, &plan.inputs, &plan.outputs)?, 1));
+            }
+            Entry::Occupied(mut place) => place.get_mut().1 += 1,
         }
     }
-    Ok(assemble(plan, |run| pairs[&run.id].clone()))
+    // Only a run that is used twice is copied: all together they may be gigabytes.
+    Ok(assemble(plan, |run| match pairs.entry(run.id) {
+        Entry::Occupied(mut place) if place.get().1 > 1 => {
+            place.get_mut().1 -= 1;
+            place.get().0.clone()
+        }
+        Entry::Occupied(place) => place.remove().0,
+        Entry::Vacant(_) => unreachable!("every run was loaded as often as it is used"),
+    }))
 }
 
 /// A run as inputs and outputs, in the order of `inputs` and `outputs`.
 pub(super) fn pair(
     run: &Run,
-    signal: &Signal,
+    signal: Signal,
     inputs: &[String],
     outputs: &[String],
 ) -> Result<Pair, StoreError> {
@@ -92,14 +104,28 @@ pub(super) fn pair(
             what: format!("it was checked to hold channel {name:?}"),
         })
     };
-    let select = |names: &[String]| {
-        Ok::<_, StoreError>(signal.select(&names.iter().map(place).collect::<Result<Vec<_>, _>>()?))
+    let inputs: Vec<usize> = inputs.iter().map(place).collect::<Result<_, _>>()?;
+    let outputs: Vec<usize> = outputs.iter().map(place).collect::<Result<_, _>>()?;
+    let bad = |error: EngineError| StoreError::Row {
+        table: "runs",
+        key: run.id.to_string(),
+        what: error.to_string(),
     };
-    Ok(Pair { x: select(inputs)?, y: select(outputs)? })
+    // Samples are moved, not copied: hours of runs fill memory as it is.
+    let rate = signal.sample_rate_hz();
+    let mut channels = signal.into_channels();
+    let mut select = |places: &[usize], later: &[usize]| {
+        let select = places.iter().enumerate().map(|(i, &place)| {
+            let again = later.contains(&place) || places[i + 1..].contains(&place);
+            if again { channels[place].clone() } else { std::mem::take(&mut channels[place]) }
+        });
+        Signal::new(rate, select.collect()).map_err(bad)
+    };
+    Ok(Pair { x: select(&inputs, &outputs)?, y: select(&outputs, &[])? })
 }
 
 /// Splits the runs as the plan's lineage says.
-fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
+fn assemble(plan: &FitPlan, mut load: impl FnMut(&Run) -> Pair) -> FitData {
     let mut validation: Vec<Validation> =
         plan.validation.iter().map(|run| Validation { pair: load(run), score_from: 0 }).collect();
     let mut training = Vec::with_capacity(plan.training.len());
@@ -118,9 +144,8 @@ fn assemble(plan: &FitPlan, load: impl Fn(&Run) -> Pair) -> FitData {
     }
     let until = |run: &Run| usize::try_from(plan.frf_until(run)).unwrap_or(usize::MAX);
     let cut = |run: &Run| {
-        let whole = load(run);
-        let end = until(run).min(whole.x.n_samples());
-        Pair { x: whole.x.slice(0..end), y: whole.y.slice(0..end) }
+        let (end, whole) = (until(run), load(run));
+        Pair { x: whole.x.truncated(end), y: whole.y.truncated(end) }
     };
     let frf = plan.frf.as_ref().map(|runs| runs.iter().map(cut).collect());
     FitData { training, frf, validation }
@@ -220,6 +245,18 @@ mod tests {
 
     fn last(pair: &Pair) -> f64 {
         *pair.x.channel(0).last().unwrap()
+    }
+
+    #[test]
+    fn a_run_is_cut_to_its_channels_in_their_order_even_if_one_is_on_both_sides() {
+        let mut run = run(1, RunKind::Noise, Split::Training, 2);
+        run.channels = ["a", "b", "c"].map(String::from).to_vec();
+        let samples = |v: f64| vec![v, v + 0.5];
+        let signal = Signal::new(100.0, vec![samples(1.0), samples(2.0), samples(3.0)]).unwrap();
+        let names = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let found = pair(&run, signal.clone(), &names(&["c", "a"]), &names(&["b", "a"])).unwrap();
+        assert_eq!(found, Pair { x: signal.select(&[2, 0]), y: signal.select(&[1, 0]) });
+        assert!(pair(&run, signal, &names(&["d"]), &names(&["a"])).is_err());
     }
 
     #[test]

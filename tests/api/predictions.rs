@@ -1,5 +1,6 @@
 //! Predictions: JSON and NPY both ways, damage, errors, trust, and what is refused.
 
+use rigcast::http::Limits;
 use serde_json::{Value, json};
 
 use crate::support::{
@@ -149,6 +150,34 @@ async fn arrays_go_in_and_out_in_either_precision_and_order() {
     let request = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": u}}});
     let reply = npy_out.json(&request).send().await.expect(200);
     assert_eq!(read_f4(&reply.bytes).1.len(), 4);
+}
+
+#[tokio::test]
+async fn a_drive_longer_than_the_service_predicts_at_once_comes_back_whole() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    let u = wave(600_000, 0.4);
+    let expected: Vec<f64> = u.iter().map(|v| 2.0 * v).collect();
+    let file = npy("<f8", false, "(600000, 1)", &f8(&u));
+    let reply = app.post_file(&format!("{PREDICT}?sample_rate_hz=100"), NPY, file).await.expect(200);
+    let found: Vec<f64> = read_f4(&reply.bytes).1.iter().map(|v| f64::from(*v)).collect();
+    assert_close(&found, &expected, 1e-6);
+    let request = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": u}}, "include": ["response"]});
+    let answer = app.post_json(PREDICT, &request).await.expect(200).json();
+    assert_close(&numbers(&answer["response"]["channels"]["y"]), &expected, 1e-9);
+}
+
+#[tokio::test]
+async fn an_array_over_the_limit_of_drives_is_refused() {
+    let app = TestApp::start_with(Limits { drive_bytes: 1000, ..Limits::default() });
+    app.bench_with_model().await;
+    let post = |samples: usize| {
+        let file = npy("<f8", false, &format!("({samples}, 1)"), &f8(&vec![0.5; samples]));
+        app.call("POST", &format!("{PREDICT}?sample_rate_hz=100")).body(NPY, file).send()
+    };
+    post(100).await.expect(200);
+    let problem = post(126).await.problem(413, "body.too_large");
+    assert_eq!(problem["errors"][0]["limit"], "1000 bytes");
 }
 
 #[tokio::test]

@@ -29,6 +29,6 @@ mod train;
 mod validate;
 
 pub use net::{LstmBlock, LstmNet};
-pub use predict::predict;
+pub use predict::{Streaming, predict};
 pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
 pub use train::{EpochRecord, Stretch, Trained, train};

@@ -8,10 +8,9 @@ use super::forward::{Forward, Packed, State};
 use super::net::LstmNet;
 use super::params::{Shape, flatten};
 use super::settings::Recombine;
-use super::stream::{Stream, StreamWeights};
+use super::stream::{Stream, StreamState, StreamWeights};
 use crate::engine::EngineError;
-use crate::engine::simd::Isa;
-use crate::engine::simd::{LANES, Lanes, dispatch};
+use crate::engine::simd::{Isa, LANES, Lanes, dispatch};
 use crate::engine::windowing::{Weights, Windows, check_window};
 
 /// Windows of pre-roll before a stream, in which the first value is held.
@@ -77,15 +76,20 @@ pub(super) fn predict_on(
         }
         Recombine::Stream => {
             check_window(window_len, hop)?;
-            stream(isa, &shape, &row, x, PRE_ROLL_WINDOWS * window_len)
+            Streaming::begin(isa, shape, &row, window_len).run(x)
         }
     };
+    check_result(&y)?;
+    Ok(y)
+}
+
+fn check_result(y: &[Vec<f32>]) -> Result<(), EngineError> {
     for (channel, y) in y.iter().enumerate() {
         if let Some(sample) = y.iter().position(|v| !v.is_finite()) {
             return Err(EngineError::NonFiniteResult { what: "LSTM prediction", channel, sample });
         }
     }
-    Ok(y)
+    Ok(())
 }
 
 /// Count, equal lengths and finiteness of planar channels; answers their length, at least one.
@@ -257,17 +261,66 @@ fn part<const R: usize, const NV: usize>(
     Part { from, y }
 }
 
-/// The state carried through the whole signal.
-fn stream(isa: Isa, shape: &Shape, row: &[f32], x: &[Vec<f32>], pre_roll: usize) -> Vec<Vec<f32>> {
-    let samples = x[0].len();
-    let weights = StreamWeights::new(shape, row);
-    let mut interleaved = vec![0.0; samples * x.len()];
-    for (channel, from) in x.iter().enumerate() {
-        interleaved[channel..].iter_mut().step_by(x.len()).zip(from).for_each(|(to, &from)| *to = from);
+/// Prediction with the state carried through, piece by piece: [`Recombine::Stream`] for signals that
+/// are not in memory as a whole. How the signal is cut changes no bit of the result.
+pub struct Streaming {
+    isa: Isa,
+    shape: Shape,
+    weights: StreamWeights,
+    state: StreamState,
+    /// Steps still to be made on the first value.
+    pre_roll: usize,
+}
+
+impl std::fmt::Debug for Streaming {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Streaming").field("isa", &self.isa).finish_non_exhaustive()
     }
-    let mut out = vec![0.0; samples * shape.outputs];
-    dispatch(isa, Stream { weights: &weights, x: &interleaved, y: &mut out, pre_roll });
-    (0..shape.outputs).map(|c| out[c..].iter().step_by(shape.outputs).copied().collect()).collect()
+}
+
+impl Streaming {
+    /// Begins before the first sample.
+    ///
+    /// # Errors
+    /// Weights that do not belong together.
+    pub fn new(net: &LstmNet, window_len: usize) -> Result<Self, EngineError> {
+        net.check()?;
+        Ok(Self::begin(Isa::of_process()?, Shape::of(net), &flatten(net), window_len))
+    }
+
+    fn begin(isa: Isa, shape: Shape, row: &[f32], window_len: usize) -> Self {
+        Self {
+            isa,
+            weights: StreamWeights::new(&shape, row),
+            state: StreamState::new(&shape),
+            shape,
+            pre_roll: PRE_ROLL_WINDOWS * window_len,
+        }
+    }
+
+    /// The outputs of the next samples, both standardised and planar.
+    ///
+    /// # Errors
+    /// As [`predict`].
+    pub fn next(&mut self, x: &[Vec<f32>]) -> Result<Vec<Vec<f32>>, EngineError> {
+        check_channels("input", x, self.shape.blocks[0].inputs)?;
+        let y = self.run(x);
+        check_result(&y)?;
+        Ok(y)
+    }
+
+    fn run(&mut self, x: &[Vec<f32>]) -> Vec<Vec<f32>> {
+        let (samples, outputs) = (x[0].len(), self.shape.outputs);
+        let mut interleaved = vec![0.0; samples * x.len()];
+        for (channel, from) in x.iter().enumerate() {
+            interleaved[channel..].iter_mut().step_by(x.len()).zip(from).for_each(|(to, &from)| *to = from);
+        }
+        let mut out = vec![0.0; samples * outputs];
+        let pre_roll = std::mem::take(&mut self.pre_roll);
+        let (weights, state) = (&self.weights, &mut self.state);
+        dispatch(self.isa, Stream { weights, state, x: &interleaved, y: &mut out, pre_roll });
+        (0..outputs).map(|c| out[c..].iter().step_by(outputs).copied().collect()).collect()
+    }
 }
 
 #[cfg(test)]
@@ -364,6 +417,25 @@ mod tests {
         let y = predict(&net, &[vec![0.7; 300]], 64, 32, Recombine::Stream).unwrap();
         let (first, last) = (y[0][0], y[0][299]);
         assert!((first - last).abs() < 1e-4, "{first} {last}");
+    }
+
+    #[test]
+    fn a_stream_has_the_same_bits_however_it_is_cut() {
+        let net = net(2, &[5, 3], 2, 6);
+        let x = noise(2, 300, 8);
+        let whole = predict(&net, &x, 16, 8, Recombine::Stream).unwrap();
+        for cuts in [&[300][..], &[1, 299], &[7, 100, 193]] {
+            let mut streaming = Streaming::new(&net, 16).unwrap();
+            let mut found = vec![Vec::new(); 2];
+            let mut at = 0;
+            for len in cuts {
+                let piece: Vec<Vec<f32>> = x.iter().map(|x| x[at..at + len].to_vec()).collect();
+                let y = streaming.next(&piece).unwrap();
+                found.iter_mut().zip(y).for_each(|(found, y)| found.extend(y));
+                at += len;
+            }
+            assert_eq!(found, whole, "{cuts:?}");
+        }
     }
 
     #[test]

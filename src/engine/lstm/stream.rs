@@ -40,12 +40,35 @@ impl StreamWeights {
     }
 }
 
-/// The whole signal `x`, `[sample][input]`, into `y`, `[sample][output]`, from a zero state.
+/// What is carried from sample to sample.
+pub(super) struct StreamState {
+    /// Step vectors [x, 1, h] of each block, h filled up to whole vectors.
+    z: Vec<Vec<f32>>,
+    c: Vec<Vec<Lanes>>,
+    h: Vec<Vec<Lanes>>,
+}
+
+impl StreamState {
+    /// All zero.
+    pub(super) fn new(shape: &Shape) -> Self {
+        let z = shape.blocks.iter().map(|b| {
+            let mut z = vec![0.0; b.inputs + 1 + b.cells.next_multiple_of(LANES)];
+            z[b.inputs] = 1.0;
+            z
+        });
+        let c: Vec<Vec<Lanes>> =
+            shape.blocks.iter().map(|b| vec![Lanes::ZERO; b.cells.div_ceil(LANES)]).collect();
+        Self { z: z.collect(), h: c.clone(), c }
+    }
+}
+
+/// The samples `x`, `[sample][input]`, into `y`, `[sample][output]`, from a state on.
 pub(super) struct Stream<'a> {
     pub weights: &'a StreamWeights,
+    pub state: &'a mut StreamState,
     pub x: &'a [f32],
     pub y: &'a mut [f32],
-    /// Steps before the signal in which the first sample is held.
+    /// Steps before the samples in which the first one is held.
     pub pre_roll: usize,
 }
 
@@ -57,26 +80,14 @@ impl Kernel for Stream<'_> {
     fn run<S: Simd>(self, s: S) {
         let shape = &self.weights.shape;
         let inputs = shape.blocks[0].inputs;
-        // Step vectors [x, 1, h], h filled up to whole vectors.
-        let mut z: Vec<Vec<f32>> = shape
-            .blocks
-            .iter()
-            .map(|b| {
-                let mut z = vec![0.0; b.inputs + 1 + b.cells.next_multiple_of(LANES)];
-                z[b.inputs] = 1.0;
-                z
-            })
-            .collect();
-        let mut c: Vec<Vec<Lanes>> =
-            shape.blocks.iter().map(|b| vec![Lanes::ZERO; b.cells.div_ceil(LANES)]).collect();
-        let mut h: Vec<Vec<Lanes>> = c.clone();
+        let StreamState { z, c, h } = self.state;
 
         for _ in 0..self.pre_roll {
-            step(s, self.weights, &self.x[..inputs], &mut z, &mut c, &mut h);
+            step(s, self.weights, &self.x[..inputs], z, c, h);
         }
         let samples = self.x.chunks_exact(inputs).zip(self.y.chunks_exact_mut(shape.outputs));
         for (x, y) in samples {
-            step(s, self.weights, x, &mut z, &mut c, &mut h);
+            step(s, self.weights, x, z, c, h);
             let last = shape.last();
             let hidden = &z[shape.blocks.len() - 1][last.inputs..][..shape.fc_columns()];
             for (w, y) in self.weights.fc.chunks_exact(hidden.len()).zip(y.chunks_mut(LANES)) {

@@ -1,5 +1,6 @@
 //! A fit: data and settings in, model and report out.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -54,13 +55,15 @@ const CONTEXT_SAMPLES: usize = 8192;
 const FRF_SHARE: f64 = 0.03;
 
 impl Pair {
-    /// Splits off the last 10 %: the training part, and the rest with context before it.
-    pub fn hold_out(&self) -> (Pair, Validation) {
+    /// Splits off the last 10 %: the training part, in the same memory, and the rest with context
+    /// before it.
+    pub fn hold_out(self) -> (Pair, Validation) {
         let n = self.x.n_samples();
         let at = hold_out_from(n);
         let context = at.saturating_sub(CONTEXT_SAMPLES);
-        let part = |r: std::ops::Range<usize>| Pair { x: self.x.slice(r.clone()), y: self.y.slice(r) };
-        (part(0..at), Validation { pair: part(context..n), score_from: at - context })
+        let pair = Pair { x: self.x.slice(context..n), y: self.y.slice(context..n) };
+        let kept = Pair { x: self.x.truncated(at), y: self.y.truncated(at) };
+        (kept, Validation { pair, score_from: at - context })
     }
 
     fn filtered(&self, preprocess: &Preprocess) -> Result<Pair, EngineError> {
@@ -238,9 +241,13 @@ fn check(data: &FitData, settings: &FitSettings) -> Result<(), EngineError> {
     settings.preprocess.check(rate)
 }
 
-fn filtered(data: &FitData, preprocess: &Preprocess) -> Result<FitData, EngineError> {
+fn filtered<'a>(data: &'a FitData, preprocess: &Preprocess) -> Result<Cow<'a, FitData>, EngineError> {
+    // Hours of data are not copied for nothing.
+    if preprocess.is_none() {
+        return Ok(Cow::Borrowed(data));
+    }
     let all = |pairs: &[Pair]| pairs.iter().map(|p| p.filtered(preprocess)).collect::<Result<_, _>>();
-    Ok(FitData {
+    Ok(Cow::Owned(FitData {
         training: all(&data.training)?,
         frf: data.frf.as_deref().map(all).transpose()?,
         validation: data
@@ -248,7 +255,7 @@ fn filtered(data: &FitData, preprocess: &Preprocess) -> Result<FitData, EngineEr
             .iter()
             .map(|v| Ok(Validation { pair: v.pair.filtered(preprocess)?, score_from: v.score_from }))
             .collect::<Result<_, EngineError>>()?,
-    })
+    }))
 }
 
 /// A fit needs power in every channel, in at least one run.
@@ -292,7 +299,7 @@ fn fit_lstm(
     let linear = |x: &Signal| model.frf.as_ref().map(|frf| frf.apply(x)).transpose();
     let pairs = || data.training.iter().chain(data.validation.iter().map(|v| &v.pair));
     let linear: Vec<Option<Signal>> = pairs().map(|p| linear(&p.x)).collect::<Result<_, _>>()?;
-    let targets: Vec<Signal> =
+    let targets: Vec<Cow<'_, Signal>> =
         pairs().zip(&linear).map(|(p, l)| target(kind, &p.y, l.as_ref())).collect::<Result<_, _>>()?;
 
     let n = data.training.len();
@@ -302,13 +309,18 @@ fn fit_lstm(
         x_scaler.mean.extend(more.mean);
         x_scaler.std.extend(more.std);
     }
-    let y_scaler = Scaler::of(&targets[..n].iter().collect::<Vec<_>>());
+    let y_scaler = Scaler::of(&targets[..n].iter().map(|t| &**t).collect::<Vec<_>>());
+    // One run after the other, so that what it is made from goes as soon as it is made.
     let stretches: Vec<Stretch> = pairs()
+        .zip(linear.into_iter().zip(targets))
         .enumerate()
-        .map(|(i, pair)| Stretch {
-            x: network_inputs(&x_scaler, kind, &pair.x, linear[i].as_ref()),
-            y: targets[i].channels().iter().enumerate().map(|(c, y)| y_scaler.standardise(c, y)).collect(),
-            score_from: if i < n { 0 } else { data.validation[i - n].score_from },
+        .map(|(i, (pair, (linear, target)))| {
+            let linear = linear.as_ref().map(Signal::channels);
+            Stretch {
+                x: network_inputs(&x_scaler, kind, &pair.x, 0..pair.x.n_samples(), linear),
+                y: target.channels().iter().enumerate().map(|(c, y)| y_scaler.standardise(c, y)).collect(),
+                score_from: if i < n { 0 } else { data.validation[i - n].score_from },
+            }
         })
         .collect();
     let (training, validation) = stretches.split_at(n);
@@ -316,6 +328,7 @@ fn fit_lstm(
     let trained = train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, watch)?;
     let reports: Vec<SeedReport> =
         trained.iter().zip(&settings.seeds).map(|(t, &seed)| seed_report(seed, t)).collect();
+    drop(stretches);
     let best = best(&reports).and_then(|b| reports.iter().position(|r| r.seed == b.seed)).unwrap_or(0);
     let mut part = LstmPart {
         net: trained[best].net.clone(),
@@ -334,13 +347,18 @@ fn fit_lstm(
 }
 
 /// What the network is to produce: the output, for hybrid 1 the FRF's error (section 2.3).
-fn target(kind: ModelKind, y: &Signal, linear: Option<&Signal>) -> Result<Signal, EngineError> {
+fn target<'a>(
+    kind: ModelKind,
+    y: &'a Signal,
+    linear: Option<&Signal>,
+) -> Result<Cow<'a, Signal>, EngineError> {
     match (kind, linear) {
         (ModelKind::Hybrid1, Some(linear)) => {
             let error = |(y, l): (&Vec<f64>, &Vec<f64>)| y.iter().zip(l).map(|(y, l)| y - l).collect();
-            Signal::new(y.sample_rate_hz(), y.channels().iter().zip(linear.channels()).map(error).collect())
+            let error = y.channels().iter().zip(linear.channels()).map(error).collect();
+            Ok(Cow::Owned(Signal::new(y.sample_rate_hz(), error)?))
         }
-        _ => Ok(y.clone()),
+        _ => Ok(Cow::Borrowed(y)),
     }
 }
 

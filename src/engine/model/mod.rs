@@ -1,6 +1,7 @@
 //! A rig's model: FRF, LSTM or a hybrid of both, fitted from runs and applied to drives.
 
 mod fit;
+mod predict;
 mod preprocess;
 mod scaler;
 mod settings;
@@ -10,13 +11,17 @@ mod tests;
 mod trust;
 mod weights;
 
+use std::ops::Range;
+
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::frf::Frf;
-use super::lstm::{self, LstmNet, Recombine};
+use super::lstm::{LstmNet, Recombine};
 use super::{EngineError, Signal};
 
 pub use fit::{FitData, FitReport, Fitted, Pair, Validation, fit, hold_out_from};
+pub use predict::{Prediction, Predictor};
 pub use preprocess::Preprocess;
 pub use scaler::Scaler;
 pub use settings::{FitSettings, LstmOptions, Preset};
@@ -88,71 +93,27 @@ pub struct RigModel {
 }
 
 impl RigModel {
-    /// Response to `x`, whose channels are the model's inputs in order; as long as `x`.
+    /// Response to `x`, whose channels are the model's inputs in order; as long as `x`. Whoever
+    /// predicts more than once with a model makes a [`Predictor`] of it.
     ///
     /// # Errors
     /// Another channel count or sample rate, no samples, a result that is not finite.
     pub fn predict(&self, x: &Signal) -> Result<Signal, EngineError> {
-        let x = &self.filtered(x)?;
-        let linear = self.frf.as_ref().map(|frf| frf.apply(x)).transpose()?;
-        match &self.lstm {
-            None => linear.ok_or_else(|| EngineError::Weights("a model has an FRF or an LSTM".into())),
-            Some(part) => part.predict(self.kind, x, linear.as_ref()),
-        }
-        .map_err(EngineError::of_result)
-    }
-
-    /// Where `x` leaves what the model was fitted on.
-    ///
-    /// # Errors
-    /// As [`RigModel::predict`] for senseless inputs.
-    pub fn trust(&self, x: &Signal) -> Result<Trust, EngineError> {
-        Ok(trust::trust(&self.inputs, &self.range, &self.filtered(x)?))
-    }
-
-    fn filtered(&self, x: &Signal) -> Result<Signal, EngineError> {
-        if x.n_channels() != self.inputs.len() {
-            return Err(EngineError::ChannelCount {
-                what: "drive",
-                expected: self.inputs.len(),
-                found: x.n_channels(),
-            });
-        }
-        if !Signal::same_rate(x.sample_rate_hz(), self.sample_rate_hz) {
-            return Err(EngineError::SampleRate {
-                what: "drive",
-                expected_hz: self.sample_rate_hz,
-                found_hz: x.sample_rate_hz(),
-            });
-        }
-        if x.n_samples() == 0 {
-            return Err(EngineError::TooShort { what: "drive", needed: 1, found: 0 });
-        }
-        self.preprocess.apply(x)
+        predict::whole(self, x)
     }
 }
 
-impl LstmPart {
-    /// The network's part of a prediction, combined with the FRF's as `kind` says.
-    fn predict(&self, kind: ModelKind, x: &Signal, linear: Option<&Signal>) -> Result<Signal, EngineError> {
-        let z = network_inputs(&self.x, kind, x, linear);
-        let out = lstm::predict(&self.net, &z, self.window_len, self.hop, self.recombine)?;
-        let mut channels: Vec<Vec<f64>> =
-            out.iter().enumerate().map(|(channel, z)| self.y.restore(channel, z)).collect();
-        if let (ModelKind::Hybrid1, Some(linear)) = (kind, linear) {
-            for (channel, samples) in channels.iter_mut().enumerate() {
-                for (v, l) in samples.iter_mut().zip(linear.channel(channel)) {
-                    *v += l;
-                }
-            }
-        }
-        Signal::new(x.sample_rate_hz(), channels)
-    }
-}
-
-/// What the network sees: the standardised inputs, for hybrid 2 followed by FRF(x).
-fn network_inputs(scaler: &Scaler, kind: ModelKind, x: &Signal, linear: Option<&Signal>) -> Vec<Vec<f32>> {
-    let linear = linear.filter(|_| kind == ModelKind::Hybrid2);
-    let channels = x.channels().iter().chain(linear.iter().flat_map(|l| l.channels()));
-    channels.enumerate().map(|(channel, samples)| scaler.standardise(channel, samples)).collect()
+/// What the network sees of a range of samples: the standardised inputs, for hybrid 2 followed by
+/// FRF(x), of which `linear` is that range.
+fn network_inputs(
+    scaler: &Scaler,
+    kind: ModelKind,
+    x: &Signal,
+    range: Range<usize>,
+    linear: Option<&[Vec<f64>]>,
+) -> Vec<Vec<f32>> {
+    let linear = linear.filter(|_| kind == ModelKind::Hybrid2).unwrap_or_default();
+    let x = x.channels().iter().map(|channel| &channel[range.clone()]);
+    let channels: Vec<&[f64]> = x.chain(linear.iter().map(Vec::as_slice)).collect();
+    channels.par_iter().enumerate().map(|(channel, samples)| scaler.standardise(channel, samples)).collect()
 }

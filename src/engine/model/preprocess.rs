@@ -67,10 +67,19 @@ impl Preprocess {
     /// # Errors
     /// Those of [`Preprocess::check`], no samples, a result that is not finite.
     pub fn apply(&self, x: &Signal) -> Result<Signal, EngineError> {
+        self.apply_to(x.clone())
+    }
+
+    /// [`Preprocess::apply`] in the signal's own memory.
+    ///
+    /// # Errors
+    /// As [`Preprocess::apply`].
+    pub fn apply_to(&self, x: Signal) -> Result<Signal, EngineError> {
         self.check(x.sample_rate_hz())?;
         if self.is_none() {
-            return Ok(x.clone());
+            return Ok(x);
         }
+        let sample_rate_hz = x.sample_rate_hz();
         let n = x.n_samples();
         if n == 0 {
             return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
@@ -86,30 +95,26 @@ impl Preprocess {
         let gains: Vec<f64> = (0..=total / 2)
             .map(|line| self.gain(line as f64 * x.sample_rate_hz() / total as f64) / total as f64)
             .collect();
-        let channels: Vec<Vec<f64>> = x
-            .channels()
-            .par_iter()
-            .map(|samples| {
-                let (mut time, mut lines) = (forward.make_input_vec(), forward.make_output_vec());
-                extend(samples, pad, &mut time);
-                forward.process(&mut time, &mut lines).expect("buffers are the plan's own");
-                for (line, gain) in lines.iter_mut().zip(&gains) {
-                    *line *= gain;
-                }
-                // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
-                lines[0].im = 0.0;
-                lines[total / 2].im = 0.0;
-                inverse.process(&mut lines, &mut time).expect("buffers are the plan's own");
-                time.truncate(n);
-                time
-            })
-            .collect();
+        let mut channels = x.into_channels();
+        channels.par_iter_mut().for_each(|samples| {
+            let (mut time, mut lines) = (forward.make_input_vec(), forward.make_output_vec());
+            extend(samples, pad, &mut time);
+            forward.process(&mut time, &mut lines).expect("buffers are the plan's own");
+            for (line, gain) in lines.iter_mut().zip(&gains) {
+                *line *= gain;
+            }
+            // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
+            lines[0].im = 0.0;
+            lines[total / 2].im = 0.0;
+            inverse.process(&mut lines, &mut time).expect("buffers are the plan's own");
+            samples.copy_from_slice(&time[..n]);
+        });
         for (channel, samples) in channels.iter().enumerate() {
             if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
                 return Err(EngineError::NonFiniteResult { what: "filtered signal", channel, sample });
             }
         }
-        Signal::new(x.sample_rate_hz(), channels)
+        Signal::new(sample_rate_hz, channels)
     }
 
     /// Share of a frequency that passes, 0..=1.

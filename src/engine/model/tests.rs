@@ -10,6 +10,7 @@ use realfft::num_complex::Complex64;
 
 use super::*;
 use crate::engine::frf::FrfSettings;
+use crate::engine::lstm;
 use crate::engine::progress::{Progress, unwatched};
 
 const FS: f64 = 100.0;
@@ -198,6 +199,87 @@ fn predictions_are_as_long_as_the_drive_from_one_sample_on() {
             assert_eq!(model.predict(&x).unwrap().n_samples(), n, "{kind:?}");
         }
     }
+}
+
+/// What a model says of `x` when nothing is cut: the FRF's response of the whole signal, then the
+/// network's.
+fn in_one_go(model: &RigModel, x: &Signal) -> Vec<Vec<f64>> {
+    let x = model.preprocess.apply(x).unwrap();
+    let linear = model.frf.as_ref().map(|frf| frf.apply(&x).unwrap());
+    let Some(part) = &model.lstm else { return linear.unwrap().into_channels() };
+    let channels = linear.as_ref().map(Signal::channels);
+    let z = network_inputs(&part.x, model.kind, &x, 0..x.n_samples(), channels);
+    let y = lstm::predict(&part.net, &z, part.window_len, part.hop, part.recombine).unwrap();
+    let mut y: Vec<Vec<f64>> = y.iter().enumerate().map(|(c, z)| part.y.restore(c, z)).collect();
+    if let (ModelKind::Hybrid1, Some(linear)) = (model.kind, linear) {
+        for (y, linear) in y.iter_mut().flatten().zip(linear.channels().iter().flatten()) {
+            *y += linear;
+        }
+    }
+    y
+}
+
+#[test]
+fn pieces_make_the_same_response_as_the_whole_drive() {
+    // 2,048 windows a piece: with a hop of 2 some 4,000 samples, with 7 some 14,000.
+    for (kind, hop, n) in [
+        (ModelKind::Lstm, 2, 4100),
+        (ModelKind::Hybrid1, 2, 12_345),
+        (ModelKind::Hybrid2, 2, 9000),
+        (ModelKind::Hybrid2, 7, 30_000),
+    ] {
+        for recombine in [Recombine::Welch, Recombine::Stream] {
+            let mut model = made_up(kind);
+            let part = model.lstm.as_mut().unwrap();
+            (part.hop, part.recombine) = (hop, recombine);
+            let std = part.y.std.clone();
+            let x = Signal::new(FS, vec![noise(n, 1), noise(n, 2)]).unwrap();
+            let expected = in_one_go(&model, &x);
+            let predictor = Predictor::new(model.clone()).unwrap();
+            let mut prediction = predictor.begin(x.clone()).unwrap();
+            let (mut found, mut pieces) = (vec![Vec::new(); 3], 0);
+            while let Some(piece) = predictor.next(&mut prediction).unwrap() {
+                pieces += 1;
+                for (found, piece) in found.iter_mut().zip(piece.channels()) {
+                    found.extend_from_slice(piece);
+                }
+            }
+            assert!(pieces >= 2, "{kind:?} hop {hop}: {pieces} pieces of {n} samples");
+            for ((found, expected), std) in found.iter().zip(&expected).zip(std) {
+                assert_eq!(found.len(), n);
+                for (t, (found, expected)) in found.iter().zip(expected).enumerate() {
+                    let error = (found - expected).abs();
+                    assert!(error <= 1e-5 * std, "{kind:?} {recombine:?} hop {hop} sample {t}: {error:e}");
+                }
+            }
+            assert_eq!(model.predict(&x).unwrap().channels(), found, "one input has one result");
+            assert_eq!(predictor.predict(x).unwrap().channels(), found);
+        }
+    }
+}
+
+#[test]
+fn an_frf_in_pieces_is_the_frf_of_the_whole_drive() {
+    let model = made_up(ModelKind::Frf);
+    let n = (1 << 18) + 1000;
+    let x = Signal::new(FS, vec![noise(n, 3), noise(n, 4)]).unwrap();
+    let (found, expected) = (model.predict(&x).unwrap(), in_one_go(&model, &x));
+    for (found, expected) in found.channels().iter().flatten().zip(expected.iter().flatten()) {
+        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+    }
+}
+
+#[test]
+fn a_result_that_is_not_finite_has_its_place_in_the_whole_drive() {
+    let mut model = RigModel { preprocess: Preprocess::default(), ..made_up(ModelKind::Hybrid1) };
+    model.lstm.as_mut().unwrap().hop = 2;
+    let n = 12_000;
+    let mut samples = noise(n, 1);
+    // The FRF multiplies what is nearly the largest number there is.
+    samples[11_000] = f64::MAX;
+    let error = model.predict(&Signal::new(FS, vec![samples, noise(n, 2)]).unwrap()).unwrap_err();
+    let EngineError::NonFiniteResult { sample, .. } = error else { panic!("{error}") };
+    assert!((8_000..12_000).contains(&sample), "{sample}");
 }
 
 #[test]

@@ -74,6 +74,7 @@ pub(super) fn trust(names: &[String], range: &[InputRange], x: &Signal) -> Trust
     let fs = x.sample_rate_hz();
     let join = (JOIN_S * fs) as usize;
     let mut outside = vec![false; n];
+    let mut rates = Vec::new();
     let mut spans: Vec<(usize, usize, usize, Way)> = Vec::new();
     for (channel, range) in range.iter().enumerate() {
         let samples = x.channel(channel);
@@ -81,15 +82,7 @@ pub(super) fn trust(names: &[String], range: &[InputRange], x: &Signal) -> Trust
         let rate_limit = range.max_rate * (1.0 + TOLERANCE) + slack * fs;
         for way in [Way::Above, Way::Below, Way::Fast] {
             let mut open: Option<(usize, usize)> = None;
-            for t in 0..n {
-                let out = match way {
-                    Way::Above => samples[t] > range.max + slack,
-                    Way::Below => samples[t] < range.min - slack,
-                    Way::Fast => t > 0 && (samples[t] - samples[t - 1]).abs() * fs > rate_limit,
-                };
-                if !out {
-                    continue;
-                }
+            let mut leave = |t: usize| {
                 outside[t] = true;
                 open = match open {
                     Some((from, to)) if t - to <= join.max(1) => Some((from, t)),
@@ -99,6 +92,16 @@ pub(super) fn trust(names: &[String], range: &[InputRange], x: &Signal) -> Trust
                     }
                     None => Some((t, t)),
                 };
+            };
+            match way {
+                Way::Above => each(samples, |v| *v > range.max + slack, &mut leave),
+                Way::Below => each(samples, |v| *v < range.min - slack, &mut leave),
+                Way::Fast => {
+                    let steps = samples.windows(2).map(|pair| pair[1] - pair[0]);
+                    rates.clear();
+                    rates.extend(steps.map(|step| step.abs() * fs));
+                    each(&rates, |rate| *rate > rate_limit, |t| leave(t + 1));
+                }
             }
             if let Some((from, to)) = open {
                 spans.push((from, to, channel, way));
@@ -125,6 +128,18 @@ pub(super) fn trust(names: &[String], range: &[InputRange], x: &Signal) -> Trust
         .collect();
     let inside = outside.iter().filter(|&&o| !o).count();
     Trust { inside: if n == 0 { 1.0 } else { inside as f64 / n as f64 }, spans }
+}
+
+/// Calls `then` with the place of each value that is `out`. Hardly any is, so whole blocks are looked
+/// at without a branch a value.
+fn each(values: &[f64], out: impl Fn(&f64) -> bool, mut then: impl FnMut(usize)) {
+    const BLOCK: usize = 512;
+    for (block, values) in values.chunks(BLOCK).enumerate() {
+        if values.iter().fold(false, |any, v| any | out(v)) {
+            let places = values.iter().enumerate().filter(|(_, v)| out(v)).map(|(i, _)| i);
+            places.for_each(|i| then(block * BLOCK + i));
+        }
+    }
 }
 
 #[cfg(test)]

@@ -8,17 +8,21 @@ use serde::Serialize;
 use super::NPY;
 use super::inputs::{Drive, Target};
 use super::request::Include;
+use crate::compute::Class;
 use crate::domain::Rig;
-use crate::engine::Signal;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
-use crate::engine::model::{ModelKind, TrustSpan};
+use crate::engine::model::{ModelKind, Predictor, RigModel, TrustSpan};
+use crate::engine::{EngineError, Signal};
 use crate::formats;
-use crate::formats::npy::{Dtype, Order};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::signals::Named;
+use crate::http::signals::write_json;
 use crate::http::{codes, errors, json};
 use crate::models::LoadedModel;
+
+/// Most operations of a network (multiplications, additions) that count as short work: some 50 ms on
+/// two cores, about four minutes of signal for a network of the paper's size.
+const SHORT_WORK: f64 = 8e9;
 
 /// Everything that a prediction needs; it waits for nothing.
 #[derive(Debug)]
@@ -53,20 +57,6 @@ pub struct Computed {
     pub inside: Option<f64>,
 }
 
-/// The JSON body.
-#[derive(Debug, Serialize)]
-struct PredictAnswer<'a> {
-    model: ModelName<'a>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    response: Option<Named<'a>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    damage: Option<DamageReport>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    errors: Option<ErrorReport>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    trust: Option<TrustAnswer>,
-}
-
 /// Trust, unknown for imported weights that do not say what they were fitted on.
 #[derive(Debug, Serialize)]
 struct TrustAnswer {
@@ -97,12 +87,18 @@ impl Job {
 
     /// The kind of model, as a metric's label.
     pub fn kind(&self) -> &'static str {
-        match self.model.model.kind {
+        match self.model.model().kind {
             ModelKind::Frf => "frf",
             ModelKind::Lstm => "lstm",
             ModelKind::Hybrid1 => "hybrid1",
             ModelKind::Hybrid2 => "hybrid2",
         }
+    }
+
+    /// Whether somebody waits for it or it takes long.
+    pub fn class(&self) -> Class {
+        let inputs = self.model.model().inputs.len();
+        class(&self.model.predictor, self.drive.n_samples(inputs))
     }
 
     /// Predicts, compares, counts, writes.
@@ -111,49 +107,60 @@ impl Job {
     /// Another sample rate than the model's, a target of another length, settings outside their
     /// limits, a result that is not finite.
     pub fn run(self) -> Answer<Computed> {
-        let Self { rig, model, drive, target, include, damage, media_type } = self;
-        let drive = parsed(drive, &model.model.inputs)?;
-        check_rate(&model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
+        let Self { rig, model: loaded, drive, target, include, damage, media_type } = self;
+        let (model, predictor) = (loaded.model(), &loaded.predictor);
+        let drive = parsed(drive, &model.inputs)?;
+        check_rate(model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
         if let Some(target) = &target {
-            check_rate(&model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
+            check_rate(model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
             check_length(&drive, &target.signal)?;
         }
-        let outputs = &model.model.outputs;
-        let response = model
-            .model
-            .predict(&drive)
-            .map_err(|error| errors::engine(&error, outputs, "/drive/channels"))?;
-        let trust = model
-            .model
-            .trust(&drive)
-            .map_err(|error| errors::engine(&error, &model.model.inputs, "/drive/channels"))?;
-        let known = !model.model.range.is_empty();
+        let outputs = &model.outputs;
+        let refuse = |error: EngineError| errors::engine(&error, outputs, "/drive/channels");
+        let mut prediction = predictor
+            .begin(drive)
+            .map_err(|error| errors::engine(&error, &model.inputs, "/drive/channels"))?;
+        let trust = predictor.trust(&prediction);
+        let known = !model.range.is_empty();
         let trust = TrustAnswer { inside: known.then_some(trust.inside), spans: trust.spans };
-        let samples = (response.n_samples() * response.n_channels()) as u64;
+        let n = prediction.n_samples();
+        let samples = (n * outputs.len()) as u64;
         let inside = trust.inside;
         if media_type == NPY {
-            let bytes = formats::npy::write(response.channels(), Dtype::F4, Order::C)
-                .map_err(|error| errors::format(&error, outputs))?;
-            return Ok(Computed { bytes, media_type, samples, inside });
+            // Each piece is written and forgotten: an hour of response is in memory once.
+            let mut npy = formats::npy::Writer::new(n, outputs.len());
+            while let Some(piece) = predictor.next(&mut prediction).map_err(refuse)? {
+                npy.write(piece.channels()).map_err(|error| errors::format(&error, outputs))?;
+            }
+            return Ok(Computed { bytes: npy.finish(), media_type, samples, inside });
         }
-        let answer = PredictAnswer {
-            model: ModelName { version: model.version, kind: model.model.kind, sha256: &model.sha256 },
-            damage: if include.damage {
-                Some(damages(&rig, outputs, &response, target.as_ref(), &damage)?)
-            } else {
-                None
-            },
-            errors: target
-                .as_ref()
-                .filter(|_| include.errors)
-                .map(|t| distances(outputs, &response, t))
-                .transpose()?,
-            trust: include.trust.then_some(trust),
-            response: include.response.then_some(Named { names: outputs, signal: &response }),
-        };
-        let bytes = serde_json::to_vec(&answer).map_err(Problem::internal)?;
-        Ok(Computed { bytes, media_type: json::MEDIA_TYPE, samples, inside })
+        let response = predictor.rest(&mut prediction).map_err(refuse)?;
+        drop(prediction);
+        let name = ModelName { version: loaded.version, kind: model.kind, sha256: &loaded.sha256 };
+        let mut answer = json::Object::new();
+        answer.add("model", &name)?;
+        if include.response {
+            write_json(answer.field("response"), outputs, &response);
+        }
+        if include.damage {
+            answer.add("damage", &damages(&rig, outputs, &response, target.as_ref(), &damage)?)?;
+        }
+        if let Some(target) = target.as_ref().filter(|_| include.errors) {
+            answer.add("errors", &distances(outputs, &response, target)?)?;
+        }
+        if include.trust {
+            answer.add("trust", &trust)?;
+        }
+        Ok(Computed { bytes: answer.finish(), media_type: json::MEDIA_TYPE, samples, inside })
     }
+}
+
+fn class(predictor: &Predictor, samples: usize) -> Class {
+    if predictor.network_work(samples) > SHORT_WORK {
+        return Class::Long;
+    }
+    let model = predictor.model();
+    Class::of_values(samples.saturating_mul(model.inputs.len() + model.outputs.len()))
 }
 
 /// The drive as a signal; an NPY body has the model's inputs as columns.
@@ -171,8 +178,8 @@ fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
     Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
 }
 
-fn check_rate(model: &LoadedModel, found_hz: f64, at: &str) -> Answer<()> {
-    let expected_hz = model.model.sample_rate_hz;
+fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
+    let expected_hz = model.sample_rate_hz;
     if Signal::same_rate(found_hz, expected_hz) {
         return Ok(());
     }
@@ -236,4 +243,43 @@ fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<E
         .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
     let channels = target.names.iter().cloned().zip(found.channels).collect();
     Ok(ErrorReport { settings: found.settings, channels })
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::engine::lstm::{LstmNet, Recombine};
+    use crate::engine::model::{LstmPart, Preprocess, Scaler};
+
+    /// A network of three inputs and six outputs at 1 kHz, windows of 256.
+    fn network(cells: usize, hop: usize) -> Predictor {
+        let names = |n: usize| (0..n).map(|i| format!("c{i}")).collect();
+        let scaler = |n: usize| Scaler { mean: vec![0.0; n], std: vec![1.0; n] };
+        let net = LstmNet::init(3, &[cells], 6, 1.0, &mut ChaCha8Rng::seed_from_u64(1));
+        let part =
+            LstmPart { net, x: scaler(3), y: scaler(6), window_len: 256, hop, recombine: Recombine::Welch };
+        Predictor::new(RigModel {
+            kind: ModelKind::Lstm,
+            inputs: names(3),
+            outputs: names(6),
+            sample_rate_hz: 1000.0,
+            preprocess: Preprocess::default(),
+            frf: None,
+            lstm: Some(part),
+            range: Vec::new(),
+        })
+        .expect("a model")
+    }
+
+    #[test]
+    fn an_hour_is_long_and_so_is_a_minute_of_a_large_network() {
+        assert_eq!(class(&network(39, 128), 60_000), Class::Predict);
+        assert_eq!(class(&network(39, 128), 3_600_000), Class::Long);
+        assert_eq!(class(&network(39, 1), 60_000), Class::Long, "a window a sample");
+        assert_eq!(class(&network(200, 128), 60_000), Class::Long);
+        assert_eq!(class(&network(200, 128), 1000), Class::Predict);
+    }
 }

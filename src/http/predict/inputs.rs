@@ -5,6 +5,7 @@ use bytes::Bytes;
 use super::request::Source;
 use crate::domain::RigId;
 use crate::engine::{EngineError, Signal};
+use crate::formats;
 use crate::http::paths::no_run;
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::signals::Channels;
@@ -25,6 +26,19 @@ pub enum Drive {
     },
 }
 
+impl Drive {
+    /// Samples of each input, as far as an array's bytes can tell before they are parsed.
+    pub fn n_samples(&self, inputs: usize) -> usize {
+        match self {
+            Self::Signal(signal) => signal.n_samples(),
+            // Two bytes a number is the shortest type there is.
+            Self::Npy { bytes, .. } => {
+                formats::npy::header(bytes).map_or(bytes.len() / (2 * inputs.max(1)), |header| header.samples)
+            }
+        }
+    }
+}
+
 /// Some or all of a model's outputs, in their order.
 #[derive(Debug)]
 pub struct Target {
@@ -39,7 +53,7 @@ pub struct Target {
 /// # Errors
 /// A channel that is missing or that the model does not have, unequal lengths, no samples.
 pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Drive> {
-    let wanted = &model.model.inputs;
+    let wanted = &model.model().inputs;
     let (rate, mut channels, from_run) = resolve(http, rig, source, "/drive").await?;
     let mut samples = Vec::with_capacity(wanted.len());
     for name in wanted {
@@ -57,7 +71,7 @@ pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedMod
 /// # Errors
 /// As [`drive`]; none of the model's outputs.
 pub async fn target(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Target> {
-    let outputs = &model.model.outputs;
+    let outputs = &model.model().outputs;
     let (rate, mut channels, from_run) = resolve(http, rig, source, "/target").await?;
     let (mut names, mut samples) = (Vec::new(), Vec::new());
     for name in outputs {

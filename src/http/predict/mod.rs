@@ -20,7 +20,7 @@ use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
 use super::signals::header_names;
-use super::{Shared, body, codes, json, negotiate};
+use super::{Shared, arrays, body, codes, json, negotiate};
 use crate::domain::{Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
@@ -44,7 +44,8 @@ pub async fn predict(
         Some(json::MEDIA_TYPE) => {
             params.finish()?;
             let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY])?;
-            let request: PredictRequest = json::take(&headers, request, &http, &[json::MEDIA_TYPE]).await?;
+            let request: PredictRequest =
+                json::take(&headers, request, &http, &[json::MEDIA_TYPE], arrays::parse).await?;
             let (rig, model) = find(&http, &id, request.model).await?;
             let include = request.includes()?;
             let drive = inputs::drive(&http, &id, request.drive, &model).await?;
@@ -66,7 +67,7 @@ pub async fn predict(
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
             let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE])?;
-            let bytes = body::Limited::new(&headers, request, http.limits.json_bytes)?.collect().await?;
+            let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes)?.collect().await?;
             let (rig, model) = find(&http, &id, query.model).await?;
             let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
             compute(&http, Job::of_npy(rig, model, drive, media_type)).await
@@ -95,7 +96,8 @@ async fn compute(http: &Shared, job: Job) -> Answer {
     let kind = job.kind();
     let model = job.model.clone();
     let started = Instant::now();
-    let Computed { bytes, media_type, samples, inside } = http.off_thread(move || job.run()).await??;
+    let Computed { bytes, media_type, samples, inside } =
+        http.off_thread(job.class(), move || job.run()).await??;
     metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);
     metrics::counter!(names::PREDICTED_SAMPLES).increment(samples);
     metrics::histogram!(names::PREDICTION_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());
@@ -118,7 +120,7 @@ fn respond(
     };
     put("rigcast-model-version", model.version.to_string())?;
     put("rigcast-model-digest", model.sha256.clone())?;
-    put("rigcast-channels", header_names(&model.model.outputs))?;
+    put("rigcast-channels", header_names(&model.model().outputs))?;
     if let Some(inside) = inside {
         put("rigcast-trust-inside", inside.to_string())?;
     }

@@ -6,6 +6,7 @@ use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use crate::engine::fatigue::DamageSettings;
+use crate::http::arrays::HoldsSignals;
 use crate::http::codes;
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -78,6 +79,13 @@ pub struct Include {
     pub errors: bool,
     /// Whether the drive is inside what the model knows.
     pub trust: bool,
+}
+
+impl HoldsSignals for PredictRequest {
+    fn signals(&mut self) -> Vec<&mut Channels> {
+        let sources = std::iter::once(&mut self.drive).chain(&mut self.target);
+        sources.filter_map(|source| source.channels.as_mut()).collect()
+    }
 }
 
 impl PredictRequest {

@@ -1,0 +1,183 @@
+//! Predictions over HTTP: the release program on a loopback port, a client beside it.
+//!
+//! `cargo bench --bench http` times 60 s of drive (3 drives, 6 responses, 1 kHz, a hybrid 2 of the
+//! paper's size) in NPY and in JSON. What is no plain time is measured by name, one JSON line each:
+//!
+//! - `cargo bench --bench http -- p50`: median of 60 s and 10 s requests, as a client sees them;
+//! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
+//! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
+//! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs.
+
+mod rig;
+mod service;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use criterion::{Criterion, criterion_group};
+use rigcast::engine::lstm::Recombine;
+use rigcast::formats::npy::{Dtype, Order, write};
+use serde_json::json;
+
+use rig::{DRIVES, RATE_HZ, RESPONSES, activate, create, json_request, noise, npy_request};
+use service::{Connection, Service};
+
+const MINUTE: usize = 60_000;
+const HOUR: usize = 60 * MINUTE;
+
+fn ready(recombine: Recombine, low_pass_hz: Option<f64>) -> Service {
+    let service = Service::start();
+    create(&service);
+    activate(&service, recombine, low_pass_hz);
+    service
+}
+
+fn predict_60s(criterion: &mut Criterion) {
+    let service = ready(Recombine::Welch, None);
+    let mut connection = service.connect();
+    let mut group = criterion.benchmark_group("http_60s");
+    let requests = [("npy", npy_request(MINUTE, Dtype::F4)), ("json", json_request(MINUTE))];
+    for (name, (head, body)) in &requests {
+        group.bench_function(*name, |b| b.iter(|| connection.call(head, body, 200).len()));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, predict_60s);
+
+fn main() {
+    // Cargo's own arguments begin with dashes.
+    let named = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    match named.as_deref() {
+        Some("p50") => p50(),
+        Some("hour") => hour(),
+        Some("beside") => beside(),
+        Some("fit") => fit(),
+        _ => {
+            benches();
+            Criterion::default().configure_from_args().final_summary();
+        }
+    }
+}
+
+/// One figure, in the form of `examples/speed.rs`.
+fn tell(work: &str, unit: &str, mut values: Vec<f64>) {
+    values.sort_by(f64::total_cmp);
+    let (min, max) = (values[0], values[values.len() - 1]);
+    let line = json!({
+        "work": work, "unit": unit, "median": values[values.len() / 2],
+        "min": min, "max": max, "reps": values.len(),
+    });
+    println!("{line}");
+}
+
+/// Seconds of one request.
+fn timed(connection: &mut Connection, (head, body): &(String, Vec<u8>)) -> f64 {
+    let started = Instant::now();
+    connection.call(head, body, 200);
+    started.elapsed().as_secs_f64()
+}
+
+fn p50() {
+    let service = ready(Recombine::Welch, None);
+    let mut connection = service.connect();
+    let works = [
+        ("http_npy_60s", npy_request(MINUTE, Dtype::F4)),
+        ("http_npy_f8_60s", npy_request(MINUTE, Dtype::F8)),
+        ("http_json_60s", json_request(MINUTE)),
+        ("http_npy_10s", npy_request(MINUTE / 6, Dtype::F4)),
+        ("http_json_10s", json_request(MINUTE / 6)),
+    ];
+    for (work, request) in &works {
+        (0..5).for_each(|_| _ = timed(&mut connection, request));
+        tell(work, "s", (0..101).map(|_| timed(&mut connection, request)).collect());
+    }
+}
+
+/// A service each, so that no peak hides behind another one.
+fn hour() {
+    for (name, recombine, low_pass_hz) in [
+        ("windows", Recombine::Welch, None),
+        ("stream", Recombine::Stream, None),
+        ("low_pass", Recombine::Welch, Some(80.0)),
+    ] {
+        for (dtype, descr) in [(Dtype::F4, "f4"), (Dtype::F8, "f8")] {
+            let request = npy_request(HOUR, dtype);
+            let service = ready(recombine, low_pass_hz);
+            let seconds = timed(&mut service.connect(), &request);
+            tell(&format!("http_1h_{name}_{descr}_time"), "s", vec![seconds]);
+            tell(&format!("http_1h_{name}_{descr}_resident"), "bytes", vec![service.peak_resident() as f64]);
+        }
+    }
+}
+
+fn beside() {
+    let (long, short) = (npy_request(HOUR, Dtype::F4), npy_request(MINUTE / 6, Dtype::F4));
+    for (name, recombine) in [("windows", Recombine::Welch), ("stream", Recombine::Stream)] {
+        let service = ready(recombine, None);
+        let mut connection = service.connect();
+        (0..5).for_each(|_| _ = timed(&mut connection, &short));
+        tell(
+            &format!("http_10s_{name}_alone"),
+            "s",
+            (0..51).map(|_| timed(&mut connection, &short)).collect(),
+        );
+        for hours in [1, 2] {
+            let ended = AtomicBool::new(false);
+            let mut beside = Vec::new();
+            std::thread::scope(|scope| {
+                for first in 0..hours {
+                    let (service, long, ended) = (&service, &long, &ended);
+                    scope.spawn(move || {
+                        let mut connection = service.connect();
+                        (0..3).for_each(|_| _ = timed(&mut connection, long));
+                        ended.fetch_or(first == 0, Ordering::Relaxed);
+                    });
+                }
+                while !ended.load(Ordering::Relaxed) {
+                    beside.push(timed(&mut connection, &short));
+                    std::thread::sleep(Duration::from_millis(3));
+                }
+            });
+            tell(&format!("http_10s_{name}_beside_{hours}x1h"), "s", beside);
+        }
+    }
+}
+
+/// Two hours in eight runs, the service's default settings but for the number of epochs, which
+/// takes time and no memory.
+fn fit() {
+    let service = Service::start();
+    create(&service);
+    let mut connection = service.connect();
+    let names = [&DRIVES[..], &RESPONSES[..]].concat().join(",");
+    for run in 0..8 {
+        let x = noise(HOUR / 4, DRIVES.len(), 100 + run);
+        // Responses that the drives explain, with a bend.
+        let y = (0..RESPONSES.len()).map(|o| {
+            let (a, b) = (&x[o % 3], &x[(o + 1) % 3]);
+            a.iter().zip(b).map(|(a, b)| 0.7 * a + 0.2 * b + 0.05 * a * a * a).collect()
+        });
+        let channels: Vec<Vec<f64>> = x.iter().cloned().chain(y).collect();
+        let head = format!(
+            "POST /v1/rigs/bench/runs?name=run-{run}&kind=noise&channels={names}&sample_rate_hz={RATE_HZ} HTTP/1.1\r\n\
+             Content-Type: application/x-npy"
+        );
+        connection.call(&head, &write(&channels, Dtype::F4, Order::C).expect("a run"), 201);
+    }
+    tell("http_fit_2h_uploads_resident", "bytes", vec![service.peak_resident() as f64]);
+    let fit = json!({"kind": "hybrid2", "lstm": {"epochs": 2}});
+    let started = Instant::now();
+    let job = connection.json("POST /v1/rigs/bench/fits", "", &fit, 202);
+    let path = format!("/v1/jobs/{}", job["id"].as_str().expect("an id"));
+    loop {
+        let job = connection.get(&path);
+        match job["state"].as_str() {
+            Some("succeeded") => break,
+            Some("failed" | "cancelled") => panic!("{job}"),
+            _ => std::thread::sleep(Duration::from_millis(200)),
+        }
+    }
+    tell("http_fit_2h_time", "s", vec![started.elapsed().as_secs_f64()]);
+    tell("http_fit_2h_resident", "bytes", vec![service.peak_resident() as f64]);
+}

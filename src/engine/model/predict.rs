@@ -1,0 +1,266 @@
+//! Predictions piece by piece: of an hour of signal only a few minutes' worth of intermediate
+//! results are in memory at once.
+//!
+//! A piece is computed from the inputs around it. An FRF needs half its taps on either side. Windows
+//! of a network that reach into the piece begin up to a window length before it, and are the same
+//! ones as those of the whole signal. A stream's state is carried on. So a prediction in pieces
+//! differs from one in a single piece by rounding only: of the FRF's transforms, and with it of the
+//! network's inputs and sums, some 1e-7 of an output's standard deviation. Where the pieces lie
+//! depends on model and length alone, so that one input always has one result.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::trust::{self, Trust};
+use super::{LstmPart, ModelKind, RigModel, network_inputs};
+use crate::engine::frf::FrfFilter;
+use crate::engine::lstm::{self, Recombine, Streaming};
+use crate::engine::windowing::check_window;
+use crate::engine::{EngineError, Signal};
+
+/// Most samples of a piece.
+const PIECE_SAMPLES: usize = 1 << 18;
+
+/// Most windows that a piece is made of, those included that only reach into it: whole groups of
+/// windows on any number of threads.
+const PIECE_WINDOWS: usize = 2048;
+
+/// A model made ready for repeated use.
+#[derive(Debug, Clone)]
+pub struct Predictor {
+    model: RigModel,
+    filter: Option<FrfFilter>,
+}
+
+/// A prediction under way.
+#[derive(Debug)]
+pub struct Prediction {
+    /// Inputs behind the model's filter.
+    x: Signal,
+    /// First sample that is still to be predicted.
+    at: usize,
+    /// The network's state at that sample, where it is carried through.
+    stream: Option<Streaming>,
+}
+
+impl Predictor {
+    /// Makes `model` ready.
+    ///
+    /// # Errors
+    /// An FRF whose fields do not belong together.
+    pub fn new(model: RigModel) -> Result<Self, EngineError> {
+        let filter = model.frf.as_ref().map(|frf| frf.filter()).transpose()?;
+        Ok(Self { model, filter })
+    }
+
+    /// The model.
+    pub fn model(&self) -> &RigModel {
+        &self.model
+    }
+
+    /// Operations (a multiplication, an addition) of the network for `samples` samples: what most
+    /// of a prediction's time goes into. 0 without a network.
+    pub fn network_work(&self, samples: usize) -> f64 {
+        let Some(part) = &self.model.lstm else { return 0.0 };
+        let steps_per_sample = match part.recombine {
+            Recombine::Welch => part.window_len as f64 / part.hop.max(1) as f64,
+            Recombine::Stream => 1.0,
+        };
+        2.0 * part.net.n_parameters() as f64 * steps_per_sample * samples as f64
+    }
+
+    /// Response to `x`, whose channels are the model's inputs in order; as long as `x`.
+    ///
+    /// # Errors
+    /// As [`Predictor::begin`] and [`Predictor::next`].
+    pub fn predict(&self, x: Signal) -> Result<Signal, EngineError> {
+        self.rest(&mut self.begin(x)?)
+    }
+
+    /// Begins the prediction of the response to `x`, whose channels are the model's inputs in
+    /// order: it passes the model's filter.
+    ///
+    /// # Errors
+    /// Another channel count or sample rate, no samples, a result that is not finite.
+    pub fn begin(&self, x: Signal) -> Result<Prediction, EngineError> {
+        begin(&self.model, x)
+    }
+
+    /// The next samples of the response; none when all have been given.
+    ///
+    /// # Errors
+    /// A result that is not finite.
+    pub fn next(&self, prediction: &mut Prediction) -> Result<Option<Signal>, EngineError> {
+        next(&self.model, self.filter.as_ref(), prediction)
+    }
+
+    /// All samples of the response that have not been given yet, at least one.
+    ///
+    /// # Errors
+    /// As [`Predictor::next`]; [`EngineError::TooShort`] when all have been given.
+    pub fn rest(&self, prediction: &mut Prediction) -> Result<Signal, EngineError> {
+        rest(&self.model, self.filter.as_ref(), prediction)
+    }
+
+    /// Where the inputs of a prediction leave what the model was fitted on.
+    pub fn trust(&self, prediction: &Prediction) -> Trust {
+        trust::trust(&self.model.inputs, &self.model.range, &prediction.x)
+    }
+}
+
+impl PartialEq for Predictor {
+    /// The filter follows from the model.
+    fn eq(&self, other: &Self) -> bool {
+        self.model == other.model
+    }
+}
+
+impl Prediction {
+    /// Samples of the whole response.
+    pub fn n_samples(&self) -> usize {
+        self.x.n_samples()
+    }
+}
+
+/// Response to all of `x`.
+pub(super) fn whole(model: &RigModel, x: &Signal) -> Result<Signal, EngineError> {
+    let mut prediction = begin(model, x.clone())?;
+    let filter = model.frf.as_ref().map(|frf| frf.filter()).transpose()?;
+    rest(model, filter.as_ref(), &mut prediction)
+}
+
+fn begin(model: &RigModel, x: Signal) -> Result<Prediction, EngineError> {
+    if x.n_channels() != model.inputs.len() {
+        return Err(EngineError::ChannelCount {
+            what: "drive",
+            expected: model.inputs.len(),
+            found: x.n_channels(),
+        });
+    }
+    if !Signal::same_rate(x.sample_rate_hz(), model.sample_rate_hz) {
+        return Err(EngineError::SampleRate {
+            what: "drive",
+            expected_hz: model.sample_rate_hz,
+            found_hz: x.sample_rate_hz(),
+        });
+    }
+    if x.n_samples() == 0 {
+        return Err(EngineError::TooShort { what: "drive", needed: 1, found: 0 });
+    }
+    let stream = match &model.lstm {
+        Some(part) => {
+            check_window(part.window_len, part.hop)?;
+            let carried = part.recombine == Recombine::Stream;
+            carried.then(|| Streaming::new(&part.net, part.window_len)).transpose()?
+        }
+        None => None,
+    };
+    Ok(Prediction { x: model.preprocess.apply_to(x)?, at: 0, stream })
+}
+
+fn rest(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    prediction: &mut Prediction,
+) -> Result<Signal, EngineError> {
+    let done = EngineError::TooShort { what: "rest of the drive", needed: 1, found: 0 };
+    let left = prediction.n_samples() - prediction.at;
+    let first = next(model, filter, prediction)?.ok_or(done)?;
+    if first.n_samples() == left {
+        return Ok(first);
+    }
+    let rate = first.sample_rate_hz();
+    let mut channels = first.into_channels();
+    channels.iter_mut().for_each(|channel| channel.reserve_exact(left - channel.len()));
+    while let Some(piece) = next(model, filter, prediction)? {
+        for (channel, piece) in channels.iter_mut().zip(piece.channels()) {
+            channel.extend_from_slice(piece);
+        }
+    }
+    Signal::new(rate, channels)
+}
+
+fn next(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    prediction: &mut Prediction,
+) -> Result<Option<Signal>, EngineError> {
+    let Prediction { x, at, stream } = prediction;
+    let range = *at..x.n_samples().min(*at + piece_len(model.lstm.as_ref()));
+    if range.is_empty() {
+        return Ok(None);
+    }
+    // Windows that reach into the piece, and the network's inputs from the first of them on.
+    let lead = match &model.lstm {
+        Some(part) if stream.is_none() => lead(part),
+        _ => 0,
+    };
+    let from = range.start.saturating_sub(lead);
+    let linear = filter.map(|filter| linear(filter, x, from..range.end)).transpose()?;
+    let channels = match &model.lstm {
+        None => linear.ok_or_else(|| EngineError::Weights("a model has an FRF or an LSTM".into()))?,
+        Some(part) => {
+            let z = network_inputs(&part.x, model.kind, x, from..range.end, linear.as_deref());
+            let y = match stream {
+                Some(stream) => stream.next(&z),
+                None => lstm::predict(&part.net, &z, part.window_len, part.hop, part.recombine),
+            };
+            drop(z);
+            let y = y.map_err(|error| later(error, from))?;
+            let linear = linear.filter(|_| model.kind == ModelKind::Hybrid1);
+            let skip = range.start - from;
+            y.par_iter()
+                .enumerate()
+                .map(|(channel, z)| {
+                    let mut y = part.y.restore(channel, &z[skip..]);
+                    if let Some(linear) = &linear {
+                        y.iter_mut().zip(&linear[channel][skip..]).for_each(|(y, linear)| *y += linear);
+                    }
+                    y
+                })
+                .collect()
+        }
+    };
+    *at = range.end;
+    let piece = Signal::new(x.sample_rate_hz(), channels).map_err(|error| later(error, range.start))?;
+    Ok(Some(piece))
+}
+
+/// Samples of a piece; with a network a multiple of its hop, so that windows keep their places.
+fn piece_len(part: Option<&LstmPart>) -> usize {
+    let Some(part) = part else { return PIECE_SAMPLES };
+    let most = PIECE_WINDOWS.saturating_sub(1 + lead(part) / part.hop);
+    part.hop * (PIECE_SAMPLES / part.hop).min(most).max(1)
+}
+
+/// Samples before a piece at which windows begin that reach into it: a multiple of the hop, and at
+/// least a window, beyond which the first window's half before the start weighs nothing.
+fn lead(part: &LstmPart) -> usize {
+    part.window_len.next_multiple_of(part.hop)
+}
+
+/// FRF(x) over a range of samples, `[output][sample - range.start]`.
+fn linear(filter: &FrfFilter, x: &Signal, range: Range<usize>) -> Result<Vec<Vec<f64>>, EngineError> {
+    let context = filter.taps() / 2;
+    let from = range.start.saturating_sub(context);
+    let to = x.n_samples().min(range.end + context);
+    let x = if from == 0 && to == x.n_samples() { Cow::Borrowed(x) } else { Cow::Owned(x.slice(from..to)) };
+    let mut y = filter.apply(&x).map_err(|error| later(error.of_result(), from))?.into_channels();
+    for channel in &mut y {
+        channel.truncate(range.end - from);
+        channel.drain(..range.start - from);
+    }
+    Ok(y)
+}
+
+/// An error of a piece, with the sample counted in the whole signal.
+fn later(error: EngineError, offset: usize) -> EngineError {
+    match error.of_result() {
+        EngineError::NonFiniteResult { what, channel, sample } => {
+            EngineError::NonFiniteResult { what, channel, sample: sample + offset }
+        }
+        other => other,
+    }
+}

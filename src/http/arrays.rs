@@ -1,0 +1,320 @@
+//! The quick way through JSON bodies that are mostly numbers.
+//!
+//! The arrays of the signals are lifted out of the document, and all threads read their numbers; what
+//! is left is small, and parsed as strictly as ever. This way says yes or nothing: a document that is
+//! wrong in any way goes the strict way as a whole, which says what is wrong and where.
+
+use memchr::memchr;
+use rayon::prelude::*;
+use serde::de::DeserializeOwned;
+
+use super::json::{self, PARSE_HERE_BYTES};
+use super::problem::Answer;
+use super::signals::Channels;
+
+/// Bytes of numbers that one thread reads at a stretch.
+const STRETCH_BYTES: usize = 1 << 16;
+
+/// Deepest nesting that is followed here; deeper documents are refused the strict way.
+const MAX_DEPTH: usize = 16;
+
+/// The key whose objects hold signals, wherever it stands.
+const CHANNELS: &[u8] = b"channels";
+
+/// A body with signals in it, each under the key `channels`.
+pub trait HoldsSignals: DeserializeOwned {
+    /// All of them.
+    fn signals(&mut self) -> Vec<&mut Channels>;
+}
+
+/// Parses a document; a long one on the threads of the caller's pool.
+///
+/// # Errors
+/// As [`json::parse`].
+pub fn parse<T: HoldsSignals>(bytes: &[u8]) -> Answer<T> {
+    match quick(bytes) {
+        Some(value) => Ok(value),
+        None => json::parse(bytes),
+    }
+}
+
+fn quick<T: HoldsSignals>(bytes: &[u8]) -> Option<T> {
+    let Lifted { rest, arrays } = lift(std::str::from_utf8(bytes).ok()?)?;
+    let mut value: T = json::parse(rest.as_bytes()).ok()?;
+    let mut arrays: Vec<Option<Vec<f64>>> =
+        read(&arrays, bytes.len() > PARSE_HERE_BYTES)?.into_iter().map(Some).collect();
+    for (_, samples) in value.signals().into_iter().flat_map(|channels| &mut channels.0) {
+        // Every array under that key was lifted, and left its place in the list behind.
+        let [place] = samples[..] else { return None };
+        *samples = arrays.get_mut(place as usize)?.take()?;
+    }
+    Some(value)
+}
+
+/// A document without the arrays of its signals.
+struct Lifted<'a> {
+    /// The document; in each array stands its place in `arrays`.
+    rest: String,
+    /// What stood between the brackets.
+    arrays: Vec<&'a str>,
+}
+
+/// Lifts every array that stands directly in an object under the key `channels`. What cannot be
+/// followed is nothing; what can may still be no JSON.
+fn lift(text: &str) -> Option<Lifted<'_>> {
+    let bytes = text.as_bytes();
+    let (mut rest, mut arrays) = (String::new(), Vec::new());
+    // Of each open bracket: whether it is an object that holds signals.
+    let mut open: Vec<bool> = Vec::new();
+    let mut string: &[u8] = &[];
+    let (mut at, mut copied) = (0, 0);
+    while let Some(&byte) = bytes.get(at) {
+        match byte {
+            b'"' => {
+                let start = at + 1;
+                at = end_of_string(bytes, start)?;
+                string = &bytes[start..at];
+            }
+            b'[' if open.last() == Some(&true) => {
+                let end = at + memchr(b']', &bytes[at..])?;
+                rest.push_str(&text[copied..=at]);
+                rest.push_str(&arrays.len().to_string());
+                arrays.push(&text[at + 1..end]);
+                (at, copied) = (end, end);
+            }
+            b'{' => open.push(string == CHANNELS),
+            b'[' | b'}' | b']' | b',' => {
+                if byte == b'[' {
+                    open.push(false);
+                } else if byte != b',' {
+                    open.pop()?;
+                }
+                // What follows is not the value of the last string.
+                string = &[];
+            }
+            _ => {}
+        }
+        if open.len() > MAX_DEPTH {
+            return None;
+        }
+        at += 1;
+    }
+    rest.push_str(&text[copied..]);
+    Some(Lifted { rest, arrays })
+}
+
+/// Place of the quotation mark that ends a string.
+fn end_of_string(bytes: &[u8], start: usize) -> Option<usize> {
+    let mut at = start;
+    loop {
+        match bytes.get(at)? {
+            b'"' => return Some(at),
+            b'\\' => at += 2,
+            _ => at += 1,
+        }
+    }
+}
+
+/// The numbers of all arrays.
+fn read(arrays: &[&str], on_all_threads: bool) -> Option<Vec<Vec<f64>>> {
+    let stretches: Vec<(usize, &str)> =
+        arrays.iter().enumerate().flat_map(|(i, text)| stretches(text).map(move |s| (i, s))).collect();
+    let read: Vec<Option<Vec<f64>>> = if on_all_threads {
+        stretches.par_iter().map(|(_, text)| numbers(text)).collect()
+    } else {
+        stretches.iter().map(|(_, text)| numbers(text)).collect()
+    };
+    let mut found: Vec<Vec<f64>> = vec![Vec::new(); arrays.len()];
+    for ((i, _), numbers) in stretches.iter().zip(read) {
+        let (found, numbers) = (&mut found[*i], numbers?);
+        if found.is_empty() {
+            *found = numbers;
+        } else {
+            found.extend(numbers);
+        }
+    }
+    Some(found)
+}
+
+/// The text between brackets, cut at commas; nothing for an array without elements.
+fn stretches(text: &str) -> impl Iterator<Item = &str> {
+    let mut left = (!text.trim_ascii().is_empty()).then_some(text);
+    std::iter::from_fn(move || {
+        let text = left?;
+        let comma = text
+            .as_bytes()
+            .get(STRETCH_BYTES..)
+            .and_then(|rest| Some(STRETCH_BYTES + memchr(b',', rest)?))
+            .filter(|&comma| text.is_char_boundary(comma));
+        left = comma.map(|comma| &text[comma + 1..]);
+        Some(comma.map_or(text, |comma| &text[..comma]))
+    })
+}
+
+/// Numbers with commas between them, at least one; nothing for anything else, and for numbers that
+/// are none in 64 bits.
+fn numbers(text: &str) -> Option<Vec<f64>> {
+    let bytes = text.as_bytes();
+    // The shortest that a program writes for a sample is some ten bytes; too few only cost a move.
+    let mut numbers = Vec::with_capacity(text.len() / 8);
+    let mut at = 0;
+    loop {
+        at = blanks(bytes, at);
+        let end = number(bytes, at)?;
+        // The standard library rounds correctly; it takes more than JSON does, but not here.
+        let value: f64 = text[at..end].parse().ok().filter(|v: &f64| v.is_finite())?;
+        numbers.push(value);
+        at = blanks(bytes, end);
+        match bytes.get(at) {
+            None => return Some(numbers),
+            Some(b',') => at += 1,
+            Some(_) => return None,
+        }
+    }
+}
+
+fn blanks(bytes: &[u8], at: usize) -> usize {
+    at + bytes[at..].iter().take_while(|b| matches!(b, b' ' | b'\t' | b'\n' | b'\r')).count()
+}
+
+/// End of the JSON number (RFC 8259, section 6) at a place.
+fn number(bytes: &[u8], start: usize) -> Option<usize> {
+    let digits = |at: usize| {
+        let count = bytes[at..].iter().take_while(|b| b.is_ascii_digit()).count();
+        (count > 0).then_some(at + count)
+    };
+    let mut at = start + usize::from(bytes.get(start) == Some(&b'-'));
+    at = if bytes.get(at) == Some(&b'0') { at + 1 } else { digits(at)? };
+    if bytes.get(at) == Some(&b'.') {
+        at = digits(at + 1)?;
+    }
+    if let Some(b'e' | b'E') = bytes.get(at) {
+        at += 1;
+        at = digits(at + usize::from(matches!(bytes.get(at), Some(b'+' | b'-'))))?;
+    }
+    Some(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Body {
+        drive: Part,
+        #[serde(default)]
+        target: Option<Part>,
+        #[serde(default)]
+        names: Vec<String>,
+        #[serde(default)]
+        limits: Vec<f64>,
+    }
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Part {
+        #[serde(default)]
+        channels: Channels,
+    }
+
+    impl HoldsSignals for Body {
+        fn signals(&mut self) -> Vec<&mut Channels> {
+            std::iter::once(&mut self.drive).chain(&mut self.target).map(|p| &mut p.channels).collect()
+        }
+    }
+
+    /// What the strict way says of a text, and whether the quick way took it.
+    fn both(text: &str) -> (Result<Body, String>, bool) {
+        let strict = json::parse::<Body>(text.as_bytes()).map_err(|p| p.code().to_owned());
+        let quick = quick::<Body>(text.as_bytes());
+        let taken = quick.is_some();
+        if let Some(quick) = quick {
+            assert_eq!(Ok(&quick), strict.as_ref(), "{text}");
+        }
+        (strict, taken)
+    }
+
+    #[test]
+    fn signals_are_the_same_either_way() {
+        for text in [
+            r#"{"drive": {"channels": {"a": [1, -2.5e-3 , 0], "b": []}}}"#,
+            r#"{"target": {"channels": {"a": [1]}}, "drive": {"channels": {"a": [0.1,2e0]}}, "limits": [0, 1]}"#,
+            "{\"drive\":{\"channels\":{\"a\":[\n1,\r\t2 ],\"b\":[ ]}}}",
+            r#"{"drive": {"channels": {"channels": [-0, 5e-324], "]\"[": [1.7976931348623157e308]}}}"#,
+            r#"{"names": ["channels", "[", "]"], "drive": {"channels": {}}}"#,
+            r#"{"names": ["channels"], "drive": {}, "limits": [7]}"#,
+            r#"{"drive": {"channels": {"a": [0.1000000000000000055511151231257827021181583404541015625]}}}"#,
+        ] {
+            let (strict, quick) = both(text);
+            assert!(strict.is_ok() && quick, "{text}: {strict:?}");
+        }
+    }
+
+    #[test]
+    fn whatever_is_wrong_goes_the_strict_way() {
+        let numbers = [
+            "01", "+1", ".5", "1.", "1.e5", "1e", "-", "--1", "1 2", "1,", ",1", "1,,2", "0x1", "1_0", "NaN",
+            "inf", "Infinity", "1e999", "-1e400", "null", "\"1\"", "[1]", "{}", "true", "\u{a0}1", "1\u{0}",
+        ];
+        for number in numbers {
+            let text = format!(r#"{{"drive": {{"channels": {{"a": [0.5, {number}]}}}}}}"#);
+            let (strict, quick) = both(&text);
+            assert!(strict.is_err() && !quick, "{text}: {strict:?}");
+        }
+        for text in [
+            "",
+            "[]",
+            r#"{"drive": {"channels": {"a": [1"#,
+            r#"{"drive": {"channels": {"a": [1]}}} x"#,
+            r#"{"drive": {"channels": {"a": [1], "a": [2]}}}"#,
+            r#"{"drive": {"channels": {"a": 1}}}"#,
+            r#"{"drive": {"channels": [[1]]}}"#,
+            r#"{"drive": {"canals": {"a": [1]}}}"#,
+            r#"{"drive": {"channels": {"a": {"channels": {"b": [1]}}}}}"#,
+        ] {
+            assert!(both(text).0.is_err(), "{text}");
+        }
+        assert!(quick::<Body>(b"{\"drive\": {\"channels\": {\"a\xff\": [1]}}}").is_none(), "bad UTF-8");
+    }
+
+    #[test]
+    fn long_arrays_are_cut_at_commas_only() {
+        let samples: Vec<f64> = (0..30_000).map(|i| (f64::from(i) * 0.37).sin() * 1e-3).collect();
+        let text = samples.iter().map(|v| format!(" {v} ")).collect::<Vec<_>>().join(",");
+        assert!(stretches(&text).count() > 5);
+        assert_eq!(read(&[&text, " "], true), Some(vec![samples.clone(), vec![]]));
+        assert_eq!(read(&[&text, "", &text], false), Some(vec![samples.clone(), vec![], samples]));
+        assert_eq!(read(&[&format!("{text},")], true), None);
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_have_the_same_bits_either_way(
+            samples in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::SUBNORMAL, 1..50)
+        ) {
+            let text = serde_json::to_string(&samples).unwrap();
+            let found = numbers(&text[1..text.len() - 1]).unwrap();
+            let strict: Vec<f64> = serde_json::from_str(&text).unwrap();
+            for ((sample, found), strict) in samples.iter().zip(&found).zip(&strict) {
+                prop_assert_eq!(sample.to_bits(), found.to_bits());
+                prop_assert_eq!(sample.to_bits(), strict.to_bits());
+            }
+        }
+
+        #[test]
+        fn any_text_is_read_as_the_strict_way_reads_it(
+            text in r#"[\[\]{}",:0-9e.+\- a]{0,12}"#, inside in 0usize..3
+        ) {
+            let text = match inside {
+                0 => text,
+                1 => format!(r#"{{"drive": {{"channels": {{"a": [{text}]}}}}}}"#),
+                _ => format!(r#"{{"drive": {{"channels": {{{text}}}}}}}"#),
+            };
+            let _ = both(&text);
+        }
+    }
+}
