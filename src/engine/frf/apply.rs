@@ -7,6 +7,7 @@ use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::Frf;
+use crate::engine::signal::first_not_finite;
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 use crate::engine::{EngineError, Signal};
 
@@ -138,21 +139,35 @@ impl FrfFilter {
                 block.push(part);
             }
         }
-        blocks.par_iter_mut().enumerate().for_each_init(
-            || self.scratch(),
-            |scratch, (b, outputs)| self.block(x, b * step, outputs, scratch),
-        );
+        // Of what is not finite, the first sample of the first channel.
+        let not_finite = blocks
+            .par_iter_mut()
+            .enumerate()
+            .map_init(
+                || self.scratch(),
+                |scratch, (b, outputs)| {
+                    let (channel, sample) = self.block(x, b * step, outputs, scratch)?;
+                    Some((channel, b * step + sample))
+                },
+            )
+            .flatten()
+            .min();
         drop(blocks);
-        Signal::new(x.sample_rate_hz(), y).map_err(|error| match error {
-            EngineError::NonFinite { channel, sample, .. } => {
-                EngineError::NonFiniteResult { what: "response of the FRF", channel, sample }
-            }
-            other => other,
-        })
+        if let Some((channel, sample)) = not_finite {
+            return Err(EngineError::NonFiniteResult { what: "response of the FRF", channel, sample });
+        }
+        Ok(Signal::of_checked(x.sample_rate_hz(), y))
     }
 
-    /// Response to all inputs from sample `from` on, as long as the parts of `outputs`.
-    fn block(&self, x: &Signal, from: usize, outputs: &mut [&mut [f64]], s: &mut Scratch) {
+    /// Response to all inputs from sample `from` on, as long as the parts of `outputs`; answers the
+    /// first channel and place where it is not finite.
+    fn block(
+        &self,
+        x: &Signal,
+        from: usize,
+        outputs: &mut [&mut [f64]],
+        s: &mut Scratch,
+    ) -> Option<(usize, usize)> {
         let bins = self.block / 2 + 1;
         for (i, mean) in self.x_mean.iter().enumerate() {
             // The first output needs the samples from `taps / 2 - 1` before it on.
@@ -174,6 +189,8 @@ impl FrfFilter {
                 *y = self.y_mean[o] + v;
             }
         }
+        // Now, while they are in the caches.
+        outputs.iter().enumerate().find_map(|(o, output)| Some((o, first_not_finite(output)?)))
     }
 
     fn scratch(&self) -> Scratch {
