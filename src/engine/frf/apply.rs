@@ -205,6 +205,9 @@ impl FrfFilter {
     }
 }
 
+/// Lines whose sums stay in the first-level cache.
+const TILE: usize = 512;
+
 /// `y = sum_i h_i * x_i` per line, `h` and `x` as `[input, line]`.
 struct Multiply<'a> {
     h: &'a [Complex64],
@@ -219,10 +222,12 @@ impl Kernel for Multiply<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let bins = self.y.len();
-        self.y.fill(Complex64::default());
-        for (h, x) in self.h.chunks_exact(bins).zip(self.x.chunks_exact(bins)) {
-            for ((y, h), x) in self.y.iter_mut().zip(h).zip(x) {
-                *y += h * x;
+        for (first, y) in (0..).step_by(TILE).zip(self.y.chunks_mut(TILE)) {
+            y.fill(Complex64::default());
+            for (h, x) in self.h.chunks_exact(bins).zip(self.x.chunks_exact(bins)) {
+                for ((y, h), x) in y.iter_mut().zip(&h[first..]).zip(&x[first..]) {
+                    *y += h * x;
+                }
             }
         }
     }

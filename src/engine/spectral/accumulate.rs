@@ -1,5 +1,7 @@
 //! The one loop that all averaged spectra share.
 
+use std::sync::{Mutex, PoisonError};
+
 use rayon::prelude::*;
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
@@ -58,7 +60,8 @@ pub(super) fn accumulate(
     let effective_averages =
         runs.iter().map(|run| welch.effective_averages(welch.n_segments(n_samples(run)))).sum();
 
-    let job = Job { isa: Isa::of_process()?, runs, offsets, welch, pairs, window: &hann(len) };
+    let spare = Mutex::new(Vec::new());
+    let job = Job { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len) };
     let tiles = welch.n_lines().div_ceil(TILE);
     let bytes = size_of::<Tile>() * pairs.len() * tiles;
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
@@ -99,6 +102,9 @@ pub(super) fn accumulate(
 
 struct Job<'a> {
     isa: Isa,
+    /// Memory of parts that are done, for the next ones: new memory costs the kernel as much as
+    /// the sums.
+    spare: Mutex<Vec<Vec<Tile>>>,
     runs: &'a [Source<'a>],
     offsets: &'a [f64],
     welch: &'a Welch,
@@ -118,8 +124,9 @@ impl Job<'_> {
         let mut scratch = fft.make_scratch_vec();
         let per_segment = tiles * channels * size_of::<Tile>();
         let batch_len = BATCH.min(BATCH_BYTES / per_segment.max(1)).clamp(1, segments.len());
-        // [tile, segment, channel]
-        let mut spectra = vec![[[0.0; TILE]; 2]; tiles * batch_len * channels];
+        // [tile, segment, channel]; what another part has left there is written over.
+        let mut spectra = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        spectra.resize(tiles * batch_len * channels, [[0.0; TILE]; 2]);
         let mut sums = vec![[[0.0; TILE]; 2]; tiles * self.pairs.len()];
         for batch in segments.chunks(batch_len) {
             for (b, &(run, start)) in batch.iter().enumerate() {
@@ -137,6 +144,7 @@ impl Job<'_> {
                 dispatch(self.isa, AddProducts { spectra, channels, pairs: self.pairs, sums });
             }
         }
+        self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(spectra);
         sums
     }
 
