@@ -1,8 +1,8 @@
 //! Sixteen `f32` lanes on each instruction set, and the door through which kernels enter one.
 //!
-//! `unsafe` stands here and in `x86` only. It is sound because a [`Simd`] token
-//! of an instruction set can be made in [`dispatch`] only, after the machine was asked for it, and
-//! because [`Columns`] checks its bounds before the first step.
+//! `unsafe` stands here and in `x86` only. It is sound because a `Simd` token
+//! of an instruction set can be made in `dispatch` only, after the machine was asked for it, and
+//! because `Columns` checks its bounds before the first step.
 //!
 //! Plain loops become kernels too, with the token left alone: the compiler then vectorises them for
 //! that instruction set. Rust never fuses a product and a sum by itself, so their bits are the same
