@@ -12,11 +12,6 @@ use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Signals come and go by the megabyte; the system's allocator hands such memory back to the kernel
-/// at once, and getting it again costs more than filtering it.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 type Failure = Box<dyn std::error::Error>;
 
 fn main() -> ExitCode {

@@ -20,10 +20,6 @@ use serde_json::json;
 
 mod works;
 
-/// As in the service.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 use works::{FS, HOP, WINDOW};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
