@@ -66,6 +66,6 @@ impl Core {
 
     /// Samples at the start of a run that its unknown state before may still colour.
     pub(super) fn settling(&self, run_samples: usize) -> usize {
-        self.modes.ring_down(1e-3).min(run_samples / 5)
+        (self.modes.ring_down(2e-3) + (0.1 * self.sample_rate_hz) as usize).min(run_samples / 5)
     }
 }
