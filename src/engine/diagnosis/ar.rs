@@ -72,9 +72,11 @@ impl Ar {
         best
     }
 
-    /// The same spectrum's shape at another power.
-    pub(super) fn scaled(&self, factor: f64) -> Self {
-        Self { coefficients: self.coefficients.clone(), variance: self.variance * factor }
+    /// Mean power per sample over a band, cycles a sample.
+    pub(super) fn mean_power(&self, band: [f64; 2]) -> f64 {
+        const POINTS: usize = 200;
+        let step = (band[1] - band[0]) / POINTS as f64;
+        (0..POINTS).map(|i| self.power(band[0] + (i as f64 + 0.5) * step)).sum::<f64>() / POINTS as f64
     }
 }
 

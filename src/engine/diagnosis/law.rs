@@ -48,7 +48,7 @@ pub(super) enum Law {
     Coulomb,
     /// `tanh(v / ve) (1 + a exp(-(v / vs)^2))`; shape `ln ve, a, ln vs`
     Stribeck,
-    /// `dz = dy (1 - |z| / zy where dy z > 0)`, `z / zy`; shape `ln zy`
+    /// `dz = dy (1 - (|z| / zy)^n where dy z > 0)`, `z / zy`; shape `ln zy, ln n`
     BoucWen,
     /// Sum of elastic stops (Prandtl-Ishlinskii); shape: their weights
     FreeHysteresis,
@@ -75,7 +75,8 @@ impl Law {
             Self::Linear | Self::Quadratic | Self::QuadraticDamping => 0,
             Self::Other | Self::OtherSquare | Self::OtherTimesY => 0,
             Self::Cubic | Self::BumpStop | Self::OneSided(_) | Self::Clearance => 1,
-            Self::Coulomb | Self::BoucWen | Self::StiffnessDrift | Self::Valve => 1,
+            Self::Coulomb | Self::StiffnessDrift | Self::Valve => 1,
+            Self::BoucWen => 2,
             Self::Stribeck => 3,
             Self::FreeStiffness(spline) | Self::FreeDamping(spline) => spline.knots(),
             Self::FreeHysteresis => STOPS.len(),
@@ -109,14 +110,13 @@ impl Law {
                 (i.v / shape[0].exp()).tanh() * (1.0 + shape[1] * (-x * x).exp())
             }
             Self::BoucWen => {
-                let limit = shape[0].exp();
+                let (limit, sharpness) = (shape[0].exp(), shape[1].clamp(-1.0, 2.5).exp());
                 let z = memory[0];
-                let next = if i.dy * z > 0.0 {
-                    let end = limit.copysign(z);
-                    end + (z - end) * (-i.dy.abs() / limit).exp()
-                } else {
-                    (z + i.dy).clamp(-limit, limit)
+                let slope = |z: f64| {
+                    if i.dy * z > 0.0 { 1.0 - (z.abs() / limit).min(1.0).powf(sharpness) } else { 1.0 }
                 };
+                let half = z + 0.5 * i.dy * slope(z);
+                let next = (z + i.dy * slope(half)).clamp(-limit, limit);
                 memory[0] = next;
                 0.5 * (z + next) / limit
             }
@@ -187,7 +187,7 @@ mod tests {
             }
             sum
         };
-        assert!(work(&Law::BoucWen, &[(0.3_f64).ln()]) > 5.0);
+        assert!(work(&Law::BoucWen, &[(0.3_f64).ln(), 0.0]) > 5.0);
         assert!(work(&Law::FreeHysteresis, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) > 10.0);
         assert!(work(&Law::Cubic, &[0.0]).abs() < 1e-9);
     }

@@ -43,6 +43,11 @@ pub fn explore(input: &Input) -> Vec<(usize, Effect, usize, f64, f64, f64, f64)>
         if std::env::var("V").is_ok() {
             eprintln!("order {} natural {:?} lead {}", problem.core.modes.order(), problem.core.natural(), problem.fit[0].lead);
         }
+        if std::env::var("V").is_ok() {
+            for st in problem.fit.iter().chain(&problem.select) { let mut r = Vec::new(); st.extend(&st.gap(0), &mut r); let n=r.len(); let m = st.rows.samples();
+              let w = st.rows.whitened(&st.gap(0)[st.lead..]); let tb: Vec<String> = w.chunks(w.len()/8).map(|c| format!("{:.1}", c.iter().map(|x| x*x).sum::<f64>()*8.0/n as f64)).collect();
+              eprintln!("run {} from {} lead {} n {} m {m} chi {:?} time {:?}", st.run, st.from, st.lead, st.measured.len(), r.chunks((n/12).max(1)).map(|c| (c.iter().map(|x| x*x).sum::<f64>()/c.len() as f64 * 10.0).round()/10.0).collect::<Vec<_>>(), tb); }
+        }
         let in_situ = input.mode == Mode::InSitu;
         let plain = start::Regression::new(problem, in_situ);
         let tuned = start::Regression::new(problem, true);

@@ -12,7 +12,7 @@ use super::rows::Rows;
 /// Largest order of the noise's autoregression.
 const MAX_ORDER: usize = 24;
 /// Below this coherence with the drive a repeat difference is taken as it is.
-const COHERENT: f64 = 0.02;
+pub(super) const COHERENT: f64 = 0.02;
 
 /// Noise of one response.
 #[derive(Debug, Clone)]
@@ -89,5 +89,8 @@ fn signals(pair: &Pair<'_>, core: &Core) -> Vec<Vec<f64>> {
     }
     let moved: Vec<f64> = pair.simulated.iter().map(|y| y - core.response_mean).collect();
     out.extend(core.modes.basis(&moved));
+    let n = pair.difference.len();
+    out.push(vec![1.0; n]);
+    out.push((0..n).map(|k| k as f64 / n as f64 - 0.5).collect());
     out
 }

@@ -59,6 +59,12 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
     for (r, fit) in fitted.iter().enumerate() {
         let noise = repeats(input, &pieces, &simulated, &fit.core, r, band);
         from_repeats &= noise.is_some();
+        // A rig that changed between its repeats leaves more in their difference than the regression
+        // can take out: the noise before the change is then the better floor, where it is lower.
+        let noise = noise.map(|n| {
+            let changed = n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
+            if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
+        });
         let noise = noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 });
         problems.push(problem(input, &pieces, &simulated, &fit.core, r, band, &noise)?);
         noises.push(noise);

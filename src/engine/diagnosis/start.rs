@@ -8,6 +8,7 @@ use super::candidate::{Candidate, Part, inner_signal, inner_spline};
 use super::kernel;
 use super::law::Law;
 use super::linear::{dot, least_squares, norm, rms};
+use super::output_map::OutputMap;
 use super::problem::{Problem, smooth};
 
 /// Alternations between the shape and the path of a free law.
@@ -102,7 +103,11 @@ impl<'a> Regression<'a> {
             return starts.into_iter().map(|input| Guess { input, ..Guess::default() }).collect();
         }
         if let Some(map) = part.output {
-            return map.starts().into_iter().map(|output| Guess { output, ..Guess::default() }).collect();
+            let mut starts = map.starts();
+            if map == OutputMap::Saturation {
+                starts.push(self.extremes());
+            }
+            return starts.into_iter().map(|output| Guess { output, ..Guess::default() }).collect();
         }
         let lists: Vec<Vec<Vec<f64>>> = part.forces.iter().map(shapes).collect();
         match lists.first() {
@@ -116,6 +121,16 @@ impl<'a> Regression<'a> {
                 })
                 .collect(),
         }
+    }
+
+    /// Where a clipped response would show its limits: its own extremes, less a few spikes of noise.
+    fn extremes(&self) -> Vec<f64> {
+        let scales = self.problem.scales;
+        let mut values: Vec<f64> =
+            self.problem.fit.iter().flat_map(|s| s.measured.iter().map(|y| (y - scales.y_mean) / scales.y)).collect();
+        values.sort_by(f64::total_cmp);
+        let few = values.len() / 500;
+        vec![values[few].abs(), values[values.len() - 1 - few].abs()]
     }
 
     /// Rows that the candidate leaves with every linear parameter of the last part at 0.
@@ -266,7 +281,7 @@ fn shapes(law: &Law) -> Vec<Vec<f64>> {
         Law::Cubic => each(&[0.05, 0.7]),
         Law::BumpStop | Law::OneSided(_) | Law::Clearance => each(&[0.15, 0.4, 0.8, 1.2, 1.7, 2.3]),
         Law::Coulomb => each(&[-3.5, -2.3, -1.2]),
-        Law::BoucWen => each(&[-3.0, -1.8, -0.7, 0.3]),
+        Law::BoucWen => [-3.0, -1.8, -0.7, 0.3].iter().map(|&z| vec![z, 0.3]).collect(),
         Law::StiffnessDrift => each(&[0.0]),
         Law::Valve => each(&[0.05, 0.2, 0.4]),
         Law::Stribeck => {

@@ -1,4 +1,5 @@
-//! Rational common-denominator fit of one response to all drives, order by held-out error.
+//! Rational common-denominator fit of one response to all drives. The order is that of the least
+//! whitened error on fitted and held-out stretches, with a charge for each parameter.
 //!
 //! Steiglitz and McBride's iteration (IEEE Trans. Autom. Control 10, 1965) in the partial-fraction
 //! basis of vector fitting (Gustavsen and Semlyen 1999; in the time domain Grivet-Talocia 2003):
@@ -14,17 +15,18 @@ use super::super::linear::{dot, eigenvalues, least_squares, mean};
 use super::super::modes::Modes;
 use super::super::rows::Rows;
 use super::Core;
+use super::refine::refine;
 use crate::engine::EngineError;
 
 /// Orders that are tried.
 const ORDERS: [usize; 12] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16];
-/// Order of the first fit, which only serves to learn the noise's colour.
-const FIRST_ORDER: usize = 10;
+/// Orders of the first fits, which only serve to learn the noise's colour.
+const FIRST_ORDERS: [usize; 4] = [2, 4, 7, 10];
 /// Relocations of the poles per order.
 const ROUNDS: usize = 8;
-/// A smaller order is taken if its held-out error is within this share of the best: low-level
-/// errors grow with the square of the drive in later runs, so little is given away.
-const PARSIMONY: f64 = 0.004;
+/// Price of a parameter in squared noise floors: more than Akaike's 2, since a spurious mode may
+/// choose among all lines; less than Schwarz's, since what is missed grows with the drive.
+const CHARGE: f64 = 4.0;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
 /// Share of a stretch that its unknown past may colour.
@@ -65,8 +67,17 @@ pub(in super::super) fn fit(
         let needed = (samples * 8 * (drives + 1)).div_ceil(rows.max(1));
         return Err(EngineError::TooShort { what: "baseline runs, for the linear core", needed, found: samples });
     }
-    let first = relocate(&all, FIRST_ORDER.min(affordable), band);
-    let noise = centred.noise(&first);
+    // The first noise is taken from a model that is rather too rich than too poor: what a poor one
+    // leaves at a resonance would pass for noise there and hide that it is poor.
+    let noise = FIRST_ORDERS
+        .par_iter()
+        .filter(|&&order| order <= affordable)
+        .map(|&order| {
+            let linear = refine(&all, relocate(&all, order, band));
+            (all.iter().map(|s| s.error(&linear)).sum::<f64>(), centred.noise(&linear))
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or(white, |first| first.1);
 
     let fitted = centred.part(0.0, 1.0 - HELD_OUT, band, &noise);
     let held_out = centred.part(1.0 - HELD_OUT, 1.0, band, &noise);
@@ -74,13 +85,17 @@ pub(in super::super) fn fit(
         .par_iter()
         .filter(|&&order| order <= affordable)
         .map(|&order| {
-            let linear = relocate(&fitted, order, band);
-            (order, held_out.iter().map(|s| s.error(&linear)).sum::<f64>())
+            let linear = refine(&fitted, relocate(&fitted, order, band));
+            let left: f64 = fitted.iter().chain(&held_out).map(|s| s.error(&linear)).sum();
+            let parameters = (drives * (order + 1) + order) as f64;
+            // A mode that rings for longer than it was watched is noise with a name.
+            let endless = fitted.iter().all(|s| linear.modes.ring_down(0.05) > s.response.len());
+            (order, if endless { f64::INFINITY } else { left + CHARGE * parameters })
         })
         .collect();
-    let best = scores.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
-    let order = scores.iter().find(|s| s.1 <= best * (1.0 + PARSIMONY)).map_or(2, |s| s.0);
-    let linear = relocate(&centred.part(0.0, 1.0, band, &noise), order, band);
+    let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);
+    let all = centred.part(0.0, 1.0, band, &noise);
+    let linear = refine(&all, relocate(&all, order, band));
     let noise = centred.noise(&linear);
     let Linear { modes, input, direct } = linear;
     let core = Core {
@@ -95,10 +110,11 @@ pub(in super::super) fn fit(
 }
 
 /// Poles and the path of each drive, about the working point.
-struct Linear {
-    modes: Modes,
-    input: Vec<Vec<f64>>,
-    direct: Vec<f64>,
+#[derive(Clone)]
+pub(super) struct Linear {
+    pub modes: Modes,
+    pub input: Vec<Vec<f64>>,
+    pub direct: Vec<f64>,
 }
 
 /// Stretches about their common working point.
@@ -141,8 +157,8 @@ impl Centred {
                 let n = response.len() as f64;
                 let lead = (n * SETTLING) as usize;
                 let (from, to) = ((n * from) as usize, (n * to) as usize);
-                let start = from.saturating_sub(lead);
-                let scored = from.max(start + lead);
+                // From the start of the stretch: what rings longest is then as far away as can be.
+                let (start, scored) = (0, from.max(lead));
                 Part {
                     drives: drives.iter().map(|d| &d[start..to]).collect(),
                     response: &response[start..to],
@@ -170,19 +186,20 @@ impl Centred {
     }
 }
 
-struct Part<'a> {
-    drives: Vec<&'a [f64]>,
-    response: &'a [f64],
+/// A share of a stretch, ready to be scored.
+pub(super) struct Part<'a> {
+    pub drives: Vec<&'a [f64]>,
+    pub response: &'a [f64],
     lead: usize,
     rows: Rows,
 }
 
 impl Part<'_> {
-    fn rows_of(&self, signal: &[f64], out: &mut Vec<f64>) {
+    pub fn rows_of(&self, signal: &[f64], out: &mut Vec<f64>) {
         self.rows.extend(&signal[self.lead..], out);
     }
 
-    fn error(&self, linear: &Linear) -> f64 {
+    pub fn error(&self, linear: &Linear) -> f64 {
         let mut rows = Vec::new();
         self.rows_of(&linear.residual(&self.drives, self.response), &mut rows);
         dot(&rows, &rows)
@@ -190,7 +207,7 @@ impl Part<'_> {
 }
 
 impl Linear {
-    fn residual(&self, drives: &[&[f64]], response: &[f64]) -> Vec<f64> {
+    pub fn residual(&self, drives: &[&[f64]], response: &[f64]) -> Vec<f64> {
         let mut left = response.to_vec();
         for (d, drive) in drives.iter().enumerate() {
             let y = self.modes.filter(&self.input[d], drive);

@@ -5,6 +5,7 @@
 
 mod band;
 mod fit;
+mod refine;
 #[cfg(test)]
 mod tests;
 
