@@ -5,7 +5,8 @@ use super::input_map::InputMap;
 use super::kernel::{self, Force};
 use super::law::Law;
 use super::output_map::OutputMap;
-use super::problem::{Problem, Stretch};
+use super::problem::{Course, Plant, Problem, Stretch};
+use serde::{Deserialize, Serialize};
 use super::spline::Spline;
 
 /// Half range, in units of its RMS, of the inner signal of a sandwich.
@@ -14,7 +15,7 @@ const INNER_RANGE: f64 = 4.5;
 const INNER_KNOTS: usize = 9;
 
 /// The signal that a law calls other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Other {
     /// A drive, in units of its peak.
     Drive(usize),
@@ -23,7 +24,7 @@ pub(super) enum Other {
 }
 
 /// One effect at one place.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Part {
     pub effect: Effect,
     /// Drive of an input map or a sandwich.
@@ -36,7 +37,7 @@ pub(super) struct Part {
 }
 
 /// Effects on one response, with or without a retune of its linear part.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Candidate {
     pub parts: Vec<Part>,
     /// Feedback of the response and new paths of all drives, with all zeros and poles free.
@@ -89,9 +90,9 @@ impl Part {
     }
 }
 
-impl Problem {
+impl Plant {
     /// The signal that a law calls other on one stretch, or nothing.
-    pub(super) fn other(&self, stretch: &Stretch, other: Option<Other>) -> Vec<f64> {
+    pub(super) fn other(&self, stretch: &Course, other: Option<Other>) -> Vec<f64> {
         match other {
             None => Vec::new(),
             Some(Other::Drive(d)) => {
@@ -107,14 +108,14 @@ impl Problem {
 
 impl Candidate {
     /// Number of parameters.
-    pub fn parameters(&self, problem: &Problem) -> usize {
+    pub fn parameters(&self, problem: &Plant) -> usize {
         let order = problem.core.modes.order();
         let own: usize = self.parts.iter().map(|p| p.parameters(order)).sum();
         own + self.retuned(problem)
     }
 
     /// Parameters of the retune: feedback, then per drive its path and its direct part.
-    pub fn retuned(&self, problem: &Problem) -> usize {
+    pub fn retuned(&self, problem: &Plant) -> usize {
         let order = problem.core.modes.order();
         if self.retune { order + problem.drive_peak.len() * (order + 1) } else { 0 }
     }
@@ -125,7 +126,7 @@ impl Candidate {
     /// Parameters: per part those of the input map, per force its shape and its path `E`, the
     /// sandwich's (first path, direct part, knot values, second path), those of the output map;
     /// then the retune's.
-    pub fn predict(&self, problem: &Problem, stretch: &Stretch, p: &[f64]) -> Option<Vec<f64>> {
+    pub fn predict(&self, problem: &Plant, stretch: &Course, p: &[f64]) -> Option<Vec<f64>> {
         let core = &problem.core;
         let (modes, order) = (&core.modes, core.modes.order());
         let mut ext: Option<Vec<f64>> = None;
@@ -220,8 +221,8 @@ impl Candidate {
 
 /// First linear part of a sandwich: the drive, in units of its peak, through its path.
 pub(super) fn inner_signal(
-    problem: &Problem,
-    stretch: &Stretch,
+    problem: &Plant,
+    stretch: &Course,
     drive: usize,
     path: &[f64],
     direct: f64,

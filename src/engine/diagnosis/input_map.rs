@@ -1,9 +1,11 @@
 //! What an actuator may do to a drive before the core sees it.
 
+use serde::{Deserialize, Serialize};
+
 use super::spline::Spline;
 
 /// A map `w = in(u)` of one drive; drives come in units of their peak, time in samples.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum InputMap {
     /// `(1 + g) u`; `g`
     Gain,

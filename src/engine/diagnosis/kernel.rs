@@ -4,6 +4,8 @@
 //! does not depend on the response. Midpoint rule with two passes: the first predicts the next
 //! sample, the second evaluates midway to it (one explicit pass diverges for quadratic damping).
 
+use serde::{Deserialize, Serialize};
+
 use super::law::{Instant, Law, Memory};
 use super::modes::Modes;
 
@@ -21,7 +23,7 @@ pub(super) struct Force<'a> {
 }
 
 /// Units of a law's arguments on one channel.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Scales {
     /// Working point of the response.
     pub y_mean: f64,

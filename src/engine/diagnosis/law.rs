@@ -3,6 +3,8 @@
 //! Arguments come in units of the channel's own level (root mean square of the response and of its
 //! velocity, peak of the drive), so that shapes mean the same on every rig.
 
+use serde::{Deserialize, Serialize};
+
 use super::spline::Spline;
 
 /// What a law sees, midway between two samples.
@@ -28,7 +30,7 @@ pub(super) type Memory = [f64; 6];
 const STOPS: [f64; 6] = [0.03, 0.1, 0.3, 0.7, 1.3, 2.2];
 
 /// A law `phi`; its shape numbers are handed in with every call.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Law {
     /// `y`
     Linear,

@@ -6,6 +6,7 @@
 //! everything is linear in it.
 
 use realfft::num_complex::Complex64;
+use serde::{Deserialize, Serialize};
 
 use super::linear::eigenvalues;
 
@@ -13,12 +14,39 @@ use super::linear::eigenvalues;
 const LARGEST: f64 = 1.0 - 1e-6;
 
 /// One real pole or one conjugate pair (its member with the positive imaginary part).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Parts", into = "Parts")]
 pub enum Pole {
     /// One state.
     Real(f64),
     /// Two states.
     Pair(Complex64),
+}
+
+/// A pole as it is stored.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Parts {
+    Real(f64),
+    Pair([f64; 2]),
+}
+
+impl From<Parts> for Pole {
+    fn from(parts: Parts) -> Self {
+        match parts {
+            Parts::Real(p) => Self::Real(p),
+            Parts::Pair([re, im]) => Self::Pair(Complex64::new(re, im)),
+        }
+    }
+}
+
+impl From<Pole> for Parts {
+    fn from(pole: Pole) -> Self {
+        match pole {
+            Pole::Real(p) => Self::Real(p),
+            Pole::Pair(p) => Self::Pair([p.re, p.im]),
+        }
+    }
 }
 
 impl Pole {
@@ -32,7 +60,7 @@ impl Pole {
 }
 
 /// Poles of one linear system, each inside the unit circle.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Modes {
     poles: Vec<Pole>,
 }

@@ -1,7 +1,9 @@
 //! What a sensor may do to a response after the rig has made it.
 
+use serde::{Deserialize, Serialize};
+
 /// A map of one response; the response comes about its working point in units of its RMS.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum OutputMap {
     /// `y + b`; `b`
     Offset,

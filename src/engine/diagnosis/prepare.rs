@@ -9,7 +9,7 @@ use super::input::{Input, Role};
 use super::kernel::{Clock, Scales};
 use super::linear::{mean, rms};
 use super::noise::{self, Noise, Pair};
-use super::problem::{Problem, Stretch};
+use super::problem::{Course, Plant, Problem, Stretch};
 use super::rows::Rows;
 use super::split::{Piece, Split, split};
 use crate::engine::EngineError;
@@ -158,15 +158,17 @@ fn problem(
             from: start,
             group: piece.group,
             measured: run.response.channel(response)[start..piece.to].to_vec(),
-            simulated: Arc::new(simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect()),
-            core: core.simulate(&drives),
             lead,
-            clock: Clock {
-                start: (run.started_s - begin + start as f64 / rate) / span,
-                step: 1.0 / (rate * span),
-            },
             rows: Rows::new(scored, band, &noise.ar),
-            drives: Arc::new(drives),
+            course: Course {
+                simulated: Arc::new(simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect()),
+                core: core.simulate(&drives),
+                clock: Clock {
+                    start: (run.started_s - begin + start as f64 / rate) / span,
+                    step: 1.0 / (rate * span),
+                },
+                drives: Arc::new(drives),
+            },
         };
         match piece.role {
             Role::Fit => sets[0].push(stretch),
@@ -216,12 +218,14 @@ fn problem(
         other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
     }
     Ok(Problem {
-        response,
-        core: core.clone(),
-        scales: Scales { y_mean, y, dy },
-        other_scale,
-        other_mean,
-        drive_peak,
+        plant: Plant {
+            response,
+            core: core.clone(),
+            scales: Scales { y_mean, y, dy },
+            other_scale,
+            other_mean,
+            drive_peak,
+        },
         drive_quantiles,
         drive_slope,
         band_end: band[1],

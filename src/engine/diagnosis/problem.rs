@@ -1,13 +1,27 @@
 //! One response of one rig, prepared: what every candidate on it is fitted to and scored on.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use realfft::RealFftPlanner;
+use serde::{Deserialize, Serialize};
 
 use super::core::Core;
 use super::kernel::{Clock, Scales};
 use super::linear::dot;
 use super::rows::Rows;
+
+/// What a free run needs of a stretch of time.
+pub(super) struct Course {
+    /// `[drive][sample]`, as commanded.
+    pub drives: Arc<Vec<Vec<f64>>>,
+    /// What the sim says of each response, `[response][sample]`.
+    pub simulated: Arc<Vec<Vec<f64>>>,
+    /// Free run of the core.
+    pub core: Vec<f64>,
+    /// Time of the run in units of the programme.
+    pub clock: Clock,
+}
 
 /// A stretch of a run that is simulated from its start and scored after its lead-in.
 pub(super) struct Stretch {
@@ -17,24 +31,27 @@ pub(super) struct Stretch {
     pub from: usize,
     /// Index of the stretch among those that share its drives; repeats have equal ones.
     pub group: usize,
-    /// `[drive][sample]`, as commanded.
-    pub drives: Arc<Vec<Vec<f64>>>,
-    /// What the sim says of each response, `[response][sample]`.
-    pub simulated: Arc<Vec<Vec<f64>>>,
+    /// Drives and sim.
+    pub course: Course,
     /// The response as measured.
     pub measured: Vec<f64>,
-    /// Free run of the core.
-    pub core: Vec<f64>,
     /// Samples that are simulated and not scored.
     pub lead: usize,
-    /// Time of the run in units of the programme.
-    pub clock: Clock,
     /// Its rows.
     pub rows: Rows,
 }
 
-/// One response with its core and its stretches.
-pub(super) struct Problem {
+impl Deref for Stretch {
+    type Target = Course;
+
+    fn deref(&self) -> &Course {
+        &self.course
+    }
+}
+
+/// What a free run needs of one response.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Plant {
     /// Index of the response.
     pub response: usize,
     /// Its linear core.
@@ -47,6 +64,11 @@ pub(super) struct Problem {
     pub other_mean: Vec<f64>,
     /// Largest magnitude of each drive in the fit stretches.
     pub drive_peak: Vec<f64>,
+}
+
+/// One response with its core and its stretches.
+pub(super) struct Problem {
+    pub plant: Plant,
     /// Quantiles of `|u|` of each drive at 30, 60, 80 and 95 %, in units of the peak.
     pub drive_quantiles: Vec<[f64; 4]>,
     /// Mean change of each drive per sample, in units of the peak.
@@ -59,6 +81,14 @@ pub(super) struct Problem {
     pub select: Vec<Stretch>,
     /// Stretches that neither fitted nor chose.
     pub test: Vec<Stretch>,
+}
+
+impl Deref for Problem {
+    type Target = Plant;
+
+    fn deref(&self) -> &Plant {
+        &self.plant
+    }
 }
 
 impl Stretch {

@@ -1,8 +1,10 @@
 //! A free one-variable function: values at even knots, cubic between them (Catmull and Rom), and
 //! straight on beyond the ends so that no extrapolation explodes.
 
+use serde::{Deserialize, Serialize};
+
 /// Even knots over a range.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spline {
     low: f64,
     step: f64,

@@ -3,6 +3,8 @@
 //! `y - y_mean = sum_d H_d(z) (u_d - u_d_mean)` with one set of poles for all drives, in the block
 //! form of [`Modes`]: `x+ = A x + sum_d B_d u_d`, `y = C x + sum_d D_d u_d`.
 
+use serde::{Deserialize, Serialize};
+
 mod band;
 mod fit;
 mod refine;
@@ -15,7 +17,7 @@ pub(super) use band::drive_band;
 pub(super) use fit::{CoreFit, Stretch, fit};
 
 /// A stable linear model of one response.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Core {
     /// Sample rate of drives and response.
     pub sample_rate_hz: f64,
