@@ -195,8 +195,7 @@ impl Rig {
                 (0..drive.len())
                     .map(|k| {
                         let at = (k as f64 - shift).max(0.0);
-                        let i = at as usize;
-                        drive[i] + at.fract() * (drive[(i + 1).min(drive.len() - 1)] - drive[i])
+                        windowed_sinc(drive, at)
                     })
                     .collect()
             }
@@ -344,6 +343,20 @@ impl State {
     fn moved(&self, by: &State, h: f64) -> State {
         State(std::array::from_fn(|i| self.0[i] + h * by.0[i]))
     }
+}
+
+/// Band-limited value between samples.
+fn windowed_sinc(x: &[f64], at: f64) -> f64 {
+    let centre = at.floor() as isize;
+    let mut sum = 0.0;
+    for k in -15..=16 {
+        let i = centre + k;
+        let d = at - i as f64;
+        let sinc = if d.abs() < 1e-12 { 1.0 } else { (std::f64::consts::PI * d).sin() / (std::f64::consts::PI * d) };
+        let window = (0.5 * std::f64::consts::PI * d / 17.0).cos().powi(2);
+        sum += sinc * window * x[i.clamp(0, x.len() as isize - 1) as usize];
+    }
+    sum
 }
 
 /// Root mean square.

@@ -54,7 +54,7 @@ impl Ar {
         for order in 1..=max_order {
             let reflection =
                 -(r[order] + a.iter().enumerate().map(|(i, a)| a * r[order - 1 - i]).sum::<f64>()) / variance;
-            if !(reflection.abs() < 1.0) {
+            if reflection.is_nan() || reflection.abs() >= 1.0 {
                 break;
             }
             let previous = a.clone();
@@ -98,7 +98,12 @@ mod tests {
         let ar = Ar::fit(&[&x[1000..]], 12);
         let truth = Ar { coefficients: vec![-1.5, 0.8], variance: 0.25 };
         for f in [0.0, 0.05, 0.1, 0.2, 0.45] {
-            assert!((ar.power(f) / truth.power(f)).ln().abs() < 0.15, "{f}: {} {}", ar.power(f), truth.power(f));
+            assert!(
+                (ar.power(f) / truth.power(f)).ln().abs() < 0.15,
+                "{f}: {} {}",
+                ar.power(f),
+                truth.power(f)
+            );
         }
     }
 

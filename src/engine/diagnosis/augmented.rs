@@ -40,7 +40,12 @@ impl Augmented {
         }
         if simulated.n_samples() != drive.n_samples() {
             let (expected, found) = (drive.n_samples(), simulated.n_samples());
-            return Err(EngineError::UnequalLength { what: "simulated response", channel: 0, expected, found });
+            return Err(EngineError::UnequalLength {
+                what: "simulated response",
+                channel: 0,
+                expected,
+                found,
+            });
         }
         let predicted = self.run(drive.channels().to_vec(), simulated.channels().to_vec()).ok_or(
             EngineError::NonFiniteResult { what: "augmented response", channel: self.response, sample: 0 },
@@ -76,9 +81,8 @@ impl Augmented {
         let linear = core.simulate(&scaled);
         let simulated = vec![linear.clone(); self.plant.other_scale.len()];
         let Some(y) = self.run(scaled, simulated) else { return false };
-        let about = |y: &[f64]| {
-            super::linear::rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>())
-        };
+        let about =
+            |y: &[f64]| super::linear::rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>());
         let (all, reference) = (about(&y), about(&linear));
         let end = &y[y.len() - 100..];
         let swing = end.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y))

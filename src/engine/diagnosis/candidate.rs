@@ -6,8 +6,8 @@ use super::kernel::{self, Force};
 use super::law::Law;
 use super::output_map::OutputMap;
 use super::problem::{Course, Plant, Problem, Stretch};
-use serde::{Deserialize, Serialize};
 use super::spline::Spline;
+use serde::{Deserialize, Serialize};
 
 /// Half range, in units of its RMS, of the inner signal of a sandwich.
 const INNER_RANGE: f64 = 4.5;
@@ -43,6 +43,9 @@ pub(super) struct Candidate {
     /// Feedback of the response and new paths of all drives, with all zeros and poles free.
     pub retune: bool,
 }
+
+/// A law that needs the response, its shape, its path and the signal that it calls other.
+type Loop<'a> = (&'a Law, &'a [f64], &'a [f64], Vec<f64>);
 
 /// The free function between the two linear parts of a sandwich.
 pub(super) fn inner_spline() -> Spline {
@@ -80,6 +83,15 @@ impl Part {
         Self::bare(Effect::LinearChange)
     }
 
+    /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
+    pub fn shapes(&self) -> usize {
+        let laws: usize = self.forces.iter().map(Law::shapes).sum();
+        self.input.as_ref().map_or(0, InputMap::parameters)
+            + laws
+            + self.forces.len().saturating_sub(1)
+            + self.output.map_or(0, OutputMap::parameters)
+    }
+
     pub(super) fn parameters(&self, order: usize) -> usize {
         let forces: usize = self.forces.iter().map(|law| law.shapes() + order).sum();
         let sandwich = if self.sandwich { 2 * order + 1 + INNER_KNOTS } else { 0 };
@@ -95,13 +107,10 @@ impl Plant {
     pub(super) fn other(&self, stretch: &Course, other: Option<Other>) -> Vec<f64> {
         match other {
             None => Vec::new(),
-            Some(Other::Drive(d)) => {
-                stretch.drives[d].iter().map(|u| u / self.drive_peak[d]).collect()
+            Some(Other::Drive(d)) => stretch.drives[d].iter().map(|u| u / self.drive_peak[d]).collect(),
+            Some(Other::Response(r)) => {
+                stretch.simulated[r].iter().map(|y| (y - self.other_mean[r]) / self.other_scale[r]).collect()
             }
-            Some(Other::Response(r)) => stretch.simulated[r]
-                .iter()
-                .map(|y| (y - self.other_mean[r]) / self.other_scale[r])
-                .collect(),
         }
     }
 }
@@ -134,7 +143,7 @@ impl Candidate {
             let ext = ext.get_or_insert_with(|| stretch.core.clone());
             ext.iter_mut().zip(y).for_each(|(e, y)| *e += y);
         };
-        let mut closed: Vec<(&Law, &[f64], &[f64], Vec<f64>)> = Vec::new();
+        let mut closed: Vec<Loop<'_>> = Vec::new();
         let mut outputs: Vec<(OutputMap, &[f64])> = Vec::new();
         let mut rest = p;
         let mut take = |n: usize| {
@@ -187,10 +196,8 @@ impl Candidate {
         let mut out: Vec<f64> = if closed.is_empty() {
             simulated.iter().zip(ext.iter().zip(&stretch.core)).map(|(s, (e, c))| s + e - c).collect()
         } else {
-            let forces: Vec<Force<'_>> = closed
-                .iter()
-                .map(|(law, shape, path, other)| Force { law, shape, path, other })
-                .collect();
+            let forces: Vec<Force<'_>> =
+                closed.iter().map(|(law, shape, path, other)| Force { law, shape, path, other }).collect();
             let y = kernel::run(modes, &forces, ext, problem.scales, stretch.clock)?;
             simulated.iter().zip(y.iter().zip(&stretch.core)).map(|(s, (y, c))| s + y - c).collect()
         };

@@ -36,14 +36,11 @@ pub(super) fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: 
             Effect::CubicStiffness => force(vec![Law::Cubic]),
             Effect::QuadraticStiffness => force(vec![Law::Quadratic]),
             Effect::BumpStop => force(vec![Law::BumpStop]),
-            Effect::OneSidedStop => [1.0, -1.0]
-                .iter()
-                .map(|&side| Part::force(effect, vec![Law::OneSided(side)], None))
-                .collect(),
-            Effect::Clearance => force(vec![Law::Clearance]),
-            Effect::FreeStiffness => {
-                force(vec![Law::FreeStiffness(Spline::new(-free.y, free.y, KNOTS))])
+            Effect::OneSidedStop => {
+                [1.0, -1.0].iter().map(|&side| Part::force(effect, vec![Law::OneSided(side)], None)).collect()
             }
+            Effect::Clearance => force(vec![Law::Clearance]),
+            Effect::FreeStiffness => force(vec![Law::FreeStiffness(Spline::new(-free.y, free.y, KNOTS))]),
             Effect::CoulombFriction => force(vec![Law::Coulomb]),
             Effect::StribeckFriction => force(vec![Law::Stribeck]),
             Effect::BoucWenHysteresis => force(vec![Law::BoucWen]),
@@ -56,10 +53,9 @@ pub(super) fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: 
             Effect::FreeDriveMap => drive(&|| InputMap::Free(Spline::new(-1.0, 1.0, KNOTS))),
             Effect::DeadZone => drive(&|| InputMap::DeadZone),
             Effect::Backlash => drive(&|| InputMap::Backlash),
-            Effect::ValveFlow => live
-                .iter()
-                .map(|&d| Part::force(effect, vec![Law::Valve], Some(Other::Drive(d))))
-                .collect(),
+            Effect::ValveFlow => {
+                live.iter().map(|&d| Part::force(effect, vec![Law::Valve], Some(Other::Drive(d)))).collect()
+            }
             Effect::CrossAxisLinear => live
                 .iter()
                 .filter(|&&d| Some(d) != own)

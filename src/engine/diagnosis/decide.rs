@@ -5,10 +5,15 @@ use super::score::{Scored, may_be_equal};
 
 /// Numbers of the decision, calibrated on blind rigs of seeds of their own.
 struct Calibration {
-    /// Smallest remaining share that is told apart.
+    /// Smallest remaining share that is told apart,
     floor: f64,
+    /// and smallest difference of chi2: what the core's own uncertainty leaves at full level.
+    core: f64,
     /// Charge of each tier on the logarithm of the remaining share.
     charge: [f64; 4],
+    /// Charge of each shape number beyond the first, so that a law that contains another does not
+    /// win by a hair.
+    shape: f64,
     /// Sharpness of the probabilities over charged logarithms.
     sharpness: f64,
     /// Logistic of "the catalogue holds it" over the logarithm of the best remaining share:
@@ -17,8 +22,10 @@ struct Calibration {
 }
 
 const CALIBRATION: Calibration = Calibration {
-    floor: 0.003,
-    charge: [0.0, 0.25, 0.35, 0.9],
+    floor: 0.0003,
+    core: 0.08,
+    charge: [0.0, 0.5, 0.6, 1.2],
+    shape: 0.25,
     sharpness: 3.0,
     held: [0.10, 1.6],
 };
@@ -65,18 +72,21 @@ fn spread(chi2_none: f64, rows: f64) -> f64 {
 /// Ranks candidates of one response, the most believable first.
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
-    let floor = c.floor + 1.5 * spread(chi2_none, rows);
-    let charge = |effect: Effect| match effect.tier() {
+    let floor = c.floor + c.core / (chi2_none - 1.0).max(0.1) + 1.5 * spread(chi2_none, rows);
+    let charge = |scored: &Scored| match scored.effect().tier() {
         Tier::Scalar => c.charge[0],
         Tier::Linear => c.charge[1],
-        Tier::Law => c.charge[2],
+        Tier::Law => {
+            let shapes = scored.fitted.candidate.parts[0].shapes();
+            c.charge[2] + c.shape * shapes.saturating_sub(1) as f64
+        }
         Tier::Free => c.charge[3],
     };
     let mut ranked: Vec<Ranked> = scored
         .into_iter()
         .filter(|s| s.remaining.is_finite())
         .map(|scored| {
-            let charged = (scored.remaining + floor).ln() + charge(scored.effect());
+            let charged = (scored.remaining + floor).ln() + charge(&scored);
             Ranked { scored, probability: 0.0, charged }
         })
         .collect();
@@ -112,13 +122,9 @@ pub(super) fn rule(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (
     if left > ABSTAIN {
         return (Ruling::NoneOfCatalogue, 1.0 - held, set);
     }
-    let of_effect: f64 =
-        ranked.iter().filter(|r| r.scored.effect() == set[0]).map(|r| r.probability).sum();
-    let of_family: f64 = ranked
-        .iter()
-        .filter(|r| r.scored.effect().family() == set[0].family())
-        .map(|r| r.probability)
-        .sum();
+    let of_effect: f64 = ranked.iter().filter(|r| r.scored.effect() == set[0]).map(|r| r.probability).sum();
+    let of_family: f64 =
+        ranked.iter().filter(|r| r.scored.effect().family() == set[0].family()).map(|r| r.probability).sum();
     if of_effect >= SURE * held {
         (if left > PARTIAL { Ruling::Partial } else { Ruling::Identified }, of_effect, set)
     } else if of_family >= 0.8 * held {

@@ -16,6 +16,7 @@ use super::input::{Input, Mode, Role};
 use super::linear::rms;
 use super::locate::{self, Power};
 use super::next;
+use super::noise::COHERENT;
 use super::parameters;
 use super::prepare::{Prepared, prepare};
 use super::problem::{Problem, Stretch};
@@ -25,8 +26,8 @@ use super::report::{
 };
 use super::score::{Scored, blocks, closure_interval, remaining, score};
 use super::start::Regression;
-use crate::engine::progress::{Watch, report};
 use crate::engine::EngineError;
+use crate::engine::progress::{Watch, report};
 
 /// Below this many noise floors squared there is nothing that a drive causes.
 const NOISE_ONLY: f64 = 1.3;
@@ -60,8 +61,8 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     let prepared = prepare(input)?;
     let overview = Overview::new(input, &prepared);
     report(watch, "where", 0.1)?;
-    let mut answer = Answer::new(input, &prepared, &overview);
-    if let Some(verdict) = overview.without_candidates(input, &prepared) {
+    let mut answer = Answer::new(&prepared, &overview);
+    if let Some(verdict) = overview.without_candidates(input) {
         answer.verdict = verdict;
         return answer.finish(input, &prepared, &overview, watch);
     }
@@ -99,7 +100,13 @@ impl Overview {
         let power: Vec<Power> = problems
             .iter()
             .zip(&prepared.noises)
-            .map(|(p, noise)| locate::power(p, &p.select, &gaps(p, &p.select), noise, prepared.band))
+            .map(|(p, noise)| {
+                let power = locate::power(p, &p.select, &gaps(p, &p.select), noise, prepared.band);
+                // A rig that changed between its repeats: their product misses what the change did.
+                let changed = noise.drive_coherence > COHERENT;
+                let systematic = power.rms_error * power.rms_error - power.noise;
+                if changed { Power { systematic: power.systematic.max(systematic), ..power } } else { power }
+            })
             .collect();
         let mut this = Self {
             chi2_select,
@@ -112,24 +119,19 @@ impl Overview {
         };
         for (r, problem) in problems.iter().enumerate() {
             let errors = gaps(problem, &problem.fit);
-            let scored: Vec<&[f64]> =
-                errors.iter().zip(&problem.fit).map(|(e, s)| &e[s.lead..]).collect();
+            let scored: Vec<&[f64]> = errors.iter().zip(&problem.fit).map(|(e, s)| &e[s.lead..]).collect();
             let level = rms(&scored.concat());
             if let Some(line) = disturbance::line(&scored, rate) {
                 this.line = this.line.or(Some((r, line)));
             }
-            if let Some(ratio) = disturbance::raised(&prepared.noises[r].ar, &prepared.baseline_noise[r]) {
-                if prepared.from_repeats {
-                    this.raised = this.raised.or(Some((r, ratio)));
-                }
+            let raised = disturbance::raised(&prepared.noises[r].ar, &prepared.baseline_noise[r]);
+            if let Some(ratio) = raised.filter(|_| prepared.from_repeats) {
+                this.raised = this.raised.or(Some((r, ratio)));
             }
             let measured: Vec<f64> = problem.fit.iter().flat_map(|s| s.measured.iter().copied()).collect();
             // The error of rounding has an RMS of q / sqrt 12; it must be most of what is left.
-            if let Some(q) = disturbance::quantum(&measured) {
-                if q / 12.0_f64.sqrt() > 0.6 * level {
-                    this.quantised = this.quantised.or(Some((r, q)));
-                }
-            }
+            let quantum = disturbance::quantum(&measured).filter(|q| q / 12.0_f64.sqrt() > 0.6 * level);
+            this.quantised = this.quantised.or(quantum.map(|q| (r, q)));
             if this.chi2_select[r] >= NOISE_ONLY && this.systematic(r) >= input.material_gap {
                 this.material.push(r);
             }
@@ -153,7 +155,7 @@ impl Overview {
     }
 
     /// The verdict where no candidate is needed.
-    fn without_candidates(&self, input: &Input, prepared: &Prepared) -> Option<Verdict> {
+    fn without_candidates(&self, input: &Input) -> Option<Verdict> {
         let named = |kind, effect: Option<Effect>, r: usize, because: String| Verdict {
             kind,
             effect,
@@ -182,7 +184,8 @@ impl Overview {
             return Some(named(noise, Some(Effect::PeriodicDisturbance), r, because));
         }
         if let Some((r, ratio)) = self.raised.filter(|_| may(Effect::RaisedNoise)) {
-            let because = format!("noise of {ratio:.1} times the baseline's power, none of it from the drives");
+            let because =
+                format!("noise of {ratio:.1} times the baseline's power, none of it from the drives");
             return Some(named(noise, Some(Effect::RaisedNoise), r, because));
         }
         let r = self.worst();
@@ -191,12 +194,7 @@ impl Overview {
             100.0 * self.systematic(r),
             self.chi2_select[r]
         );
-        let _ = prepared;
-        Some(Verdict {
-            axis: None,
-            channel: None,
-            ..named(VerdictKind::NoMaterialGap, None, r, because)
-        })
+        Some(Verdict { axis: None, channel: None, ..named(VerdictKind::NoMaterialGap, None, r, because) })
     }
 }
 
@@ -257,7 +255,7 @@ struct Answer {
 }
 
 impl Answer {
-    fn new(_input: &Input, prepared: &Prepared, overview: &Overview) -> Self {
+    fn new(prepared: &Prepared, overview: &Overview) -> Self {
         let r = overview.worst();
         let gap = Gap {
             systematic_rms_rel: overview.systematic(r),
@@ -292,11 +290,13 @@ impl Answer {
     ) {
         // Where the best candidate closes most, in noise floors: elsewhere the effect is an echo.
         let closes = |(r, ranked): &(usize, Vec<Ranked>)| {
-            ranked.first().map_or(0.0, |b| {
-                (1.0 - b.scored.remaining).max(0.0) * overview.chi2_select[*r].ln().max(0.0)
-            })
+            ranked
+                .first()
+                .map_or(0.0, |b| (1.0 - b.scored.remaining).max(0.0) * overview.chi2_select[*r].ln().max(0.0))
         };
-        let Some((r, ranked)) = all.into_iter().max_by(|a, b| closes(a).total_cmp(&closes(b))) else { return };
+        let Some((r, ranked)) = all.into_iter().max_by(|a, b| closes(a).total_cmp(&closes(b))) else {
+            return;
+        };
         let rows = scored_rows(&prepared.problems[r].select);
         let (ruling, probability, set) = rule(&ranked, overview.chi2_select[r], rows, input.seed);
         let best = ranked.first();
@@ -361,10 +361,8 @@ impl Answer {
         let (r, ranked) = self.ranked.unwrap_or((worst, Vec::new()));
         let problem = &prepared.problems[r];
         let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();
-        let made: Vec<(Hypothesis, Augmented)> = listed
-            .par_iter()
-            .filter_map(|ranked| hypothesis(input, prepared, problem, ranked))
-            .collect();
+        let made: Vec<(Hypothesis, Augmented)> =
+            listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, problem, ranked)).collect();
         let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
         report(watch, "second effect", 0.88)?;
         let second = listed
@@ -474,8 +472,7 @@ fn held_out(input: &Input, prepared: &Prepared, problem: &Problem, fitted: &Fitt
     let above = |rms: f64| (rms * rms - floor).max(0.0);
     let (rms_before, rms_after) = (of_before.rms_error, of_after.rms_error);
     let gap = above(rms_before);
-    let mut runs: Vec<String> =
-        problem.test.iter().map(|s| input.runs[s.run].name.clone()).collect();
+    let mut runs: Vec<String> = problem.test.iter().map(|s| input.runs[s.run].name.clone()).collect();
     runs.dedup();
     Some(HeldOut {
         runs,

@@ -48,7 +48,7 @@ pub(super) fn line(residuals: &[&[f64]], rate_hz: f64) -> Option<Line> {
     let share = near / total.max(f64::MIN_POSITIVE);
     // A resonance is many lines wide; a line is as wide as its window.
     let wide: f64 = power[peak.saturating_sub(12)..(peak + 13).min(power.len())].iter().sum();
-    let narrow = near > 0.8 * wide;
+    let narrow = near > 0.9 * wide;
     (narrow && power[peak] > LINE * floor && share > LINE_SHARE)
         .then(|| Line { frequency_hz: peak as f64 * rate_hz / n as f64, share })
 }
@@ -93,12 +93,15 @@ mod tests {
     #[test]
     fn hum_is_found_at_its_frequency_and_noise_has_none() {
         let clean = noise(5000, 1);
-        let hum: Vec<f64> =
-            clean.iter().enumerate().map(|(k, x)| x + (std::f64::consts::TAU * 50.0 / 512.0 * k as f64).sin()).collect();
+        let hum: Vec<f64> = clean
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x + (std::f64::consts::TAU * 50.0 / 512.0 * k as f64).sin())
+            .collect();
         assert!((line(&[&hum], 512.0).unwrap().frequency_hz - 50.0).abs() < 0.15);
         assert!(line(&[&clean], 512.0).is_none());
         // A resonance is no line.
-        let modes = crate::engine::diagnosis::Modes::of_values(&[
+        let modes = super::super::modes::Modes::of_values(&[
             realfft::num_complex::Complex64::from_polar(0.995, 0.2),
             realfft::num_complex::Complex64::from_polar(0.995, -0.2),
         ]);

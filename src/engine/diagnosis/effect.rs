@@ -138,9 +138,10 @@ impl Effect {
             | Self::OneSidedStop
             | Self::Clearance
             | Self::FreeStiffness => Family::Stiffness,
-            Self::CoulombFriction | Self::StribeckFriction | Self::BoucWenHysteresis | Self::FreeHysteresis => {
-                Family::FrictionHysteresis
-            }
+            Self::CoulombFriction
+            | Self::StribeckFriction
+            | Self::BoucWenHysteresis
+            | Self::FreeHysteresis => Family::FrictionHysteresis,
             Self::QuadraticDamping | Self::FreeDamping => Family::Damping,
             Self::DriveSaturation
             | Self::DrivePolynomial
@@ -162,13 +163,18 @@ impl Effect {
 
     pub(super) fn tier(self) -> Tier {
         match self {
-            Self::Gain | Self::Delay | Self::ExtraPole | Self::OffsetDrift | Self::Offset | Self::SensorGain => {
-                Tier::Scalar
-            }
+            Self::Gain
+            | Self::Delay
+            | Self::ExtraPole
+            | Self::OffsetDrift
+            | Self::Offset
+            | Self::SensorGain => Tier::Scalar,
             Self::LinearChange | Self::CrossAxisLinear => Tier::Linear,
-            Self::FreeStiffness | Self::FreeHysteresis | Self::FreeDamping | Self::FreeDriveMap | Self::Sandwich => {
-                Tier::Free
-            }
+            Self::FreeStiffness
+            | Self::FreeHysteresis
+            | Self::FreeDamping
+            | Self::FreeDriveMap
+            | Self::Sandwich => Tier::Free,
             _ => Tier::Law,
         }
     }

@@ -1,6 +1,6 @@
 //! Traits of the gap that explain a verdict and decide nothing.
 
-use super::kernel::{along, Clock};
+use super::kernel::{Clock, along};
 use super::law::Law;
 use super::linear::{dot, least_squares, rms};
 use super::problem::{Problem, smooth};

@@ -44,8 +44,12 @@ pub(super) fn fit(
         let Some(found) = minimise(residual, &p, &start.scale, limits) else { continue };
         let chi2_fit = found.cost / rows;
         if best.as_ref().is_none_or(|b| chi2_fit < b.chi2_fit) {
-            best =
-                Some(Fitted { candidate: candidate.clone(), p: found.p, scale: start.scale.clone(), chi2_fit });
+            best = Some(Fitted {
+                candidate: candidate.clone(),
+                p: found.p,
+                scale: start.scale.clone(),
+                chi2_fit,
+            });
         }
         // Nothing left: another start cannot be better.
         if best.as_ref().is_some_and(|b| b.chi2_fit < 1.1) {

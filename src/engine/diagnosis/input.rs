@@ -118,10 +118,10 @@ impl Input {
                 _ => return setting("repeats", run.to_string(), "each names runs of this diagnosis, once"),
             }
         }
-        if let Some(limits) = &self.drive_limit {
-            if limits.len() != self.drives.len() || limits.iter().any(|l| !(l.is_finite() && *l > 0.0)) {
-                return setting("envelope.drive_peak", format!("{limits:?}"), "a positive number a drive");
-            }
+        if let Some(limits) = &self.drive_limit
+            && (limits.len() != self.drives.len() || limits.iter().any(|l| !(l.is_finite() && *l > 0.0)))
+        {
+            return setting("envelope.drive_peak", format!("{limits:?}"), "a positive number a drive");
         }
         Ok(())
     }

@@ -154,7 +154,9 @@ mod tests {
         };
         assert!(mapped(InputMap::Saturation, &[0.5, 0.8]).iter().all(|w| (-0.5..=0.8).contains(w)));
         assert!(
-            mapped(InputMap::RateLimit, &[0.1_f64.ln()]).windows(2).all(|w| (w[1] - w[0]).abs() < 0.1 + 1e-12)
+            mapped(InputMap::RateLimit, &[0.1_f64.ln()])
+                .windows(2)
+                .all(|w| (w[1] - w[0]).abs() < 0.1 + 1e-12)
         );
         assert!(mapped(InputMap::Backlash, &[0.2]).iter().zip(&x).all(|(w, u)| (w - u).abs() <= 0.2 + 1e-12));
         assert!(mapped(InputMap::DeadZone, &[0.2]).iter().all(|w| w.abs() <= 0.8));

@@ -42,13 +42,6 @@ pub(super) struct Clock {
     pub step: f64,
 }
 
-/// Midpoint values of a signal, the last one held.
-pub(super) fn midpoints(signal: &[f64]) -> Vec<f64> {
-    let mut out: Vec<f64> = signal.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect();
-    out.extend(signal.last());
-    out
-}
-
 /// Free run of the forces on top of `ext`; `None` if it runs away.
 pub(super) fn run(
     modes: &Modes,
@@ -68,7 +61,7 @@ pub(super) fn run(
     let mut before = ext.first()? - scales.y_mean;
     for (k, e) in ext.iter().enumerate() {
         let y = e - scales.y_mean + modes.read(&x);
-        if !(y.abs() < limit) {
+        if y.is_nan() || y.abs() >= limit {
             return None;
         }
         out.push(y + scales.y_mean);
@@ -77,7 +70,8 @@ pub(super) fn run(
         let free = next_ext - scales.y_mean + modes.read(&x);
         let t = clock.start + clock.step * (k as f64 + 0.5);
         let instant = |next: f64, force: &Force<'_>| {
-            let other = if force.other.is_empty() { 0.0 } else { 0.5 * (force.other[k] + force.other[k + 1]) };
+            let other =
+                if force.other.is_empty() { 0.0 } else { 0.5 * (force.other[k] + force.other[k + 1]) };
             Instant {
                 y: 0.5 * (y + next) * per_y,
                 dy: (next - y) * per_y,
@@ -191,8 +185,9 @@ mod tests {
         let law = Law::Coulomb;
         let shape = [0.02_f64.ln()];
         let scales = Scales { y_mean: 0.0, y: 1.0, dy: 0.1 };
-        let y = run(&modes, &[Force { law: &law, shape: &shape, path: &path, other: &[] }], &ext, scales, CLOCK)
-            .unwrap();
+        let y =
+            run(&modes, &[Force { law: &law, shape: &shape, path: &path, other: &[] }], &ext, scales, CLOCK)
+                .unwrap();
         let values = along(&law, &shape, &y, &[], scales, CLOCK);
         let again = modes.filter(&path, &values);
         for (k, (y, (e, f))) in y.iter().zip(ext.iter().zip(&again)).enumerate() {

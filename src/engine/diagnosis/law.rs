@@ -166,7 +166,8 @@ mod tests {
     #[test]
     fn flow_falls_when_the_load_opposes_it_and_rises_when_it_helps() {
         let m = &mut [0.0; 6];
-        let flow = |y: f64, u: f64| Law::Valve.at(&[0.5], Instant { aux: u, ..at(y, 0.0, 0.0) }, &mut [0.0; 6]);
+        let flow =
+            |y: f64, u: f64| Law::Valve.at(&[0.5], Instant { aux: u, ..at(y, 0.0, 0.0) }, &mut [0.0; 6]);
         assert!(flow(0.5, 1.0) < 0.0 && flow(-0.5, 1.0) > 0.0);
         assert!(flow(-0.5, -1.0) > 0.0 && flow(0.5, -1.0) < 0.0);
         assert_eq!(Law::Valve.at(&[0.5], at(0.0, 0.0, 0.0), m), 0.0);

@@ -98,7 +98,10 @@ pub(super) fn quotients(
                 let values: Vec<f64> = there.iter().zip(now).map(|(a, b)| (a - b) / h).collect();
                 let length = dot(&values, &values).sqrt();
                 if length > 0.0 && length.is_finite() {
-                    return Column { values: values.iter().map(|v| v / length).collect(), unit: 1.0 / length };
+                    return Column {
+                        values: values.iter().map(|v| v / length).collect(),
+                        unit: 1.0 / length,
+                    };
                 }
             }
             Column { values: vec![0.0; now.len()], unit: 0.0 }
@@ -141,7 +144,11 @@ pub(super) fn standard_errors(
         Some(inverse) => jacobian
             .iter()
             .enumerate()
-            .map(|(i, c)| if c.unit > 0.0 { (inverse[i][i] * variance).sqrt() * c.unit } else { f64::INFINITY })
+            .map(
+                |(i, c)| {
+                    if c.unit > 0.0 { (inverse[i][i] * variance).sqrt() * c.unit } else { f64::INFINITY }
+                },
+            )
             .collect(),
         None => vec![f64::INFINITY; p.len()],
     }

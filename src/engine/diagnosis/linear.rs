@@ -15,7 +15,8 @@ pub(super) fn least_squares(columns: &[&[f64]], target: &[f64]) -> Vec<f64> {
         return Vec::new();
     }
     let norms: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
-    let scale: Vec<f64> = norms.iter().map(|&n| if n > 0.0 && n.is_finite() { 1.0 / n } else { 0.0 }).collect();
+    let scale: Vec<f64> =
+        norms.iter().map(|&n| if n > 0.0 && n.is_finite() { 1.0 / n } else { 0.0 }).collect();
     let matrix = Mat::from_fn(rows + p, p, |i, j| {
         if i < rows {
             columns[j][i] * scale[j]

@@ -78,10 +78,8 @@ pub(super) fn power(
             Some(b) => dot(&a, &rows.in_band(b)),
             None => dot(&a, &a) - floor * n,
         };
-        let moved: Vec<f64> = pair.stretch.measured[pair.stretch.lead..]
-            .iter()
-            .map(|y| y - problem.scales.y_mean)
-            .collect();
+        let moved: Vec<f64> =
+            pair.stretch.measured[pair.stretch.lead..].iter().map(|y| y - problem.scales.y_mean).collect();
         let y = rows.in_band(&moved);
         systematic += product;
         response += dot(&y, &y);
@@ -106,9 +104,8 @@ pub(super) fn bands(
     rate_hz: f64,
 ) -> Vec<BandShare> {
     let low = band[0].max(band[1] / 64.0);
-    let mut edges: Vec<f64> = (0..=BANDS)
-        .map(|k| low * (band[1] / low).powf(k as f64 / BANDS as f64))
-        .collect();
+    let mut edges: Vec<f64> =
+        (0..=BANDS).map(|k| low * (band[1] / low).powf(k as f64 / BANDS as f64)).collect();
     edges[0] = band[0];
     let (mut systematic, mut response, mut samples) = (vec![0.0; BANDS], vec![0.0; BANDS], 0.0);
     for pair in pairs(stretches, errors) {
@@ -149,9 +146,7 @@ fn spectrum(x: &[f64], n: usize) -> Vec<Complex64> {
     let mut input: Vec<f64> = x[..n]
         .iter()
         .enumerate()
-        .map(|(i, x)| {
-            (x - mean) * (1.0 - (std::f64::consts::TAU * (i as f64 + 0.5) / n as f64).cos())
-        })
+        .map(|(i, x)| (x - mean) * (1.0 - (std::f64::consts::TAU * (i as f64 + 0.5) / n as f64).cos()))
         .collect();
     let mut lines = fft.make_output_vec();
     fft.process(&mut input, &mut lines).expect("buffers are the plan's own");

@@ -31,7 +31,13 @@ pub(super) struct Proposal {
 }
 
 /// The menu inside the limits of each drive (largest magnitude).
-pub(super) fn menu(problem: &Problem, limit: &[f64], band: [f64; 2], rate_hz: f64, seed: u64) -> Vec<Proposal> {
+pub(super) fn menu(
+    problem: &Problem,
+    limit: &[f64],
+    band: [f64; 2],
+    rate_hz: f64,
+    seed: u64,
+) -> Vec<Proposal> {
     let n = (LENGTH_S * rate_hz) as usize;
     let t = |k: usize| k as f64 / rate_hz;
     let tau = std::f64::consts::TAU;

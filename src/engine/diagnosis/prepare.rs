@@ -62,7 +62,8 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         // A rig that changed between its repeats leaves more in their difference than the regression
         // can take out: the noise before the change is then the better floor, where it is lower.
         let noise = noise.map(|n| {
-            let changed = n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
+            let changed =
+                n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
             if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
         });
         let noise = noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 });
@@ -83,7 +84,10 @@ fn fit_core(
         .baseline
         .iter()
         .zip(drives)
-        .map(|(run, drives)| core::Stretch { drives: drives.clone(), response: run.response.channel(response) })
+        .map(|(run, drives)| core::Stretch {
+            drives: drives.clone(),
+            response: run.response.channel(response),
+        })
         .collect();
     if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {
         return Err(EngineError::DeadChannel { what: "response of the baseline runs", channel: response });
@@ -117,7 +121,8 @@ fn repeats(
     for (i, a) in pieces.iter().enumerate() {
         let Some(b) = pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
         let range = a.from..a.to.min(b.to);
-        let (ya, yb) = (input.runs[a.run].response.channel(response), input.runs[b.run].response.channel(response));
+        let (ya, yb) =
+            (input.runs[a.run].response.channel(response), input.runs[b.run].response.channel(response));
         let lead = if a.from == 0 { core.settling(range.len()) } else { 0 };
         pairs.push(Pair {
             difference: ya[range.clone()].iter().zip(&yb[range.clone()]).map(|(a, b)| a - b).collect(),
@@ -152,7 +157,8 @@ fn problem(
         if scored < 64 {
             return Err(EngineError::TooShort { what: "run of the diagnosis", needed: 64, found: scored });
         }
-        let drives: Vec<Vec<f64>> = run.drive.channels().iter().map(|d| d[start..piece.to].to_vec()).collect();
+        let drives: Vec<Vec<f64>> =
+            run.drive.channels().iter().map(|d| d[start..piece.to].to_vec()).collect();
         let stretch = Stretch {
             run: piece.run,
             from: start,
@@ -161,7 +167,9 @@ fn problem(
             lead,
             rows: Rows::new(scored, band, &noise.ar),
             course: Course {
-                simulated: Arc::new(simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect()),
+                simulated: Arc::new(
+                    simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect(),
+                ),
                 core: core.simulate(&drives),
                 clock: Clock {
                     start: (run.started_s - begin + start as f64 / rate) / span,

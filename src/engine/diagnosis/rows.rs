@@ -196,7 +196,8 @@ mod tests {
 
     #[test]
     fn content_outside_the_band_is_not_scored() {
-        let samples: Vec<f64> = (0..5000).map(|i| (std::f64::consts::TAU * 0.4 * f64::from(i)).sin()).collect();
+        let samples: Vec<f64> =
+            (0..5000).map(|i| (std::f64::consts::TAU * 0.4 * f64::from(i)).sin()).collect();
         let rows = Rows::new(samples.len(), [0.01, 0.1], &Ar::white(1.0));
         let mut out = Vec::new();
         rows.extend(&samples, &mut out);

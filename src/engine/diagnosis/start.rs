@@ -126,8 +126,12 @@ impl<'a> Regression<'a> {
     /// Where a clipped response would show its limits: its own extremes, less a few spikes of noise.
     fn extremes(&self) -> Vec<f64> {
         let scales = self.problem.scales;
-        let mut values: Vec<f64> =
-            self.problem.fit.iter().flat_map(|s| s.measured.iter().map(|y| (y - scales.y_mean) / scales.y)).collect();
+        let mut values: Vec<f64> = self
+            .problem
+            .fit
+            .iter()
+            .flat_map(|s| s.measured.iter().map(|y| (y - scales.y_mean) / scales.y))
+            .collect();
         values.sort_by(f64::total_cmp);
         let few = values.len() / 500;
         vec![values[few].abs(), values[values.len() - 1 - few].abs()]
@@ -183,7 +187,8 @@ impl<'a> Regression<'a> {
         zero.resize(candidate.parameters(self.problem), 0.0);
         let target = self.target(candidate, &zero)?;
         let retune: Vec<&[f64]> = self.retune.iter().map(Vec::as_slice).collect();
-        let tried = first.into_iter().map(|shape| alternate(&blocks, &retune, candidate.retune, shape, &target));
+        let tried =
+            first.into_iter().map(|shape| alternate(&blocks, &retune, candidate.retune, shape, &target));
         let best = tried.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let mut start = Builder::new(known);
         let size = best.shape.iter().fold(0.0_f64, |m, c| m.max(c.abs())).max(1e-12);
@@ -206,7 +211,8 @@ impl<'a> Regression<'a> {
         let core = &problem.core;
         let order = core.modes.order();
         let spline = inner_spline();
-        let mut paths = vec![(core.input[part.drive].clone(), core.direct[part.drive]), (vec![0.0; order], 1.0)];
+        let mut paths =
+            vec![(core.input[part.drive].clone(), core.direct[part.drive]), (vec![0.0; order], 1.0)];
         for n in 0..order {
             let mut only = vec![0.0; order];
             only[n] = 1.0;
@@ -221,7 +227,7 @@ impl<'a> Regression<'a> {
             let inner: Vec<Vec<f64>> =
                 problem.fit.iter().map(|s| inner_signal(problem, s, part.drive, &path, direct)).collect();
             let level = rms(&inner.concat());
-            if !(level > 0.0) {
+            if level.is_nan() || level <= 0.0 {
                 continue;
             }
             let blocks: Vec<Vec<Vec<f64>>> = [2_i32, 3]
@@ -248,7 +254,8 @@ impl<'a> Regression<'a> {
             if candidate.retune {
                 start.linear(self.retune.len());
             }
-            let columns = self.basis_columns(|i| inner[i].iter().map(|s| spline.at(&knots, s / level)).collect());
+            let columns =
+                self.basis_columns(|i| inner[i].iter().map(|s| spline.at(&knots, s / level)).collect());
             let mut all: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
             if candidate.retune {
                 all.extend(retune.iter());
@@ -396,7 +403,7 @@ fn alternate(
             left.iter_mut().zip(*column).for_each(|(l, c)| *l -= x * c);
         }
         let size = norm(&next);
-        if !(size > 0.0) {
+        if size.is_nan() || size <= 0.0 {
             break;
         }
         shape = next.iter().map(|c| c / size).collect();

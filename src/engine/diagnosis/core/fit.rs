@@ -1,5 +1,6 @@
 //! Rational common-denominator fit of one response to all drives. The order is that of the least
-//! whitened error on fitted and held-out stretches, with a charge for each parameter.
+//! whitened error on held-out stretches, with a charge for each parameter: on fitted ones spurious
+//! modes pay where the rig is not quite linear.
 //!
 //! Steiglitz and McBride's iteration (IEEE Trans. Autom. Control 10, 1965) in the partial-fraction
 //! basis of vector fitting (Gustavsen and Semlyen 1999; in the time domain Grivet-Talocia 2003):
@@ -19,13 +20,13 @@ use super::refine::refine;
 use crate::engine::EngineError;
 
 /// Orders that are tried.
-const ORDERS: [usize; 12] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16];
+const ORDERS: [usize; 10] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12];
 /// Orders of the first fits, which only serve to learn the noise's colour.
 const FIRST_ORDERS: [usize; 4] = [2, 4, 7, 10];
 /// Relocations of the poles per order.
 const ROUNDS: usize = 8;
-/// Price of a parameter in squared noise floors: more than Akaike's 2, since a spurious mode may
-/// choose among all lines; less than Schwarz's, since what is missed grows with the drive.
+/// Price of a parameter in squared noise floors over a whole stretch: a spurious mode may choose
+/// among all lines, but what is missed grows with the drive.
 const CHARGE: f64 = 4.0;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
@@ -65,7 +66,11 @@ pub(in super::super) fn fit(
     if affordable < 2 {
         let samples: usize = stretches.iter().map(|s| s.response.len()).sum();
         let needed = (samples * 8 * (drives + 1)).div_ceil(rows.max(1));
-        return Err(EngineError::TooShort { what: "baseline runs, for the linear core", needed, found: samples });
+        return Err(EngineError::TooShort {
+            what: "baseline runs, for the linear core",
+            needed,
+            found: samples,
+        });
     }
     // The first noise is taken from a model that is rather too rich than too poor: what a poor one
     // leaves at a resonance would pass for noise there and hide that it is poor.
@@ -86,11 +91,11 @@ pub(in super::super) fn fit(
         .filter(|&&order| order <= affordable)
         .map(|&order| {
             let linear = refine(&fitted, relocate(&fitted, order, band));
-            let left: f64 = fitted.iter().chain(&held_out).map(|s| s.error(&linear)).sum();
+            let left: f64 = held_out.iter().map(|s| s.error(&linear)).sum();
             let parameters = (drives * (order + 1) + order) as f64;
             // A mode that rings for longer than it was watched is noise with a name.
             let endless = fitted.iter().all(|s| linear.modes.ring_down(0.05) > s.response.len());
-            (order, if endless { f64::INFINITY } else { left + CHARGE * parameters })
+            (order, if endless { f64::INFINITY } else { left + HELD_OUT * CHARGE * parameters })
         })
         .collect();
     let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);

@@ -86,8 +86,9 @@ fn a_two_mass_rig_is_recovered_with_its_frequencies_through_noise() {
 
 #[test]
 fn the_band_holds_a_band_limited_drive() {
-    let drive: Vec<f64> =
-        (0..20_000).map(|i| [0.05, 0.06, 0.08, 0.1].iter().map(|f| (6.3 * f * f64::from(i)).sin()).sum()).collect();
+    let drive: Vec<f64> = (0..20_000)
+        .map(|i| [0.05, 0.06, 0.08, 0.1].iter().map(|f| (6.3 * f * f64::from(i)).sin()).sum())
+        .collect();
     let band = drive_band(&[vec![&drive]]).unwrap();
     assert!(band[0] > 0.04 && band[0] < 0.051 && band[1] > 0.099 && band[1] < 0.11, "{band:?}");
     assert!(drive_band(&[vec![&[0.0; 100]]]).is_none());
