@@ -145,7 +145,7 @@ pub fn case(suite: Suite, index: usize, seed: u64, in_situ: bool) -> Case {
         .map(|_| noise_drive(n(40.0), high_hz, &mut rng).iter().map(|u| 0.5 * u).collect())
         .collect();
     let (flaw, label) = flaw(suite, index, &mut rng);
-    let rig = Rig::draw(&mut rng, &long, matches!(flaw, Flaw::Sandwich { .. }));
+    let rig = Rig::draw(&mut rng, &long, flaw);
     let noise = (0.004_f64.ln() + rng.random_range(0.0..1.0) * (5.0_f64).ln()).exp();
     let lowest = (1.2 * noise).max(0.012);
     let wanted = (lowest.ln() + rng.random_range(0.0..1.0) * (0.45 / lowest).ln()).exp();

@@ -89,7 +89,8 @@ const TWIST: usize = POLE + 1;
 
 impl Rig {
     /// Draws a rig; its levels are those of `drives`, `[drive][sample]`.
-    pub fn draw(rng: &mut impl Rng, drives: &[Vec<f64>], filtered: bool) -> Self {
+    pub fn draw(rng: &mut impl Rng, drives: &[Vec<f64>], flaw: Flaw) -> Self {
+        let filtered = matches!(flaw, Flaw::Sandwich { .. });
         let masses = [1, 2, 2, 3][rng.random_range(0..4)];
         let lowest = rng.random_range(4.0..12.0);
         let mut rig = Self {
@@ -102,7 +103,8 @@ impl Rig {
             lag_hz: rng.random_bool(0.5).then(|| rng.random_range(20.0..80.0)),
             held: rng.random_bool(0.5),
             before_hz: filtered.then(|| rng.random_range(6.0..20.0)),
-            side_coupling: rng.random_range(0.0..0.3),
+            // Coupled already, a stronger coupling would be the second drive's gain.
+            side_coupling: if flaw == Flaw::CrossLinear { 0.0 } else { rng.random_range(0.0..0.3) },
             level: [1.0; 3],
         };
         for i in 0..masses {

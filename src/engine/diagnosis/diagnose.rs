@@ -16,7 +16,6 @@ use super::input::{Input, Mode, Role};
 use super::linear::rms;
 use super::locate::{self, Power};
 use super::next;
-use super::noise::COHERENT;
 use super::parameters;
 use super::prepare::{Prepared, prepare};
 use super::problem::{Problem, Stretch};
@@ -103,9 +102,8 @@ impl Overview {
             .map(|(p, noise)| {
                 let power = locate::power(p, &p.select, &gaps(p, &p.select), noise, prepared.band);
                 // A rig that changed between its repeats: their product misses what the change did.
-                let changed = noise.drive_coherence > COHERENT;
                 let systematic = power.rms_error * power.rms_error - power.noise;
-                if changed { Power { systematic: power.systematic.max(systematic), ..power } } else { power }
+                Power { systematic: power.systematic.max(systematic), ..power }
             })
             .collect();
         let mut this = Self {

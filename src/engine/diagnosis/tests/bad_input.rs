@@ -57,7 +57,7 @@ fn runs_too_short_for_the_core_are_refused() {
 #[test]
 fn repeats_whose_drives_differ_are_told_apart_with_a_warning() {
     let mut wrong = request(none, 0.01);
-    wrong.runs[3] = super::rig::run("d", super::rig::noise_drive(20.0, 1.0, 99), none, 0.01, 14);
+    wrong.runs[3] = super::rig::run("d", super::rig::noise_drive(16.0, 1.0, 99), none, 0.01, 14);
     let found = diagnose(&wrong, &unwatched).unwrap();
     assert!(
         found.report.warnings.iter().any(|w| w == "repeat_drive_differs: d"),

@@ -1,11 +1,11 @@
-use super::rig::{hardening, noise_drive, request, respond, run};
+use super::rig::{few, hardening, noise_drive, request, respond, run};
 use crate::engine::Signal;
 use crate::engine::diagnosis::{Augmented, Input, Role, diagnose};
 use crate::engine::progress::unwatched;
 
 /// Whole runs with given roles, one repeat each, so that the test runs stand alone.
 fn with_roles() -> Input {
-    let mut request = request(hardening, 0.01);
+    let mut request = Input { catalogue: few(), ..request(hardening, 0.01) };
     for (k, seed) in [(0, 21), (1, 22)] {
         let drive = noise_drive(12.0, 1.0 - 0.3 * f64::from(k), 30 + seed);
         request.runs.push(run("select", drive.clone(), hardening, 0.01, seed));
@@ -42,7 +42,7 @@ fn measured_test_responses_change_no_choice_and_no_prediction() {
 
 #[test]
 fn the_number_of_threads_changes_no_bit() {
-    let request = request(hardening, 0.01);
+    let request = Input { catalogue: few(), ..request(hardening, 0.01) };
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| diagnose(&request, &unwatched).unwrap())
@@ -54,7 +54,7 @@ fn the_number_of_threads_changes_no_bit() {
 
 #[test]
 fn the_augmented_sim_predicts_a_run_nobody_saw_and_survives_storage() {
-    let found = diagnose(&request(hardening, 0.01), &unwatched).unwrap();
+    let found = diagnose(&Input { catalogue: few(), ..request(hardening, 0.01) }, &unwatched).unwrap();
     let best = &found.augmented[0];
     let stored = serde_json::to_string(best).unwrap();
     let loaded: Augmented = serde_json::from_str(&stored).unwrap();

@@ -94,9 +94,22 @@ fn channel(name: &str) -> Channel {
     Channel { name: name.into(), axis: Some("x".into()), unit: "mm".into() }
 }
 
+/// A catalogue that is quick to try.
+pub fn few() -> Vec<Effect> {
+    vec![
+        Effect::Gain,
+        Effect::LinearChange,
+        Effect::CubicStiffness,
+        Effect::FreeStiffness,
+        Effect::CoulombFriction,
+        Effect::QuadraticDamping,
+        Effect::SensorSaturation,
+    ]
+}
+
 /// Two repeats at full level, two at half, on a rig with `force`; the baseline is from before.
 pub fn request(force: Force, noise: f64) -> Input {
-    let (full, half) = (noise_drive(20.0, 1.0, 1), noise_drive(14.0, 0.5, 2));
+    let (full, half) = (noise_drive(16.0, 1.0, 1), noise_drive(12.0, 0.5, 2));
     Input {
         drives: vec![channel("drive_x")],
         responses: vec![channel("disp_x")],

@@ -1,4 +1,4 @@
-use super::rig::{friction, hardening, none, request};
+use super::rig::{few, friction, hardening, none, request};
 use crate::engine::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
@@ -36,7 +36,7 @@ fn a_rig_like_its_model_has_no_material_gap() {
 
 #[test]
 fn without_repeats_a_verdict_is_partial_at_most() {
-    let request = Input { repeats: Vec::new(), ..request(hardening, 0.01) };
+    let request = Input { repeats: Vec::new(), catalogue: few(), ..request(hardening, 0.01) };
     let found = diagnose(&request, &unwatched).unwrap();
     assert_eq!(found.report.verdict.kind, VerdictKind::Partial);
     assert_eq!(found.report.noise_floor_source, NoiseSource::Assumed);
@@ -58,13 +58,15 @@ fn an_effect_that_the_sim_has_half_absorbed_is_named_too() {
     let low = super::rig::noise_drive(25.0, 0.4, 3);
     request.baseline = vec![super::rig::run("low", low, hardening, 0.01, 10)];
     request.mode = Mode::InSitu;
+    request.catalogue = few();
     let found = diagnose(&request, &unwatched).unwrap();
     assert_eq!(found.report.verdict.family, Some(Family::Stiffness), "{:?}", found.report.verdict);
 }
 
 #[test]
 fn the_report_has_the_contracts_fields_and_finite_numbers() {
-    let found = diagnose(&request(friction, 0.01), &unwatched).unwrap();
+    let request = Input { catalogue: few(), ..request(friction, 0.01) };
+    let found = diagnose(&request, &unwatched).unwrap();
     let json = serde_json::to_value(&found.report).unwrap();
     for field in [
         "schema",
