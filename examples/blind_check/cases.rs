@@ -138,12 +138,10 @@ pub fn case(suite: Suite, index: usize, seed: u64, in_situ: bool) -> Case {
     let high_hz = rng.random_range(25.0..45.0);
     let n = |s: f64| (s * RATE) as usize;
     let long = [noise_drive(n(20.0), high_hz, &mut rng), noise_drive(n(20.0), high_hz, &mut rng)];
-    let half: Vec<Vec<f64>> = (0..2)
-        .map(|_| noise_drive(n(15.0), high_hz, &mut rng).iter().map(|u| 0.5 * u).collect())
-        .collect();
-    let low: Vec<Vec<f64>> = (0..2)
-        .map(|_| noise_drive(n(40.0), high_hz, &mut rng).iter().map(|u| 0.5 * u).collect())
-        .collect();
+    let half: Vec<Vec<f64>> =
+        (0..2).map(|_| noise_drive(n(15.0), high_hz, &mut rng).iter().map(|u| 0.5 * u).collect()).collect();
+    let low: Vec<Vec<f64>> =
+        (0..2).map(|_| noise_drive(n(40.0), high_hz, &mut rng).iter().map(|u| 0.5 * u).collect()).collect();
     let (flaw, label) = flaw(suite, index, &mut rng);
     let rig = Rig::draw(&mut rng, &long, flaw);
     let noise = (0.004_f64.ln() + rng.random_range(0.0..1.0) * (5.0_f64).ln()).exp();
@@ -161,7 +159,8 @@ pub fn case(suite: Suite, index: usize, seed: u64, in_situ: bool) -> Case {
         let gap = rms(&difference) / rms(&y);
         if gap.is_finite() { gap } else { f64::INFINITY }
     };
-    let of_recording = matches!(flaw, Flaw::Nothing | Flaw::RaisedNoise | Flaw::Hum { .. } | Flaw::Quantisation);
+    let of_recording =
+        matches!(flaw, Flaw::Nothing | Flaw::RaisedNoise | Flaw::Hum { .. } | Flaw::Quantisation);
     let (mut low_s, mut high_s) = (1e-4, 3.0);
     if !of_recording {
         for _ in 0..14 {

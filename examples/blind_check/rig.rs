@@ -279,11 +279,9 @@ impl Rig {
         for i in 0..self.masses {
             let (xp, vp) = if i == 0 { (0.0, 0.0) } else { (x(i - 1), v(i - 1)) };
             let (mut k, mut c) = (self.stiffness[i], self.damping[i]);
-            if i == self.seen {
-                if let Flaw::LinearChange { stiffness, damping } = flaw {
-                    k *= 1.0 + s * stiffness;
-                    c *= (1.0 + 2.0 * s * damping).max(0.2);
-                }
+            if let (true, Flaw::LinearChange { stiffness, damping }) = (i == self.seen, flaw) {
+                k *= 1.0 + s * stiffness;
+                c *= (1.0 + 2.0 * s * damping).max(0.2);
             }
             let f = k * (x(i) - xp) + c * (v(i) - vp);
             force[i] -= f;
@@ -304,7 +302,8 @@ impl Rig {
             }
             Flaw::BoucWen { yielding, sharpness } => {
                 let (z, rate) = (q[HYSTERESIS], q[MASSES + self.seen] / self.level[0] / yielding);
-                d[HYSTERESIS] = rate - 0.5 * rate.abs() * z * z.abs().powf(sharpness - 1.0)
+                d[HYSTERESIS] = rate
+                    - 0.5 * rate.abs() * z * z.abs().powf(sharpness - 1.0)
                     - 0.5 * rate * z.abs().powf(sharpness);
                 s * z
             }
@@ -354,7 +353,8 @@ fn windowed_sinc(x: &[f64], at: f64) -> f64 {
     for k in -15..=16 {
         let i = centre + k;
         let d = at - i as f64;
-        let sinc = if d.abs() < 1e-12 { 1.0 } else { (std::f64::consts::PI * d).sin() / (std::f64::consts::PI * d) };
+        let sinc =
+            if d.abs() < 1e-12 { 1.0 } else { (std::f64::consts::PI * d).sin() / (std::f64::consts::PI * d) };
         let window = (0.5 * std::f64::consts::PI * d / 17.0).cos().powi(2);
         sum += sinc * window * x[i.clamp(0, x.len() as isize - 1) as usize];
     }
