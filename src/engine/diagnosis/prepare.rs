@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::core::{self, Core, CoreFit};
-use super::input::{Input, Role};
+use super::input::{Input, Mode, Role};
 use super::kernel::{Clock, Scales};
 use super::linear::{mean, rms};
 use super::noise::{self, Noise, Pair};
@@ -92,7 +92,8 @@ fn fit_core(
     if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {
         return Err(EngineError::DeadChannel { what: "response of the baseline runs", channel: response });
     }
-    core::fit(&stretches, input.sample_rate_hz(), band)
+    // From before the change the rig is its own linear self; in situ low-level runs bend too.
+    core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External)
 }
 
 /// What the sim says of every run, `[run][response][sample]`.

@@ -48,7 +48,8 @@ pub(in super::super) struct CoreFit {
     pub noise: Ar,
 }
 
-/// Fits the core to low-level stretches inside `band` (cycles a sample).
+/// Fits the core to low-level stretches inside `band` (cycles a sample). Where they are known to be
+/// `linear` the order also answers to the fitted part; else only to the held-out one.
 ///
 /// # Errors
 /// Stretches too short for any order.
@@ -56,6 +57,7 @@ pub(in super::super) fn fit(
     stretches: &[Stretch<'_>],
     sample_rate_hz: f64,
     band: [f64; 2],
+    linear: bool,
 ) -> Result<CoreFit, EngineError> {
     let drives = stretches[0].drives.len();
     let centred = Centred::new(stretches);
@@ -90,12 +92,14 @@ pub(in super::super) fn fit(
         .par_iter()
         .filter(|&&order| order <= affordable)
         .map(|&order| {
-            let linear = refine(&fitted, relocate(&fitted, order, band));
-            let left: f64 = held_out.iter().map(|s| s.error(&linear)).sum();
+            let model = refine(&fitted, relocate(&fitted, order, band));
+            let of = |parts: &[Part<'_>]| parts.iter().map(|s| s.error(&model)).sum::<f64>();
+            let (left, share) =
+                if linear { (of(&fitted) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
             let parameters = (drives * (order + 1) + order) as f64;
             // A mode that rings for longer than it was watched is noise with a name.
-            let endless = fitted.iter().all(|s| linear.modes.ring_down(0.05) > s.response.len());
-            (order, if endless { f64::INFINITY } else { left + HELD_OUT * CHARGE * parameters })
+            let endless = fitted.iter().all(|s| model.modes.ring_down(0.05) > s.response.len());
+            (order, if endless { f64::INFINITY } else { left + share * CHARGE * parameters })
         })
         .collect();
     let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);

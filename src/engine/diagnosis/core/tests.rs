@@ -61,7 +61,7 @@ fn a_two_mass_rig_is_recovered_with_its_frequencies_through_noise() {
         })
         .collect();
     let band = drive_band(&[vec![&force]]).unwrap();
-    let found = fit(&[Stretch { drives: vec![&force], response: &noisy }], fs, band).unwrap();
+    let found = fit(&[Stretch { drives: vec![&force], response: &noisy }], fs, band, true).unwrap();
 
     // Eigenfrequencies of the two masses, from the characteristic polynomial of K - w^2 M.
     let (a, b, c) = (0.6, -(0.6 * 6500.0 + 2500.0), 6500.0 * 2500.0 - 2500.0 * 2500.0);
@@ -98,6 +98,6 @@ fn the_band_holds_a_band_limited_drive() {
 fn stretches_too_short_for_any_core_are_refused() {
     let drive = low_passed(12, 0.5, 4);
     let stretch = Stretch { drives: vec![&drive], response: &drive };
-    let refused = fit(&[stretch], 100.0, [0.0, 0.1]).unwrap_err();
+    let refused = fit(&[stretch], 100.0, [0.0, 0.1], true).unwrap_err();
     assert!(matches!(refused, crate::engine::EngineError::TooShort { .. }));
 }
