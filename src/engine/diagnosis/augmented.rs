@@ -1,0 +1,92 @@
+//! The sim with the effect in it: `sim(u) + [augmented(u) - core(u)]`.
+
+use serde::{Deserialize, Serialize};
+
+use super::candidate::Candidate;
+use super::core::Core;
+use super::kernel::Clock;
+use super::problem::{Course, Plant};
+use crate::engine::{EngineError, Signal};
+
+/// Beyond this many times the core's own RMS an augmented free run is not bounded.
+const BOUND: f64 = 20.0;
+
+/// An effect on one response, ready to be simulated on any drive.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Augmented {
+    /// Index of the response.
+    pub response: usize,
+    pub(super) plant: Plant,
+    pub(super) candidate: Candidate,
+    pub(super) p: Vec<f64>,
+    /// Time of the programme at which laws that drift are evaluated: that of the last run.
+    pub(super) time: f64,
+}
+
+impl Augmented {
+    /// The sim's response with the effect, `[response, sample]`; other responses stay the sim's.
+    ///
+    /// # Errors
+    /// Another number of drives or responses, another length, a free run that runs away.
+    pub fn apply(&self, drive: &Signal, simulated: &Signal) -> Result<Signal, EngineError> {
+        let (drives, responses) = (self.plant.drive_peak.len(), self.plant.other_scale.len());
+        if drive.n_channels() != drives {
+            let found = drive.n_channels();
+            return Err(EngineError::ChannelCount { what: "drive", expected: drives, found });
+        }
+        if simulated.n_channels() != responses {
+            let found = simulated.n_channels();
+            return Err(EngineError::ChannelCount { what: "simulated response", expected: responses, found });
+        }
+        if simulated.n_samples() != drive.n_samples() {
+            let (expected, found) = (drive.n_samples(), simulated.n_samples());
+            return Err(EngineError::UnequalLength {
+                what: "simulated response",
+                channel: 0,
+                expected,
+                found,
+            });
+        }
+        let predicted = self.run(drive.channels().to_vec(), simulated.channels().to_vec()).ok_or(
+            EngineError::NonFiniteResult { what: "augmented response", channel: self.response, sample: 0 },
+        )?;
+        let mut channels = simulated.channels().to_vec();
+        channels[self.response] = predicted;
+        Signal::new(drive.sample_rate_hz(), channels)
+    }
+
+    fn run(&self, drives: Vec<Vec<f64>>, simulated: Vec<Vec<f64>>) -> Option<Vec<f64>> {
+        let core = self.plant.core.simulate(&drives);
+        let clock = Clock { start: self.time, step: 0.0 };
+        let course = Course { drives: drives.into(), simulated: simulated.into(), core, clock };
+        self.candidate.predict(&self.plant, &course, &self.p)
+    }
+
+    /// Whether the free run stays bounded for `drives`, `[drive][sample]`, scaled so that each
+    /// reaches its limit, and comes to rest after them.
+    pub fn bounded(&self, drives: &[Vec<f64>], limit: &[f64]) -> bool {
+        let core: &Core = &self.plant.core;
+        let rest = core.modes.ring_down(1e-2).min(4 * drives[0].len());
+        let scaled: Vec<Vec<f64>> = drives
+            .iter()
+            .zip(limit)
+            .enumerate()
+            .map(|(d, (drive, limit))| {
+                let peak = drive.iter().fold(0.0_f64, |m, u| m.max(u.abs())).max(f64::MIN_POSITIVE);
+                let mut out: Vec<f64> = drive.iter().map(|u| u * limit / peak).collect();
+                out.extend(std::iter::repeat_n(core.drive_mean[d], rest + 200));
+                out
+            })
+            .collect();
+        let linear = core.simulate(&scaled);
+        let simulated = vec![linear.clone(); self.plant.other_scale.len()];
+        let Some(y) = self.run(scaled, simulated) else { return false };
+        let about =
+            |y: &[f64]| super::linear::rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>());
+        let (all, reference) = (about(&y), about(&linear));
+        let end = &y[y.len() - 100..];
+        let swing = end.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y))
+            - end.iter().fold(f64::INFINITY, |m, y| m.min(*y));
+        all < BOUND * reference && swing < 0.5 * reference
+    }
+}

@@ -1,0 +1,242 @@
+//! A candidate: the core with one or more effects, as a function of a parameter vector.
+
+use super::effect::Effect;
+use super::input_map::InputMap;
+use super::kernel::{self, Force};
+use super::law::Law;
+use super::output_map::OutputMap;
+use super::problem::{Course, Plant, Problem, Stretch};
+use super::spline::Spline;
+use serde::{Deserialize, Serialize};
+
+/// Half range, in units of its RMS, of the inner signal of a sandwich.
+const INNER_RANGE: f64 = 4.5;
+/// Knots of a sandwich's nonlinearity.
+const INNER_KNOTS: usize = 9;
+
+/// The signal that a law calls other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) enum Other {
+    /// A drive, in units of its peak.
+    Drive(usize),
+    /// What the sim says of another response, in units of its RMS.
+    Response(usize),
+}
+
+/// One effect at one place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Part {
+    pub effect: Effect,
+    /// Drive of an input map or a sandwich.
+    pub drive: usize,
+    pub other: Option<Other>,
+    pub input: Option<InputMap>,
+    pub forces: Vec<Law>,
+    pub sandwich: bool,
+    pub output: Option<OutputMap>,
+}
+
+/// Effects on one response, with or without a retune of its linear part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Candidate {
+    pub parts: Vec<Part>,
+    /// Feedback of the response and new paths of all drives, with all zeros and poles free.
+    pub retune: bool,
+}
+
+/// A law that needs the response, its shape, its path and the signal that it calls other.
+type Loop<'a> = (&'a Law, &'a [f64], &'a [f64], Vec<f64>);
+
+/// The free function between the two linear parts of a sandwich.
+pub(super) fn inner_spline() -> Spline {
+    Spline::new(-INNER_RANGE, INNER_RANGE, INNER_KNOTS)
+}
+
+impl Part {
+    fn bare(effect: Effect) -> Self {
+        Self { effect, drive: 0, other: None, input: None, forces: Vec::new(), sandwich: false, output: None }
+    }
+
+    /// An effect that maps one drive.
+    pub fn input(effect: Effect, drive: usize, map: InputMap) -> Self {
+        Self { drive, input: Some(map), ..Self::bare(effect) }
+    }
+
+    /// An effect that is a force, with the signal that it needs beside the response.
+    pub fn force(effect: Effect, forces: Vec<Law>, other: Option<Other>) -> Self {
+        let drive = if let Some(Other::Drive(d)) = other { d } else { 0 };
+        Self { forces, other, drive, ..Self::bare(effect) }
+    }
+
+    /// An effect of the sensor.
+    pub fn output(effect: Effect, map: OutputMap) -> Self {
+        Self { output: Some(map), ..Self::bare(effect) }
+    }
+
+    /// Linear, static, linear on the way from one drive.
+    pub fn sandwich(drive: usize) -> Self {
+        Self { drive, sandwich: true, ..Self::bare(Effect::Sandwich) }
+    }
+
+    /// No law of its own: all is in the retune.
+    pub fn linear_change() -> Self {
+        Self::bare(Effect::LinearChange)
+    }
+
+    /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
+    pub fn shapes(&self) -> usize {
+        let laws: usize = self.forces.iter().map(Law::shapes).sum();
+        self.input.as_ref().map_or(0, InputMap::parameters)
+            + laws
+            + self.forces.len().saturating_sub(1)
+            + self.output.map_or(0, OutputMap::parameters)
+    }
+
+    pub(super) fn parameters(&self, order: usize) -> usize {
+        let forces: usize = self.forces.iter().map(|law| law.shapes() + order).sum();
+        let sandwich = if self.sandwich { 2 * order + 1 + INNER_KNOTS } else { 0 };
+        self.input.as_ref().map_or(0, InputMap::parameters)
+            + forces
+            + sandwich
+            + self.output.map_or(0, OutputMap::parameters)
+    }
+}
+
+impl Plant {
+    /// The signal that a law calls other on one stretch, or nothing.
+    pub(super) fn other(&self, stretch: &Course, other: Option<Other>) -> Vec<f64> {
+        match other {
+            None => Vec::new(),
+            Some(Other::Drive(d)) => stretch.drives[d].iter().map(|u| u / self.drive_peak[d]).collect(),
+            Some(Other::Response(r)) => {
+                stretch.simulated[r].iter().map(|y| (y - self.other_mean[r]) / self.other_scale[r]).collect()
+            }
+        }
+    }
+}
+
+impl Candidate {
+    /// Number of parameters.
+    pub fn parameters(&self, problem: &Plant) -> usize {
+        let order = problem.core.modes.order();
+        let own: usize = self.parts.iter().map(|p| p.parameters(order)).sum();
+        own + self.retuned(problem)
+    }
+
+    /// Parameters of the retune: feedback, then per drive its path and its direct part.
+    pub fn retuned(&self, problem: &Plant) -> usize {
+        let order = problem.core.modes.order();
+        if self.retune { order + problem.drive_peak.len() * (order + 1) } else { 0 }
+    }
+
+    /// Response to a stretch's drives, `sim(u) + [augmented(u) - core(u)]`, from rest; never sees a
+    /// measured response. `None` if the free run runs away.
+    ///
+    /// Parameters: per part those of the input map, per force its shape and its path `E`, the
+    /// sandwich's (first path, direct part, knot values, second path), those of the output map;
+    /// then the retune's.
+    pub fn predict(&self, problem: &Plant, stretch: &Course, p: &[f64]) -> Option<Vec<f64>> {
+        let core = &problem.core;
+        let (modes, order) = (&core.modes, core.modes.order());
+        let mut ext: Option<Vec<f64>> = None;
+        let mut add = |y: &[f64]| {
+            let ext = ext.get_or_insert_with(|| stretch.core.clone());
+            ext.iter_mut().zip(y).for_each(|(e, y)| *e += y);
+        };
+        let mut closed: Vec<Loop<'_>> = Vec::new();
+        let mut outputs: Vec<(OutputMap, &[f64])> = Vec::new();
+        let mut rest = p;
+        let mut take = |n: usize| {
+            let (now, later) = rest.split_at(n);
+            rest = later;
+            now
+        };
+        for part in &self.parts {
+            if let Some(map) = &part.input {
+                let p = take(map.parameters());
+                let peak = problem.drive_peak[part.drive];
+                let drive: Vec<f64> = stretch.drives[part.drive].iter().map(|u| u / peak).collect();
+                let change: Vec<f64> = map.change(p, &drive).iter().map(|d| d * peak).collect();
+                add(&core.path(part.drive, &change));
+            }
+            for law in &part.forces {
+                let (shape, path) = (take(law.shapes()), take(order));
+                let other = problem.other(stretch, part.other);
+                if law.closed() {
+                    closed.push((law, shape, path, other));
+                } else {
+                    let values =
+                        kernel::along(law, shape, &stretch.core, &other, problem.scales, stretch.clock);
+                    add(&modes.filter(path, &values));
+                }
+            }
+            if part.sandwich {
+                let (first, direct, knots, second) = (take(order), take(1), take(INNER_KNOTS), take(order));
+                let inner = inner_signal(problem, stretch, part.drive, first, direct[0]);
+                let spline = inner_spline();
+                let values: Vec<f64> = inner.iter().map(|s| spline.at(knots, *s)).collect();
+                add(&modes.filter(second, &values));
+            }
+            if let Some(map) = part.output {
+                outputs.push((map, take(map.parameters())));
+            }
+        }
+        if self.retune {
+            closed.push((&Law::Linear, &[], take(order), Vec::new()));
+            for (d, drive) in stretch.drives.iter().enumerate() {
+                let (path, direct) = (take(order), take(1)[0]);
+                let moved: Vec<f64> = drive.iter().map(|u| u - core.drive_mean[d]).collect();
+                let mut y = modes.filter(path, &moved);
+                y.iter_mut().zip(&moved).for_each(|(y, u)| *y += direct * u);
+                add(&y);
+            }
+        }
+        let ext = ext.as_deref().unwrap_or(&stretch.core);
+        let simulated = &stretch.simulated[problem.response];
+        let mut out: Vec<f64> = if closed.is_empty() {
+            simulated.iter().zip(ext.iter().zip(&stretch.core)).map(|(s, (e, c))| s + e - c).collect()
+        } else {
+            let forces: Vec<Force<'_>> =
+                closed.iter().map(|(law, shape, path, other)| Force { law, shape, path, other }).collect();
+            let y = kernel::run(modes, &forces, ext, problem.scales, stretch.clock)?;
+            simulated.iter().zip(y.iter().zip(&stretch.core)).map(|(s, (y, c))| s + y - c).collect()
+        };
+        let (mean, scale) = (problem.scales.y_mean, problem.scales.y);
+        for (map, p) in outputs {
+            out.iter_mut().for_each(|y| *y = (*y - mean) / scale);
+            map.apply(p, &mut out, |k| stretch.clock.start + stretch.clock.step * k as f64);
+            out.iter_mut().for_each(|y| *y = *y * scale + mean);
+        }
+        out.iter().all(|y| y.is_finite()).then_some(out)
+    }
+
+    /// Predictions of several stretches, `[stretch][sample]`.
+    pub fn predictions(&self, problem: &Problem, stretches: &[Stretch], p: &[f64]) -> Option<Vec<Vec<f64>>> {
+        stretches.iter().map(|s| self.predict(problem, s, p)).collect()
+    }
+
+    /// Rows that the candidate leaves; `None` if a free run runs away.
+    pub fn residual_rows(&self, problem: &Problem, stretches: &[Stretch], p: &[f64]) -> Option<Vec<f64>> {
+        let mut rows = Vec::new();
+        for stretch in stretches {
+            let prediction = self.predict(problem, stretch, p)?;
+            stretch.extend(&stretch.residual(&prediction), &mut rows);
+        }
+        rows.iter().all(|r| r.is_finite()).then_some(rows)
+    }
+}
+
+/// First linear part of a sandwich: the drive, in units of its peak, through its path.
+pub(super) fn inner_signal(
+    problem: &Plant,
+    stretch: &Course,
+    drive: usize,
+    path: &[f64],
+    direct: f64,
+) -> Vec<f64> {
+    let (peak, mean) = (problem.drive_peak[drive], problem.core.drive_mean[drive]);
+    let moved: Vec<f64> = stretch.drives[drive].iter().map(|u| (u - mean) / peak).collect();
+    let mut inner = problem.core.modes.filter(path, &moved);
+    inner.iter_mut().zip(&moved).for_each(|(s, u)| *s += direct * u);
+    inner
+}

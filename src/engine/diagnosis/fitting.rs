@@ -1,0 +1,78 @@
+//! From a candidate to its best free run: start, then Levenberg and Marquardt.
+
+use super::candidate::Candidate;
+use super::levmar::{Limits, minimise};
+use super::linear::dot;
+use super::problem::Problem;
+use super::start::{Regression, Start};
+
+/// Starts that are followed to their end.
+const FOLLOWED: usize = 2;
+
+/// A fitted candidate.
+#[derive(Debug, Clone)]
+pub(super) struct Fitted {
+    pub candidate: Candidate,
+    pub p: Vec<f64>,
+    pub scale: Vec<f64>,
+    /// Mean square in noise floors on the fit stretches.
+    pub chi2_fit: f64,
+}
+
+/// How much work a fit may be.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Effort {
+    /// Jacobians.
+    pub rounds: usize,
+}
+
+/// Fits the last part of a candidate on top of `known`, then all parameters together; `None` if
+/// no start gives a free run that stays finite.
+pub(super) fn fit(
+    problem: &Problem,
+    regression: &Regression<'_>,
+    candidate: &Candidate,
+    known: &[f64],
+    effort: Effort,
+) -> Option<Fitted> {
+    let rows = problem.fit.iter().map(|s| s.rows.len()).sum::<usize>() as f64;
+    let residual = |p: &[f64]| candidate.residual_rows(problem, &problem.fit, p);
+    let mut best: Option<Fitted> = None;
+    for start in regression.starts(candidate, known).iter().take(FOLLOWED) {
+        let Some(p) = steady(start, &residual) else { continue };
+        let limits = Limits { rounds: effort.rounds, still: 1e-3, enough: 0.9 * rows };
+        let Some(found) = minimise(residual, &p, &start.scale, limits) else { continue };
+        let chi2_fit = found.cost / rows;
+        if best.as_ref().is_none_or(|b| chi2_fit < b.chi2_fit) {
+            best = Some(Fitted {
+                candidate: candidate.clone(),
+                p: found.p,
+                scale: start.scale.clone(),
+                chi2_fit,
+            });
+        }
+        // Nothing left: another start cannot be better.
+        if best.as_ref().is_some_and(|b| b.chi2_fit < 1.1) {
+            break;
+        }
+    }
+    best
+}
+
+/// The start with its linear parameters shrunk until its free run is finite and best.
+fn steady(start: &Start, residual: &impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Vec<f64>> {
+    let mut best: Option<(f64, Vec<f64>)> = None;
+    for share in [1.0, 0.7, 0.4, 0.15, 0.03] {
+        let p: Vec<f64> =
+            start.p.iter().zip(&start.linear).map(|(p, &l)| if l { p * share } else { *p }).collect();
+        if let Some(rows) = residual(&p) {
+            let cost = dot(&rows, &rows);
+            if best.as_ref().is_none_or(|(b, _)| cost < *b) {
+                best = Some((cost, p));
+            } else {
+                break;
+            }
+        }
+    }
+    best.map(|b| b.1)
+}

@@ -1,0 +1,197 @@
+//! The one forward kernel: the core's states with forces that depend on the response they shape.
+//!
+//! `x+ = A x + sum_q E_q phi_q(y_mid, v_mid, z_q, t, other)`, `y = ext + C x`, where `ext` is all that
+//! does not depend on the response. Midpoint rule with two passes: the first predicts the next
+//! sample, the second evaluates midway to it (one explicit pass diverges for quadratic damping).
+
+use serde::{Deserialize, Serialize};
+
+use super::law::{Instant, Law, Memory};
+use super::modes::Modes;
+
+/// Beyond this many times the response's RMS a run has diverged.
+const RUNAWAY: f64 = 1e4;
+
+/// One force with its strength and path.
+pub(super) struct Force<'a> {
+    pub law: &'a Law,
+    pub shape: &'a [f64],
+    /// `E`, response unit, one entry a state.
+    pub path: &'a [f64],
+    /// The signal that the law calls other, per sample; empty if it needs none.
+    pub other: &'a [f64],
+}
+
+/// Units of a law's arguments on one channel.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Scales {
+    /// Working point of the response.
+    pub y_mean: f64,
+    /// RMS of the response about it.
+    pub y: f64,
+    /// RMS of its change per sample.
+    pub dy: f64,
+}
+
+/// Time of a run in units of the programme.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Clock {
+    /// At the first sample.
+    pub start: f64,
+    /// Per sample.
+    pub step: f64,
+}
+
+/// Free run of the forces on top of `ext`; `None` if it runs away.
+pub(super) fn run(
+    modes: &Modes,
+    forces: &[Force<'_>],
+    ext: &[f64],
+    scales: Scales,
+    clock: Clock,
+) -> Option<Vec<f64>> {
+    let n = modes.order();
+    let mut x = vec![0.0; n];
+    let mut memories: Vec<Memory> = vec![Memory::default(); forces.len()];
+    let reach: Vec<f64> = forces.iter().map(|f| modes.read(f.path)).collect();
+    let mut values = vec![0.0; forces.len()];
+    let mut out = Vec::with_capacity(ext.len());
+    let (per_y, per_dy) = (1.0 / scales.y, 1.0 / scales.dy);
+    let limit = RUNAWAY * scales.y;
+    let mut before = ext.first()? - scales.y_mean;
+    for (k, e) in ext.iter().enumerate() {
+        let y = e - scales.y_mean + modes.read(&x);
+        if y.is_nan() || y.abs() >= limit {
+            return None;
+        }
+        out.push(y + scales.y_mean);
+        let Some(next_ext) = ext.get(k + 1) else { break };
+        modes.turn(&mut x);
+        let free = next_ext - scales.y_mean + modes.read(&x);
+        let t = clock.start + clock.step * (k as f64 + 0.5);
+        let instant = |next: f64, force: &Force<'_>| {
+            let other =
+                if force.other.is_empty() { 0.0 } else { 0.5 * (force.other[k] + force.other[k + 1]) };
+            Instant {
+                y: 0.5 * (y + next) * per_y,
+                dy: (next - y) * per_y,
+                v: (next - y) * per_dy,
+                t,
+                aux: other,
+            }
+        };
+        let mut next = y + (y - before);
+        for pass in 0..2 {
+            let mut predicted = free;
+            for (q, force) in forces.iter().enumerate() {
+                let mut memory = memories[q];
+                let value = force.law.at(force.shape, instant(next, force), &mut memory);
+                predicted += reach[q] * value;
+                if pass == 1 {
+                    values[q] = value;
+                    memories[q] = memory;
+                }
+            }
+            next = predicted;
+        }
+        for (force, value) in forces.iter().zip(&values) {
+            for (x, e) in x.iter_mut().zip(force.path) {
+                *x += e * value;
+            }
+        }
+        before = y;
+    }
+    Some(out)
+}
+
+/// Values of a law along a given response, midway between samples: what a regression uses.
+pub(super) fn along(
+    law: &Law,
+    shape: &[f64],
+    response: &[f64],
+    other: &[f64],
+    scales: Scales,
+    clock: Clock,
+) -> Vec<f64> {
+    let mut memory = Memory::default();
+    (0..response.len())
+        .map(|k| {
+            let next = (k + 1).min(response.len() - 1);
+            let (y, to) = (response[k] - scales.y_mean, response[next] - scales.y_mean);
+            let aux = if other.is_empty() { 0.0 } else { 0.5 * (other[k] + other[next]) };
+            let instant = Instant {
+                y: 0.5 * (y + to) / scales.y,
+                dy: (to - y) / scales.y,
+                v: (to - y) / scales.dy,
+                t: clock.start + clock.step * (k as f64 + 0.5),
+                aux,
+            };
+            law.at(shape, instant, &mut memory)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use realfft::num_complex::Complex64;
+
+    const UNIT: Scales = Scales { y_mean: 0.0, y: 1.0, dy: 1.0 };
+    const CLOCK: Clock = Clock { start: 0.0, step: 0.0 };
+
+    fn oscillator() -> Modes {
+        let z = Complex64::from_polar(0.99, 0.1);
+        Modes::of_values(&[z, z.conj()])
+    }
+
+    #[test]
+    fn a_linear_force_moves_the_poles_as_feedback_does() {
+        let modes = oscillator();
+        let path = [0.0, 2e-3];
+        let ext: Vec<f64> = (0..3000).map(|k| (0.09 * f64::from(k)).sin()).collect();
+        let y = run(
+            &modes,
+            &[Force { law: &Law::Linear, shape: &[], path: &path, other: &[] }],
+            &ext,
+            UNIT,
+            CLOCK,
+        )
+        .unwrap();
+        // The loop's own equation, solved at once: y_(k+1) enters its own midpoint, C E = 0 here.
+        let mut x = [0.0, 0.0];
+        for k in 0..2999 {
+            let now = ext[k] + x[0];
+            assert!((y[k] - now).abs() < 1e-9, "sample {k}");
+            let mut turned = x;
+            modes.turn(&mut turned);
+            let next = ext[k + 1] + turned[0];
+            x = [turned[0], turned[1] + path[1] * 0.5 * (now + next)];
+        }
+    }
+
+    #[test]
+    fn a_force_that_feeds_itself_runs_away_and_says_so() {
+        let modes = oscillator();
+        let ext = vec![1.0; 5000];
+        let force = Force { law: &Law::Cubic, shape: &[0.0], path: &[0.5, 0.0], other: &[] };
+        assert!(run(&modes, &[force], &ext, UNIT, CLOCK).is_none());
+    }
+
+    #[test]
+    fn a_force_along_its_own_free_run_gives_that_run_again() {
+        let modes = oscillator();
+        let path = [1e-3, -4e-3];
+        let ext: Vec<f64> = (0..2000).map(|k| 1.5 * (0.07 * f64::from(k)).sin()).collect();
+        let law = Law::Coulomb;
+        let shape = [0.02_f64.ln()];
+        let scales = Scales { y_mean: 0.0, y: 1.0, dy: 0.1 };
+        let y =
+            run(&modes, &[Force { law: &law, shape: &shape, path: &path, other: &[] }], &ext, scales, CLOCK)
+                .unwrap();
+        let values = along(&law, &shape, &y, &[], scales, CLOCK);
+        let again = modes.filter(&path, &values);
+        for (k, (y, (e, f))) in y.iter().zip(ext.iter().zip(&again)).enumerate() {
+            assert!((y - e - f).abs() < 2e-3, "sample {k}: {y} {}", e + f);
+        }
+    }
+}

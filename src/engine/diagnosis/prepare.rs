@@ -1,0 +1,245 @@
+//! From a request to one problem per response.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::core::{self, Core, CoreFit};
+use super::input::{Input, Mode, Role};
+use super::kernel::{Clock, Scales};
+use super::linear::{mean, rms};
+use super::noise::{self, Noise, Pair};
+use super::problem::{Course, Plant, Problem, Stretch};
+use super::rows::Rows;
+use super::split::{Piece, Split, split};
+use crate::engine::EngineError;
+
+/// A request made ready.
+pub(super) struct Prepared {
+    pub problems: Vec<Problem>,
+    pub noises: Vec<Noise>,
+    /// Whether repeats gave the noise; else it is the core's own residual.
+    pub from_repeats: bool,
+    pub pieces: Vec<Piece>,
+    pub warnings: Vec<String>,
+    /// The core's band, cycles a sample.
+    pub band: [f64; 2],
+    /// What the baseline leaves of each core: the noise before the change.
+    pub baseline_noise: Vec<super::ar::Ar>,
+}
+
+/// Cores, noise and stretches of every response.
+///
+/// # Errors
+/// A request that does not hold together, drives that do not move, runs too short for the core.
+pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
+    input.check()?;
+    let baseline: Vec<Vec<&[f64]>> =
+        input.baseline.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect();
+    let band = core::drive_band(&baseline)
+        .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })?;
+    let Split { pieces, warnings } = split(input);
+    for role in [Role::Fit, Role::Select, Role::Test] {
+        if !pieces.iter().any(|p| p.role == role) {
+            return Err(EngineError::TooShort {
+                what: "runs of the diagnosis: fit, select and test each need one",
+                needed: 1,
+                found: 0,
+            });
+        }
+    }
+    let fitted: Vec<CoreFit> = (0..input.responses.len())
+        .into_par_iter()
+        .map(|r| fit_core(input, &baseline, r, band))
+        .collect::<Result<_, _>>()?;
+    let simulated = simulate_all(input, &fitted);
+    let mut problems = Vec::new();
+    let mut noises = Vec::new();
+    let mut from_repeats = true;
+    for (r, fit) in fitted.iter().enumerate() {
+        let noise = repeats(input, &pieces, &simulated, &fit.core, r, band);
+        from_repeats &= noise.is_some();
+        // A rig that changed between its repeats leaves more in their difference than the regression
+        // can take out: the noise before the change is then the better floor, where it is lower.
+        let noise = noise.map(|n| {
+            let changed =
+                n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
+            if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
+        });
+        let noise = noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 });
+        problems.push(problem(input, &pieces, &simulated, &fit.core, r, band, &noise)?);
+        noises.push(noise);
+    }
+    let baseline_noise = fitted.into_iter().map(|f| f.noise).collect();
+    Ok(Prepared { problems, noises, from_repeats, pieces, warnings, band, baseline_noise })
+}
+
+fn fit_core(
+    input: &Input,
+    drives: &[Vec<&[f64]>],
+    response: usize,
+    band: [f64; 2],
+) -> Result<CoreFit, EngineError> {
+    let stretches: Vec<core::Stretch<'_>> = input
+        .baseline
+        .iter()
+        .zip(drives)
+        .map(|(run, drives)| core::Stretch {
+            drives: drives.clone(),
+            response: run.response.channel(response),
+        })
+        .collect();
+    if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {
+        return Err(EngineError::DeadChannel { what: "response of the baseline runs", channel: response });
+    }
+    // From before the change the rig is its own linear self; in situ low-level runs bend too.
+    core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External)
+}
+
+/// What the sim says of every run, `[run][response][sample]`.
+fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
+    input
+        .runs
+        .par_iter()
+        .map(|run| {
+            Arc::new(match &run.simulated {
+                Some(simulated) => simulated.channels().to_vec(),
+                None => fitted.iter().map(|f| f.core.simulate(run.drive.channels())).collect(),
+            })
+        })
+        .collect()
+}
+
+fn repeats(
+    input: &Input,
+    pieces: &[Piece],
+    simulated: &[Arc<Vec<Vec<f64>>>],
+    core: &Core,
+    response: usize,
+    band: [f64; 2],
+) -> Option<Noise> {
+    let mut pairs = Vec::new();
+    for (i, a) in pieces.iter().enumerate() {
+        let Some(b) = pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
+        let range = a.from..a.to.min(b.to);
+        let (ya, yb) =
+            (input.runs[a.run].response.channel(response), input.runs[b.run].response.channel(response));
+        let lead = if a.from == 0 { core.settling(range.len()) } else { 0 };
+        pairs.push(Pair {
+            difference: ya[range.clone()].iter().zip(&yb[range.clone()]).map(|(a, b)| a - b).collect(),
+            drives: input.runs[a.run].drive.channels().iter().map(|d| &d[range.clone()]).collect(),
+            simulated: &simulated[a.run][response][range],
+            lead,
+        });
+    }
+    noise::from_repeats(&pairs, core, band)
+}
+
+fn problem(
+    input: &Input,
+    pieces: &[Piece],
+    simulated: &[Arc<Vec<Vec<f64>>>],
+    core: &Core,
+    response: usize,
+    band: [f64; 2],
+    noise: &Noise,
+) -> Result<Problem, EngineError> {
+    let rate = input.sample_rate_hz();
+    let begin = input.runs.iter().map(|r| r.started_s).fold(f64::INFINITY, f64::min);
+    let end = input.runs.iter().map(|r| r.started_s + r.drive.duration_s()).fold(f64::NEG_INFINITY, f64::max);
+    let span = (end - begin).max(1e-9);
+    let mut sets: [Vec<Stretch>; 3] = Default::default();
+    for piece in pieces {
+        let run = &input.runs[piece.run];
+        // A piece inside a run is simulated from before its start; at a run's start there is no before.
+        let start = piece.from.saturating_sub(core.settling(usize::MAX));
+        let lead = if piece.from > 0 { piece.from - start } else { core.settling(piece.to) };
+        let scored = piece.to - start - lead;
+        if scored < 64 {
+            return Err(EngineError::TooShort { what: "run of the diagnosis", needed: 64, found: scored });
+        }
+        let drives: Vec<Vec<f64>> =
+            run.drive.channels().iter().map(|d| d[start..piece.to].to_vec()).collect();
+        let stretch = Stretch {
+            run: piece.run,
+            from: start,
+            group: piece.group,
+            measured: run.response.channel(response)[start..piece.to].to_vec(),
+            lead,
+            rows: Rows::new(scored, band, &noise.ar),
+            course: Course {
+                simulated: Arc::new(
+                    simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect(),
+                ),
+                core: core.simulate(&drives),
+                clock: Clock {
+                    start: (run.started_s - begin + start as f64 / rate) / span,
+                    step: 1.0 / (rate * span),
+                },
+                drives: Arc::new(drives),
+            },
+        };
+        match piece.role {
+            Role::Fit => sets[0].push(stretch),
+            Role::Select => sets[1].push(stretch),
+            Role::Test => sets[2].push(stretch),
+        }
+    }
+    let [fit, select, test] = sets;
+    let n_drives = input.drives.len();
+    let drive = |d: usize| -> Vec<f64> { fit.iter().flat_map(|s| s.drives[d].iter().copied()).collect() };
+    let mut drive_peak = Vec::new();
+    let mut drive_quantiles = Vec::new();
+    let mut drive_slope = Vec::new();
+    for d in 0..n_drives {
+        let samples = drive(d);
+        let peak = samples.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
+        let mut sorted: Vec<f64> = samples.iter().map(|u| u.abs() / peak.max(1e-300)).collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize].max(1e-6);
+        drive_quantiles.push([at(0.3), at(0.6), at(0.8), at(0.95)]);
+        let change: f64 = samples.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
+        drive_slope.push((change / (samples.len().max(2) - 1) as f64 / peak.max(1e-300)).max(1e-9));
+        drive_peak.push(peak);
+    }
+    if drive_peak.iter().all(|&p| p == 0.0) {
+        return Err(EngineError::DeadChannel { what: "drives of the fit runs", channel: 0 });
+    }
+    let y_mean = core.response_mean;
+    let measured: Vec<f64> = fit.iter().flat_map(|s| s.measured.iter().map(|y| y - y_mean)).collect();
+    let change: Vec<f64> = fit
+        .iter()
+        .flat_map(|s| {
+            let smooth = super::problem::smooth(&s.measured, band[1]);
+            smooth.windows(2).map(|w| w[1] - w[0]).collect::<Vec<f64>>()
+        })
+        .collect();
+    let (y, dy) = (rms(&measured), rms(&change));
+    if !(y > 0.0 && dy > 0.0) {
+        return Err(EngineError::DeadChannel { what: "response of the fit runs", channel: response });
+    }
+    let mut other_mean = Vec::new();
+    let mut other_scale = Vec::new();
+    for r in 0..input.responses.len() {
+        let samples: Vec<f64> = fit.iter().flat_map(|s| s.simulated[r].iter().copied()).collect();
+        let centre = mean(&samples);
+        other_mean.push(centre);
+        other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
+    }
+    Ok(Problem {
+        plant: Plant {
+            response,
+            core: core.clone(),
+            scales: Scales { y_mean, y, dy },
+            other_scale,
+            other_mean,
+            drive_peak,
+        },
+        drive_quantiles,
+        drive_slope,
+        band_end: band[1],
+        fit,
+        select,
+        test,
+    })
+}

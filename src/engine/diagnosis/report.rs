@@ -1,0 +1,318 @@
+//! The answer of a diagnosis, in the shape of the contract's report.
+
+use serde::Serialize;
+
+use super::effect::{Effect, Family};
+use super::input::Mode;
+
+/// Where the noise floor comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseSource {
+    /// Runs with the same drive.
+    Repeats,
+    /// What the core leaves of the baseline runs; the verdict is capped.
+    Assumed,
+}
+
+/// What kind of answer this is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the contract's own words")]
+pub enum VerdictKind {
+    Identified,
+    Partial,
+    FamilyOnly,
+    NotDistinguishable,
+    NoneOfCatalogue,
+    NoiseOrUnmeasuredDisturbance,
+    NoMaterialGap,
+}
+
+/// The answer in one sentence's worth of fields.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Verdict {
+    /// What kind of answer.
+    pub kind: VerdictKind,
+    /// The effect blamed, if one is.
+    pub effect: Option<Effect>,
+    /// Its family.
+    pub family: Option<Family>,
+    /// Axis of the effect.
+    pub axis: Option<String>,
+    /// Response on which it closes most.
+    pub channel: Option<String>,
+    /// That this verdict is right, 0..1.
+    pub probability: f64,
+    /// Effects that these runs cannot tell apart, the blamed one first.
+    pub equivalence_set: Vec<Effect>,
+    /// Reasons, in words.
+    pub because: Vec<String>,
+}
+
+/// Size of the gap.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Gap {
+    /// Systematic RMS relative to the response's, in band, on the select runs; largest response.
+    pub systematic_rms_rel: f64,
+    /// Noise RMS relative to the response's, in band; of the same response.
+    pub noise_rms_rel: f64,
+    /// Mean square of what the sim leaves of the select runs, in noise floors; largest response.
+    pub chi2_select: f64,
+    /// The same on the test runs.
+    pub chi2_test: f64,
+}
+
+/// Share of one response in the gap.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ChannelShare {
+    /// Response.
+    pub channel: String,
+    /// Share of the systematic power, each response in units of its own level; 0..1.
+    pub share_of_gap: f64,
+    /// RMS of what the sim leaves, in the response's unit, in band.
+    pub rms_error: f64,
+}
+
+/// Gap of one response in one band.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BandShare {
+    /// Response.
+    pub channel: String,
+    /// Lower edge.
+    pub from_hz: f64,
+    /// Upper edge.
+    pub to_hz: f64,
+    /// Share of the response's systematic power.
+    pub share_of_gap: f64,
+    /// Systematic power relative to the response's in this band, dB.
+    pub systematic_db: f64,
+    /// Noise power relative to the response's in this band, dB.
+    pub noise_db: f64,
+}
+
+/// Gap of one response in one range of amplitude or velocity.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RangeShare {
+    /// Response.
+    pub channel: String,
+    /// Lower end, as a share of the largest magnitude.
+    pub from: f64,
+    /// Upper end.
+    pub to: f64,
+    /// Share of the response's systematic power.
+    pub share_of_gap: f64,
+}
+
+/// Error over one stretch of time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SegmentChi2 {
+    /// Run.
+    pub run: String,
+    /// Response.
+    pub channel: String,
+    /// Start in the run.
+    pub from_s: f64,
+    /// End in the run.
+    pub to_s: f64,
+    /// Mean square in noise floors.
+    pub chi2: f64,
+}
+
+/// How the rig changed between repeats.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TimeVariance {
+    /// Share of the repeats' difference that the drive predicts; largest response.
+    pub repeat_drive_coherence: f64,
+}
+
+/// Where the gap lies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Where {
+    /// By response.
+    pub channels: Vec<ChannelShare>,
+    /// By band.
+    pub bands: Vec<BandShare>,
+    /// By magnitude of the response.
+    pub amplitude: Vec<RangeShare>,
+    /// By magnitude of its velocity.
+    pub velocity: Vec<RangeShare>,
+    /// By second of the select runs.
+    pub segments: Vec<SegmentChi2>,
+    /// Whether runs excite outside the core's band, where nothing is scored.
+    pub out_of_band_excitation: bool,
+    /// Changes between repeats.
+    pub time_variance: TimeVariance,
+}
+
+/// What explains, and does not decide.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Fingerprints {
+    /// Share of odd functions of the response in what functions of it explain of the gap.
+    pub odd_share: Option<f64>,
+    /// Exponent of the gap's RMS against the drive's level: about 0 friction, 1 linear, 2, 3.
+    pub gap_level_exponent: Option<f64>,
+    /// Closure by a refit of the linear part alone.
+    pub linear_refit_closure: Option<f64>,
+    /// Frequency of a line that no drive explains.
+    pub line_hz: Option<f64>,
+}
+
+/// One fitted number of an effect.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Parameter {
+    /// Name.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Standard error; none where the runs do not tell it.
+    pub se: Option<f64>,
+    /// Unit.
+    pub unit: String,
+}
+
+/// How far the gap closes on runs that were neither fitted nor chosen on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// Runs.
+    pub runs: Vec<String>,
+    /// RMS of what the sim leaves, in band, response unit.
+    pub rms_before: f64,
+    /// RMS of what sim and effect leave.
+    pub rms_after: f64,
+    /// RMS of the noise.
+    pub noise_rms: f64,
+    /// Mean square in noise floors that the sim leaves.
+    pub chi2_before: f64,
+    /// That sim and effect leave.
+    pub chi2_after: f64,
+    /// `1 - (chi2_after - 1)+ / (chi2_before - 1)`.
+    pub closure: f64,
+    /// Its 90 % interval by a block bootstrap.
+    pub closure_ci90: [f64; 2],
+    /// `1 - (after^2 - noise^2)+ / (before^2 - noise^2)`, RMS in band.
+    pub closure_rms: f64,
+}
+
+/// One effect with what it explains.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Hypothesis {
+    /// Effect.
+    pub effect: Effect,
+    /// Family.
+    pub family: Family,
+    /// Axis of the effect.
+    pub axis: Option<String>,
+    /// Response.
+    pub channel: String,
+    /// That it is the one, 0..1.
+    pub probability: f64,
+    /// Share of the gap that it leaves on the select runs.
+    pub remaining_share: f64,
+    /// Its numbers.
+    pub parameters: Vec<Parameter>,
+    /// On unseen runs.
+    pub held_out: HeldOut,
+    /// Whether its free run stays bounded over the allowed drives.
+    pub stable_over_envelope: bool,
+}
+
+/// A further effect on top of the first.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SecondEffect {
+    /// Effect.
+    pub effect: Effect,
+    /// Its family.
+    pub family: Family,
+    /// Mean square in noise floors that both leave of the select runs.
+    pub chi2: f64,
+    /// Closure of both on the test runs.
+    pub closure: f64,
+}
+
+/// What is left after the best hypothesis.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Remaining {
+    /// Mean square in noise floors on the select runs.
+    pub chi2: f64,
+    /// By band.
+    pub bands: Vec<BandShare>,
+    /// A second effect, if one closes a good part of the rest.
+    pub second_effect: Option<SecondEffect>,
+}
+
+/// A drive that would tell more.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NextDrive {
+    /// `noise`, `slow_sine`, `resonance_sine`, `sweep`, `offset_noise`.
+    pub kind: String,
+    /// Of a sine.
+    pub frequency_hz: Option<f64>,
+    /// Relative to the runs' peak.
+    pub level_rel: f64,
+}
+
+/// The run that separates the two leading effects best.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NextExperiment {
+    /// What to drive.
+    pub drive: NextDrive,
+    /// The effects it separates.
+    pub separates: Vec<Effect>,
+    /// Mean square difference in noise floors after the rival has re-adapted.
+    pub expected_separation: f64,
+    /// Whether no allowed run separates them.
+    pub inseparable_in_envelope: bool,
+}
+
+/// Part of a run with a role.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunPart {
+    /// Run.
+    pub run: String,
+    /// Start.
+    pub from_s: f64,
+    /// End.
+    pub to_s: f64,
+}
+
+/// Which parts of which runs were used for what.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DataSplit {
+    /// Fitted to.
+    pub fit: Vec<RunPart>,
+    /// Chosen on.
+    pub select: Vec<RunPart>,
+    /// Neither.
+    pub test: Vec<RunPart>,
+}
+
+/// The engine's part of the report; whoever asked adds the model and the time it took.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// `gap-diagnosis/1`
+    pub schema: &'static str,
+    /// Whether the sim had seen the effect.
+    pub mode: Mode,
+    /// Where the noise floor comes from.
+    pub noise_floor_source: NoiseSource,
+    /// The answer.
+    pub verdict: Verdict,
+    /// How large the gap is.
+    pub gap: Gap,
+    /// Where it lies.
+    #[serde(rename = "where")]
+    pub location: Where,
+    /// What explains.
+    pub fingerprints: Fingerprints,
+    /// Best first.
+    pub hypotheses: Vec<Hypothesis>,
+    /// What is left.
+    pub remaining: Remaining,
+    /// What to run next.
+    pub next_experiment: Option<NextExperiment>,
+    /// What was used for what.
+    pub data_split: DataSplit,
+    /// What weakens the answer.
+    pub warnings: Vec<String>,
+}

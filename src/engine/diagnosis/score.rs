@@ -1,0 +1,131 @@
+//! How much of the gap a fitted candidate leaves, and how sure that is.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::fitting::Fitted;
+use super::problem::{Problem, Stretch};
+
+/// Draws of the block bootstrap.
+const DRAWS: usize = 400;
+/// Length of a block: longer than the memory of most rigs, short enough that there are many.
+const BLOCK_S: f64 = 0.5;
+
+/// A fitted candidate with its score on the select stretches.
+#[derive(Debug, Clone)]
+pub(super) struct Scored {
+    /// Index of the problem, and so of the response.
+    pub problem: usize,
+    pub fitted: Fitted,
+    /// Mean square in noise floors on the select stretches.
+    pub chi2: f64,
+    /// Share of the gap that remains, `(chi2 - 1)+ / (chi2_none - 1)`.
+    pub remaining: f64,
+    /// Squared rows per block of the select stretches.
+    pub blocks: Vec<f64>,
+}
+
+/// Sums of squares in noise floors over blocks of time, and the rows that they stand for.
+#[derive(Debug, Clone)]
+pub(super) struct Blocks {
+    pub sums: Vec<f64>,
+    pub rows: Vec<f64>,
+}
+
+/// Squares of residuals, `[stretch][sample]`, over blocks of time.
+pub(super) fn blocks(stretches: &[Stretch], residuals: &[Vec<f64>], rate_hz: f64) -> Blocks {
+    let mut out = Blocks { sums: Vec::new(), rows: Vec::new() };
+    for (stretch, residual) in stretches.iter().zip(residuals) {
+        let white = stretch.rows.whitened(&residual[stretch.lead..]);
+        let len = ((BLOCK_S * rate_hz) as usize).clamp(1, white.len());
+        let count = (white.len() / len).max(1);
+        for k in 0..count {
+            let (from, to) = (k * white.len() / count, (k + 1) * white.len() / count);
+            out.sums.push(white[from..to].iter().map(|e| e * e).sum());
+            out.rows.push(stretch.rows.len() as f64 / count as f64);
+        }
+    }
+    out
+}
+
+/// Scores a fitted candidate; `None` if its free run of a select stretch runs away.
+pub(super) fn score(
+    index: usize,
+    problem: &Problem,
+    fitted: Fitted,
+    chi2_none: f64,
+    rate_hz: f64,
+) -> Option<Scored> {
+    let predictions = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
+    let chi2 = problem.chi2(&problem.select, &predictions);
+    let residuals: Vec<Vec<f64>> =
+        problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
+    let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
+    Some(Scored { problem: index, fitted, chi2, remaining: remaining(chi2, chi2_none), blocks })
+}
+
+/// `(chi2 - 1)+ / (chi2_none - 1)`; 1 where there was no gap.
+pub(super) fn remaining(chi2: f64, chi2_none: f64) -> f64 {
+    if chi2_none > 1.0 { (chi2 - 1.0).max(0.0) / (chi2_none - 1.0) } else { 1.0 }
+}
+
+/// 90 % interval of the closure by drawing blocks with replacement.
+pub(super) fn closure_interval(before: &Blocks, after: &Blocks, seed: u64) -> [f64; 2] {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let n = before.sums.len();
+    let mut closures: Vec<f64> = (0..DRAWS)
+        .map(|_| {
+            let (mut b, mut a, mut rows) = (0.0, 0.0, 0.0);
+            for _ in 0..n {
+                let k = rng.random_range(0..n);
+                b += before.sums[k];
+                a += after.sums[k];
+                rows += before.rows[k];
+            }
+            1.0 - remaining(a / rows, b / rows)
+        })
+        .collect();
+    closures.sort_by(f64::total_cmp);
+    [closures[DRAWS / 20], closures[DRAWS - 1 - DRAWS / 20]]
+}
+
+/// Whether the difference of two candidates on the same blocks may be chance: its 90 % interval,
+/// blocks paired, holds 0.
+pub(super) fn may_be_equal(a: &[f64], b: &[f64], seed: u64) -> bool {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let n = a.len().min(b.len());
+    let mut differences: Vec<f64> = (0..DRAWS)
+        .map(|_| {
+            (0..n)
+                .map(|_| {
+                    let k = rng.random_range(0..n);
+                    b[k] - a[k]
+                })
+                .sum()
+        })
+        .collect();
+    differences.sort_by(f64::total_cmp);
+    differences[DRAWS / 20] <= 0.0 && differences[DRAWS - 1 - DRAWS / 20] >= 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_remains_is_counted_above_the_noise() {
+        assert!((remaining(2.0, 11.0) - 0.1).abs() < 1e-15);
+        assert_eq!(remaining(0.9, 11.0), 0.0);
+        assert_eq!(remaining(0.9, 0.8), 1.0);
+    }
+
+    #[test]
+    fn the_interval_holds_the_closure_of_even_blocks_and_is_narrow() {
+        let before = Blocks { sums: vec![110.0; 40], rows: vec![10.0; 40] };
+        let after = Blocks { sums: (0..40).map(|k| 15.0 + f64::from(k % 5)).collect(), rows: vec![10.0; 40] };
+        let [low, high] = closure_interval(&before, &after, 1);
+        assert!(low < 0.93 && high > 0.93 && high - low < 0.02, "{low} {high}");
+        assert!(!may_be_equal(&before.sums, &after.sums, 1));
+        assert!(may_be_equal(&after.sums, &after.sums, 1));
+    }
+}

@@ -1,0 +1,104 @@
+//! Which stretches are fitted to, chosen on and tested on.
+
+use serde::Serialize;
+
+use super::input::{Input, Role};
+use super::linear::rms;
+
+/// Drives of one repeat group are equal within this share of their RMS.
+const SAME_DRIVE: f64 = 1e-3;
+/// From this many different drives on, whole runs get roles; below, each run is cut in time.
+const ENOUGH_GROUPS: usize = 8;
+
+/// A stretch of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Piece {
+    /// Index into the request's runs.
+    pub run: usize,
+    /// First sample that is scored.
+    pub from: usize,
+    /// First sample that is not.
+    pub to: usize,
+    /// Which stretches have the same drives: repeats share it.
+    pub group: usize,
+    /// What it is used for.
+    pub role: Role,
+}
+
+/// Pieces of all runs and what was wrong with the repeats.
+pub(super) struct Split {
+    pub pieces: Vec<Piece>,
+    pub warnings: Vec<String>,
+}
+
+/// Cuts the runs. Repeats always share a role: a test drive is never seen in a fit.
+pub(super) fn split(input: &Input) -> Split {
+    let mut warnings = Vec::new();
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for group in &input.repeats {
+        let mut kept: Vec<usize> = Vec::new();
+        for &run in group {
+            if kept.first().is_none_or(|&first| same_drive(input, first, run)) {
+                kept.push(run);
+            } else {
+                warnings.push(format!("repeat_drive_differs: {}", input.runs[run].name));
+                groups.push(vec![run]);
+            }
+        }
+        groups.push(kept);
+    }
+    for run in 0..input.runs.len() {
+        if !groups.iter().flatten().any(|&r| r == run) {
+            groups.push(vec![run]);
+        }
+    }
+    groups.sort_by_key(|g| g[0]);
+    let mut pieces = Vec::new();
+    if let Some(roles) = &input.roles {
+        for (g, group) in groups.iter().enumerate() {
+            for &run in group {
+                pieces.push(whole(input, run, g, roles[run]));
+            }
+        }
+        return Split { pieces, warnings };
+    }
+    if groups.len() >= ENOUGH_GROUPS {
+        // By level, so that each role sees weak and strong drives, the strongest fitted.
+        let mut order: Vec<usize> = (0..groups.len()).collect();
+        order.sort_by(|&a, &b| level(input, groups[b][0]).total_cmp(&level(input, groups[a][0])));
+        let cycle = [Role::Fit, Role::Test, Role::Fit, Role::Select];
+        for (place, &g) in order.iter().enumerate() {
+            for &run in &groups[g] {
+                pieces.push(whole(input, run, g, cycle[place % cycle.len()]));
+            }
+        }
+    } else {
+        for (g, group) in groups.iter().enumerate() {
+            for &run in group {
+                let n = group.iter().map(|&r| input.runs[r].drive.n_samples()).min().unwrap_or(0);
+                let cuts = [0, n / 2, 3 * n / 4, n];
+                for (k, role) in [Role::Fit, Role::Select, Role::Test].into_iter().enumerate() {
+                    pieces.push(Piece { run, from: cuts[k], to: cuts[k + 1], group: 3 * g + k, role });
+                }
+            }
+        }
+    }
+    Split { pieces, warnings }
+}
+
+fn whole(input: &Input, run: usize, group: usize, role: Role) -> Piece {
+    Piece { run, from: 0, to: input.runs[run].drive.n_samples(), group, role }
+}
+
+fn level(input: &Input, run: usize) -> f64 {
+    input.runs[run].drive.channels().iter().map(|d| rms(d)).sum()
+}
+
+fn same_drive(input: &Input, a: usize, b: usize) -> bool {
+    let (a, b) = (&input.runs[a].drive, &input.runs[b].drive);
+    a.n_samples() == b.n_samples()
+        && a.channels().iter().zip(b.channels()).all(|(a, b)| {
+            let difference: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+            rms(&difference) <= SAME_DRIVE * rms(a)
+        })
+}

@@ -1,0 +1,74 @@
+use super::rig::{few, hardening, noise_drive, request, respond, run};
+use crate::engine::Signal;
+use crate::engine::diagnosis::{Augmented, Input, Role, diagnose};
+use crate::engine::progress::unwatched;
+
+/// Whole runs with given roles, one repeat each, so that the test runs stand alone.
+fn with_roles() -> Input {
+    let mut request = Input { catalogue: few(), ..request(hardening, 0.01) };
+    for (k, seed) in [(0, 21), (1, 22)] {
+        let drive = noise_drive(12.0, 1.0 - 0.3 * f64::from(k), 30 + seed);
+        request.runs.push(run("select", drive.clone(), hardening, 0.01, seed));
+        request.runs.push(run("test", drive, hardening, 0.01, seed + 5));
+    }
+    request.roles = Some(vec![
+        Role::Fit,
+        Role::Fit,
+        Role::Fit,
+        Role::Fit,
+        Role::Select,
+        Role::Test,
+        Role::Select,
+        Role::Test,
+    ]);
+    request
+}
+
+#[test]
+fn measured_test_responses_change_no_choice_and_no_prediction() {
+    let request = with_roles();
+    let mut shuffled = request.clone();
+    for k in [5, 7] {
+        let mut response = request.runs[k].response.channel(0).to_vec();
+        response.reverse();
+        shuffled.runs[k].response = Signal::new(request.sample_rate_hz(), vec![response]).unwrap();
+    }
+    let (a, b) = (diagnose(&request, &unwatched).unwrap(), diagnose(&shuffled, &unwatched).unwrap());
+    assert_eq!(a.augmented, b.augmented);
+    assert_eq!(a.report.verdict, b.report.verdict);
+    let closures = |d: &crate::engine::diagnosis::Diagnosis| d.report.hypotheses[0].held_out.closure;
+    assert!(closures(&a) > 0.95 && closures(&b) < 0.8, "{} {}", closures(&a), closures(&b));
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let request = Input { catalogue: few(), ..request(hardening, 0.01) };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| diagnose(&request, &unwatched).unwrap())
+    };
+    let (one, three) = (on(1), on(3));
+    assert_eq!(one.report, three.report);
+    assert_eq!(one.augmented, three.augmented);
+}
+
+#[test]
+fn the_augmented_sim_predicts_a_run_nobody_saw_and_survives_storage() {
+    let found = diagnose(&Input { catalogue: few(), ..request(hardening, 0.01) }, &unwatched).unwrap();
+    let best = &found.augmented[0];
+    let stored = serde_json::to_string(best).unwrap();
+    let loaded: Augmented = serde_json::from_str(&stored).unwrap();
+    assert_eq!(*best, loaded);
+
+    let drive = noise_drive(10.0, 0.9, 77);
+    let truth = respond(&drive, hardening);
+    let linear = respond(&drive, super::rig::none);
+    let drive = Signal::new(super::rig::RATE, vec![drive]).unwrap();
+    // The sim is another one than the core: the effect is added to whatever the sim says.
+    let simulated = Signal::new(super::rig::RATE, vec![linear.clone()]).unwrap();
+    let predicted = loaded.apply(&drive, &simulated).unwrap();
+    let error = |y: &[f64]| -> f64 { truth.iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
+    let (before, after) = (error(&linear), error(predicted.channel(0)));
+    assert!(after < 0.05 * before, "{before} {after}");
+    assert!(loaded.apply(&drive, &Signal::new(super::rig::RATE, vec![vec![0.0; 5]]).unwrap()).is_err());
+}

@@ -1,0 +1,6 @@
+//! Whole diagnoses of small rigs, integrated by another method than the diagnosis uses.
+
+mod bad_input;
+mod leaks;
+mod rig;
+mod verdicts;

@@ -1,0 +1,97 @@
+use super::rig::{few, friction, hardening, none, request};
+use crate::engine::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
+use crate::engine::progress::unwatched;
+
+#[test]
+fn a_hardening_spring_is_named_and_closes_the_gap_on_unseen_stretches() {
+    let found = diagnose(&request(hardening, 0.01), &unwatched).unwrap();
+    let verdict = &found.report.verdict;
+    assert_eq!(verdict.kind, VerdictKind::Identified, "{verdict:?}");
+    assert_eq!(verdict.family, Some(Family::Stiffness), "{verdict:?}");
+    let held_out = &found.report.hypotheses[0].held_out;
+    assert!(held_out.chi2_before > 20.0 && held_out.closure > 0.97, "{held_out:?}");
+    assert!(held_out.closure_ci90[0] <= held_out.closure && held_out.closure <= held_out.closure_ci90[1]);
+    assert!(found.report.hypotheses[0].stable_over_envelope);
+}
+
+#[test]
+fn dry_friction_is_named_with_its_axis() {
+    let found = diagnose(&request(friction, 0.01), &unwatched).unwrap();
+    let verdict = &found.report.verdict;
+    assert_eq!(verdict.family, Some(Family::FrictionHysteresis), "{verdict:?}");
+    assert_eq!(verdict.axis.as_deref(), Some("x"));
+    assert!(verdict.equivalence_set.contains(&Effect::CoulombFriction), "{verdict:?}");
+    // Friction does not grow with the drive.
+    let exponent = found.report.fingerprints.gap_level_exponent.unwrap();
+    assert!(exponent < 0.8, "{exponent}");
+}
+
+#[test]
+fn a_rig_like_its_model_has_no_material_gap() {
+    let found = diagnose(&request(none, 0.01), &unwatched).unwrap();
+    assert_eq!(found.report.verdict.kind, VerdictKind::NoMaterialGap);
+    assert!(found.report.gap.chi2_select < 1.3);
+    assert!(found.report.hypotheses.is_empty() && found.augmented.is_empty());
+}
+
+#[test]
+fn without_repeats_a_verdict_is_partial_at_most() {
+    let request = Input { repeats: Vec::new(), catalogue: few(), ..request(hardening, 0.01) };
+    let found = diagnose(&request, &unwatched).unwrap();
+    assert_eq!(found.report.verdict.kind, VerdictKind::Partial);
+    assert_eq!(found.report.noise_floor_source, NoiseSource::Assumed);
+    assert!(found.report.warnings.contains(&"noise_floor_assumed".to_owned()));
+}
+
+#[test]
+fn what_the_catalogue_lacks_is_not_blamed_on_something_else() {
+    let catalogue = vec![Effect::Gain, Effect::Delay, Effect::DriveSaturation, Effect::Offset];
+    let request = Input { catalogue, ..request(friction, 0.01) };
+    let found = diagnose(&request, &unwatched).unwrap();
+    assert_eq!(found.report.verdict.kind, VerdictKind::NoneOfCatalogue, "{:?}", found.report.verdict);
+    assert_eq!(found.report.verdict.effect, None);
+}
+
+#[test]
+fn an_effect_that_the_sim_has_half_absorbed_is_named_too() {
+    let mut request = request(hardening, 0.01);
+    let low = super::rig::noise_drive(25.0, 0.4, 3);
+    request.baseline = vec![super::rig::run("low", low, hardening, 0.01, 10)];
+    request.mode = Mode::InSitu;
+    request.catalogue = few();
+    let found = diagnose(&request, &unwatched).unwrap();
+    assert_eq!(found.report.verdict.family, Some(Family::Stiffness), "{:?}", found.report.verdict);
+}
+
+#[test]
+fn the_report_has_the_contracts_fields_and_finite_numbers() {
+    let request = Input { catalogue: few(), ..request(friction, 0.01) };
+    let found = diagnose(&request, &unwatched).unwrap();
+    let json = serde_json::to_value(&found.report).unwrap();
+    for field in [
+        "schema",
+        "mode",
+        "noise_floor_source",
+        "verdict",
+        "gap",
+        "where",
+        "fingerprints",
+        "hypotheses",
+        "remaining",
+    ] {
+        assert!(json.get(field).is_some(), "{field}");
+    }
+    assert_eq!(json["schema"], "gap-diagnosis/1");
+    assert_eq!(json["mode"], "external");
+    // What is not finite becomes null: only what may be absent is.
+    for hypothesis in json["hypotheses"].as_array().unwrap() {
+        for number in hypothesis["held_out"].as_object().unwrap().values() {
+            assert!(!number.is_null(), "{hypothesis}");
+        }
+    }
+    for bands in json["where"]["bands"].as_array().unwrap() {
+        assert!(bands["systematic_db"].is_number() && bands["noise_db"].is_number(), "{bands}");
+    }
+    let shares: f64 = found.report.location.bands.iter().map(|b| b.share_of_gap).sum();
+    assert!((shares - 1.0).abs() < 1e-9);
+}
