@@ -3,7 +3,8 @@
 use super::effect::{Effect, Tier};
 use super::score::{Scored, may_be_equal};
 
-/// Numbers of the decision, calibrated on blind rigs of seeds of their own.
+/// Numbers of the decision, set by hand after a look at some hundred blind rigs; no fit has calibrated
+/// the probabilities that come of them.
 struct Calibration {
     /// Smallest remaining share that is told apart,
     floor: f64,
