@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::{EngineError, Signal};
+use super::{EngineError, Signal, first_not_finite};
 
 /// Attenuation of the stop band, dB.
 const STOP_DB: f64 = 100.0;
@@ -52,7 +52,7 @@ pub fn resample(x: &Signal, to_hz: f64) -> Result<Signal, EngineError> {
     let channels: Vec<Vec<f64>> =
         x.channels().par_iter().map(|samples| filter.apply(samples, n_out)).collect();
     for (channel, samples) in channels.iter().enumerate() {
-        if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
+        if let Some(sample) = first_not_finite(samples) {
             return Err(EngineError::NonFiniteResult { what: "resampled signal", channel, sample });
         }
     }

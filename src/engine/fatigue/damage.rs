@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::block::{BLOCK, Block};
 use super::rainflow::{Residue, Stack};
-use crate::engine::EngineError;
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
+use crate::engine::{EngineError, first_not_finite};
 
 /// Settings of every damage figure; echoed with it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -265,7 +265,7 @@ impl DamageRatio {
 /// # Errors
 /// [`EngineError::NonFinite`] for the first sample that is not finite.
 pub(super) fn check_finite(what: &'static str, channel: usize, samples: &[f64]) -> Result<(), EngineError> {
-    match samples.iter().position(|v| !v.is_finite()) {
+    match first_not_finite(samples) {
         Some(sample) => Err(EngineError::NonFinite { what, channel, sample }),
         None => Ok(()),
     }

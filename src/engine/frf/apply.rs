@@ -7,9 +7,8 @@ use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::Frf;
-use crate::engine::signal::first_not_finite;
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Signal, first_not_finite};
 
 /// An FRF made ready for repeated use.
 ///

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use realfft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Signal, first_not_finite};
 
 /// Zero-phase filters over a whole signal, by FFT. Both may be set.
 ///
@@ -110,7 +110,7 @@ impl Preprocess {
             samples.copy_from_slice(&time[..n]);
         });
         for (channel, samples) in channels.iter().enumerate() {
-            if let Some(sample) = samples.iter().position(|v| !v.is_finite()) {
+            if let Some(sample) = first_not_finite(samples) {
                 return Err(EngineError::NonFiniteResult { what: "filtered signal", channel, sample });
             }
         }

@@ -1,10 +1,10 @@
 //! The one loop that all averaged spectra share.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use realfft::{RealFftPlanner, RealToComplex};
 
 use super::{Detrend, Welch, hann};
 use crate::engine::EngineError;
@@ -61,7 +61,8 @@ pub(super) fn accumulate(
         runs.iter().map(|run| welch.effective_averages(welch.n_segments(n_samples(run)))).sum();
 
     let spare = Mutex::new(Vec::new());
-    let job = Job { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len) };
+    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(len);
+    let job = Job { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len), fft };
     let tiles = welch.n_lines().div_ceil(TILE);
     let bytes = size_of::<Tile>() * pairs.len() * tiles;
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
@@ -110,6 +111,7 @@ struct Job<'a> {
     welch: &'a Welch,
     pairs: &'a [(usize, usize)],
     window: &'a [f64],
+    fft: Arc<dyn RealToComplex<f64>>,
 }
 
 /// Real and imaginary parts of some lines; beyond the last line anything finite.
@@ -119,7 +121,7 @@ impl Job<'_> {
     /// Sums over `segments`, `[tile, pair]`.
     fn sum(&self, segments: &[(usize, usize)]) -> Vec<Tile> {
         let (tiles, channels) = (self.welch.n_lines().div_ceil(TILE), self.offsets.len());
-        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.welch.segment_len);
+        let fft = &self.fft;
         let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
         let mut scratch = fft.make_scratch_vec();
         let per_segment = tiles * channels * size_of::<Tile>();
