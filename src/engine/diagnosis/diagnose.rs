@@ -25,6 +25,7 @@ use super::report::{
 };
 use super::score::{Scored, blocks, closure_interval, remaining, score};
 use super::start::Regression;
+use super::views::Views;
 use crate::engine::EngineError;
 use crate::engine::progress::{Watch, report};
 
@@ -44,6 +45,8 @@ const SECOND_CLOSES: f64 = 0.5;
 pub struct Diagnosis {
     /// The report.
     pub report: Report,
+    /// What its page draws.
+    pub views: Views,
     /// One a hypothesis.
     pub augmented: Vec<Augmented>,
 }
@@ -384,7 +387,7 @@ impl Answer {
         report(watch, "report", 1.0)?;
         Ok(Diagnosis {
             report: Report {
-                schema: "gap-diagnosis/1",
+                schema: "gap-diagnosis/1".into(),
                 mode: input.mode,
                 noise_floor_source: if prepared.from_repeats {
                     NoiseSource::Repeats
@@ -401,6 +404,7 @@ impl Answer {
                 data_split: data_split(prepared, &names, rate),
                 warnings: self.warnings,
             },
+            views: Views::default(),
             augmented,
         })
     }

@@ -43,9 +43,11 @@ mod split;
 mod start;
 #[cfg(test)]
 mod tests;
+mod views;
 
 pub use augmented::Augmented;
 pub use diagnose::{Diagnosis, diagnose};
 pub use effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};
 pub use report::*;
+pub use views::Views;

@@ -1,12 +1,12 @@
 //! The answer of a diagnosis, in the shape of the contract's report.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::effect::{Effect, Family};
 use super::input::Mode;
 
 /// Where the noise floor comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseSource {
     /// Runs with the same drive.
@@ -16,7 +16,7 @@ pub enum NoiseSource {
 }
 
 /// What kind of answer this is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(missing_docs, reason = "the contract's own words")]
 pub enum VerdictKind {
@@ -30,7 +30,7 @@ pub enum VerdictKind {
 }
 
 /// The answer in one sentence's worth of fields.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
     /// What kind of answer.
     pub kind: VerdictKind,
@@ -51,7 +51,7 @@ pub struct Verdict {
 }
 
 /// Size of the gap.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Gap {
     /// Systematic RMS relative to the response's, in band, on the select runs; largest response.
     pub systematic_rms_rel: f64,
@@ -64,7 +64,7 @@ pub struct Gap {
 }
 
 /// Share of one response in the gap.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChannelShare {
     /// Response.
     pub channel: String,
@@ -75,7 +75,7 @@ pub struct ChannelShare {
 }
 
 /// Gap of one response in one band.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BandShare {
     /// Response.
     pub channel: String,
@@ -92,7 +92,7 @@ pub struct BandShare {
 }
 
 /// Gap of one response in one range of amplitude or velocity.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RangeShare {
     /// Response.
     pub channel: String,
@@ -105,7 +105,7 @@ pub struct RangeShare {
 }
 
 /// Error over one stretch of time.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmentChi2 {
     /// Run.
     pub run: String,
@@ -120,14 +120,14 @@ pub struct SegmentChi2 {
 }
 
 /// How the rig changed between repeats.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TimeVariance {
     /// Share of the repeats' difference that the drive predicts; largest response.
     pub repeat_drive_coherence: f64,
 }
 
 /// Where the gap lies.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Where {
     /// By response.
     pub channels: Vec<ChannelShare>,
@@ -146,7 +146,7 @@ pub struct Where {
 }
 
 /// What explains, and does not decide.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fingerprints {
     /// Share of odd functions of the response in what functions of it explain of the gap.
     pub odd_share: Option<f64>,
@@ -159,7 +159,7 @@ pub struct Fingerprints {
 }
 
 /// One fitted number of an effect.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     /// Name.
     pub name: String,
@@ -172,7 +172,7 @@ pub struct Parameter {
 }
 
 /// How far the gap closes on runs that were neither fitted nor chosen on.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
     /// Runs.
     pub runs: Vec<String>,
@@ -195,7 +195,7 @@ pub struct HeldOut {
 }
 
 /// One effect with what it explains.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hypothesis {
     /// Effect.
     pub effect: Effect,
@@ -218,7 +218,7 @@ pub struct Hypothesis {
 }
 
 /// A further effect on top of the first.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SecondEffect {
     /// Effect.
     pub effect: Effect,
@@ -231,7 +231,7 @@ pub struct SecondEffect {
 }
 
 /// What is left after the best hypothesis.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Remaining {
     /// Mean square in noise floors on the select runs.
     pub chi2: f64,
@@ -242,7 +242,7 @@ pub struct Remaining {
 }
 
 /// A drive that would tell more.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NextDrive {
     /// `noise`, `slow_sine`, `resonance_sine`, `sweep`, `offset_noise`.
     pub kind: String,
@@ -253,7 +253,7 @@ pub struct NextDrive {
 }
 
 /// The run that separates the two leading effects best.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NextExperiment {
     /// What to drive.
     pub drive: NextDrive,
@@ -266,7 +266,7 @@ pub struct NextExperiment {
 }
 
 /// Part of a run with a role.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunPart {
     /// Run.
     pub run: String,
@@ -277,7 +277,7 @@ pub struct RunPart {
 }
 
 /// Which parts of which runs were used for what.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataSplit {
     /// Fitted to.
     pub fit: Vec<RunPart>,
@@ -288,10 +288,10 @@ pub struct DataSplit {
 }
 
 /// The engine's part of the report; whoever asked adds the model and the time it took.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// `gap-diagnosis/1`
-    pub schema: &'static str,
+    pub schema: String,
     /// Whether the sim had seen the effect.
     pub mode: Mode,
     /// Where the noise floor comes from.
