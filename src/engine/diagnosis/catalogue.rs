@@ -109,7 +109,7 @@ impl Candidate {
 }
 
 /// Drive that moves the response most, through the core, in the fit stretches.
-fn own_drive(problem: &Problem) -> Option<usize> {
+pub(super) fn own_drive(problem: &Problem) -> Option<usize> {
     let stretch = problem.fit.first()?;
     let share = |d: usize| {
         let mean = problem.core.drive_mean[d];

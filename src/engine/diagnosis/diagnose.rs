@@ -404,7 +404,7 @@ impl Answer {
                 data_split: data_split(prepared, &names, rate),
                 warnings: self.warnings,
             },
-            views: Views::default(),
+            views: Views::new(input, prepared, problem, listed.first().map(|b| &b.scored.fitted)),
             augmented,
         })
     }

@@ -43,7 +43,7 @@ mod split;
 mod start;
 #[cfg(test)]
 mod tests;
-mod views;
+pub mod views;
 
 pub use augmented::Augmented;
 pub use diagnose::{Diagnosis, diagnose};
