@@ -42,7 +42,7 @@ mod spline;
 mod split;
 mod start;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub mod views;
 
 pub use augmented::Augmented;

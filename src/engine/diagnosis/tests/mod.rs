@@ -2,5 +2,6 @@
 
 mod bad_input;
 mod leaks;
-mod rig;
+pub(crate) mod rig;
 mod verdicts;
+mod views;
