@@ -128,16 +128,24 @@ pub fn next(report: &Report) -> Option<String> {
     let pair = listed(&names(&next.separates), "and");
     if next.inseparable_in_envelope {
         return Some(format!(
-            "No run within the allowed drive levels tells {pair} apart: the best of them, {}, would leave the two {} noise floors apart. Allow a higher level, or measure a further signal.",
+            "No run within the allowed drive levels tells {pair} apart: the best of them, {}, would leave the two {} apart. Allow a higher level, or measure a further signal.",
             drive(report),
-            number(next.expected_separation.max(0.0).sqrt())
+            floors(next.expected_separation)
         ));
     }
     Some(format!(
-        "Run {}. It tells {pair} apart: after the second has been fitted to all runs as well as it can, the two predictions still differ by {} times the noise floor there.",
+        "Run {}. It tells {pair} apart: after the second has been fitted to all runs as well as it can, the two predictions still lie {} apart there.",
         drive(report),
-        number(next.expected_separation.max(0.0).sqrt())
+        floors(next.expected_separation)
     ))
+}
+
+/// A mean square in noise floors as a distance.
+fn floors(squared: f64) -> String {
+    match squared.max(0.0).sqrt() {
+        d if d < 0.1 => "less than a tenth of the noise floor".into(),
+        d => format!("{} times the noise floor", number(d)),
+    }
 }
 
 fn drive(report: &Report) -> String {

@@ -37,7 +37,7 @@ pub fn section(report: &Report) -> Markup {
             &html! {
                 "Each candidate was fitted to the same runs, and simulated without a look at any measured response. "
                 @if blames(v.kind) && v.equivalence_set.len() > 1 {
-                    "Those in colour close so much alike that these runs do not tell them apart. "
+                    "Those in colour cannot be told apart by these runs alone. "
                 }
                 "Of two that close alike the simpler is believed."
             },

@@ -45,7 +45,8 @@ fn cut(name: &str) -> String {
 }
 
 fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
-    names.map(|n| text_width(&cut(n))).fold(60.0, f64::max) + 14.0
+    // Some of them are bold.
+    names.map(|n| 1.15 * text_width(&cut(n))).fold(60.0, f64::max) + 14.0
 }
 
 fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup) -> Markup {

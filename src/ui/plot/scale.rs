@@ -106,16 +106,6 @@ impl Axis {
         x >= self.low - air && x <= self.high + air
     }
 
-    /// Lower end.
-    pub fn low(&self) -> f64 {
-        self.low
-    }
-
-    /// Upper end.
-    pub fn high(&self) -> f64 {
-        self.high
-    }
-
     /// About `wanted` places with names.
     pub fn ticks(&self, wanted: usize) -> Vec<Tick> {
         match self.scale {
@@ -228,7 +218,7 @@ mod tests {
                 vec![1e-300, 1e300],
             ] {
                 let axis = Axis::around(scale, values.iter().copied());
-                assert!(axis.low() < axis.high(), "{scale:?} {values:?}");
+                assert!(axis.low < axis.high, "{scale:?} {values:?}");
                 let ticks = axis.ticks(6);
                 assert!(ticks.len() < 40, "{scale:?} {values:?}");
                 assert!(ticks.iter().all(|t| axis.place(t.value).is_finite()));
