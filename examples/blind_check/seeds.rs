@@ -68,3 +68,19 @@ pub fn append(log: &Path, line: &Value) -> std::io::Result<()> {
     let mut file = std::fs::OpenOptions::new().create(true).append(true).open(log)?;
     writeln!(file, "{line}")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_of_one_kind_end_before_the_next_begin() {
+        let kinds = [Seeds::Calibration, Seeds::Test, Seeds::Final];
+        let last = |kind: Seeds| kind.of(ROUNDS - 1, ROUND / SUITE - 1, SUITE - 1);
+        for two in kinds.windows(2) {
+            assert!(last(two[0]) < two[1].of(0, 0, 0));
+        }
+        assert!(Seeds::Test.of(0, 3, SUITE - 1) < Seeds::Test.of(0, 4, 0));
+        assert!(Seeds::Test.of(0, ROUND / SUITE - 1, SUITE - 1) < Seeds::Test.of(1, 0, 0));
+    }
+}

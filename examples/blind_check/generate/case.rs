@@ -244,3 +244,45 @@ impl<'a> GapMeasure<'a> {
         low
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_gives_the_same_case_and_a_gap_above_the_noise() {
+        let mut one = Case::draw(Suite::Catalogue, 3, 5).unwrap();
+        let mut two = Case::draw(Suite::Catalogue, 3, 5).unwrap();
+        assert_eq!(one.baseline().responses, two.baseline().responses);
+        assert!(one.gap >= GAP[0] && one.gap <= GAP[1] && one.gap >= ABOVE_NOISE * one.noise);
+    }
+
+    #[test]
+    fn repeats_differ_by_noise_alone_and_the_baseline_of_an_external_sim_is_without_the_flaw() {
+        let mut case = Case::draw(Suite::Catalogue, 4, 6).unwrap();
+        let (runs, repeats) = case.runs();
+        for pair in &repeats {
+            let [a, b] = [&runs[pair[0]], &runs[pair[1]]];
+            assert_eq!(a.drives, b.drives);
+            let difference: Vec<f64> =
+                a.responses[0].iter().zip(&b.responses[0]).map(|(a, b)| a - b).collect();
+            let noise = rms(&difference) / 2.0_f64.sqrt();
+            assert!((noise / case.noise - 1.0).abs() < 0.05, "{noise} for {}", case.noise);
+        }
+        let baseline = case.baseline();
+        let span = Span { drives: &baseline.drives, time: [0.0, 0.0], steps: 2 * FINE };
+        let linear = case.rig.respond(span, &[]);
+        let left: Vec<f64> = baseline.responses[0].iter().zip(&linear[0]).map(|(a, b)| a - b).collect();
+        assert!((rms(&left) / case.noise - 1.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn a_sim_fitted_on_the_rig_has_taken_in_what_is_linear() {
+        let case = Case::draw(Suite::InSitu, 0, 7).unwrap();
+        let measure = GapMeasure::new(Suite::InSitu, &case.rig, &case.low, &case.long);
+        let gain = Placed { flaw: Flaw::Gain, strength: 0.2, axis: 0, sensor: 0 };
+        assert!(measure.gap(&[gain]) < 0.01, "{}", measure.gap(&[gain]));
+        let outside = GapMeasure::new(Suite::Catalogue, &case.rig, &case.low, &case.long);
+        assert!(outside.gap(&[gain]) > 0.1);
+    }
+}

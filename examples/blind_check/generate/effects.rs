@@ -187,3 +187,33 @@ pub fn ambiguous(rng: &mut impl Rng) -> Vec<Named> {
     let families = ["stiffness", "friction_hysteresis", "damping", "actuator", "deadband_backlash"];
     catalogue(rng).into_iter().filter(|n| n.family.is_some_and(|f| families.contains(&f))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use rigcast::engine::diagnosis::Effect;
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_families_are_the_contracts() {
+        let ours: Vec<_> = FAMILIES
+            .iter()
+            .flat_map(|(family, effects)| effects.iter().map(move |e| (json!(e), json!(family))))
+            .collect();
+        assert_eq!(ours.len(), Effect::ALL.len());
+        for effect in Effect::ALL {
+            let theirs = (json!(effect), json!(effect.family()));
+            assert!(ours.contains(&theirs), "{theirs:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_struck_takes_family_and_twins_along() {
+        let left = struck("sensor_gain", Some("sensor"));
+        for gone in ["sensor_gain", "offset", "quantisation", "gain", "linear_change"] {
+            assert!(!left.contains(&gone), "{gone}");
+        }
+        assert!(left.contains(&"delay") && left.contains(&"cubic_stiffness"));
+    }
+}

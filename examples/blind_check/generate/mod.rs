@@ -18,11 +18,13 @@ pub use suites::Suite;
 use crate::AnyError;
 use crate::seeds::{self, Seeds};
 
+mod axis;
 mod case;
 mod drives;
 mod effects;
 mod files;
 mod flaw;
+mod force;
 mod retune;
 mod rig;
 mod suites;

@@ -3,7 +3,9 @@
 
 use rand::{Rng, RngExt};
 
+use super::axis::{Axis, MASSES, STATES, actuator};
 use super::flaw::{Flaw, Placed};
+use super::force::{Moment, changed, law};
 
 /// Steps of the integrator per sample of what is recorded.
 pub const FINE: usize = 16;
@@ -11,35 +13,6 @@ pub const FINE: usize = 16;
 pub const COARSE: usize = 8;
 /// Samples a second.
 pub const RATE: f64 = 512.0;
-/// Most masses in a row.
-const MASSES: usize = 3;
-
-const LAG: usize = 2 * MASSES;
-const HYSTERESIS: usize = LAG + 1;
-const INNER: usize = HYSTERESIS + 1;
-const POLE: usize = INNER + 2;
-const TWIST: usize = POLE + 1;
-/// States of one axis.
-const STATES: usize = TWIST + 1;
-
-/// A row of masses with an actuator.
-#[derive(Debug, Clone)]
-struct Axis {
-    masses: usize,
-    mass: [f64; MASSES],
-    stiffness: [f64; MASSES],
-    damping: [f64; MASSES],
-    driven: usize,
-    seen: usize,
-    lag_hz: Option<f64>,
-    /// Corner of a second-order filter before the row, of rigs that may be a sandwich.
-    before_hz: Option<f64>,
-    /// How much each drive acts on this axis besides its own.
-    coupling: Vec<f64>,
-    /// RMS of the seen displacement, its velocity, its elastic force and the measured force.
-    level: [f64; 4],
-}
-
 /// Axes side by side. With one axis a second drive acts beside it.
 #[derive(Debug, Clone)]
 pub struct Rig {
@@ -63,56 +36,6 @@ struct Motion {
     y: Vec<Vec<f64>>,
     v: Vec<Vec<f64>>,
     f: Vec<Vec<f64>>,
-}
-
-impl Axis {
-    fn draw(rng: &mut impl Rng, drives: usize, own: usize, flaw: Flaw) -> Self {
-        let masses = [1, 2, 2, 3][rng.random_range(0..4)];
-        let lowest = rng.random_range(4.0..12.0);
-        let filtered = matches!(flaw, Flaw::Sandwich { .. });
-        // Coupled already, a stronger coupling would be the second drive's gain.
-        let most = if flaw == Flaw::CrossLinear { 1e-9 } else { 0.3 };
-        let mut axis = Self {
-            masses,
-            mass: [1.0; MASSES],
-            stiffness: [0.0; MASSES],
-            damping: [0.0; MASSES],
-            driven: rng.random_range(0..masses),
-            seen: 0,
-            lag_hz: rng.random_bool(0.5).then(|| rng.random_range(20.0..80.0)),
-            before_hz: filtered.then(|| rng.random_range(6.0..20.0)),
-            coupling: (0..drives).map(|d| if d == own { 1.0 } else { rng.random_range(0.0..most) }).collect(),
-            level: [1.0; 4],
-        };
-        axis.seen = if rng.random_bool(0.6) { axis.driven } else { rng.random_range(0..masses) };
-        for i in 0..masses {
-            axis.mass[i] = rng.random_range(0.4..1.6);
-            let hz = lowest * if i == 0 { 1.3 } else { rng.random_range(1.0..2.5) };
-            let w = std::f64::consts::TAU * hz;
-            axis.stiffness[i] = axis.mass[i] * w * w;
-            axis.damping[i] = 2.0 * rng.random_range(0.015..0.08) * axis.mass[i] * w;
-        }
-        axis
-    }
-
-    /// Force in the spring and damper below mass `i`.
-    fn below(&self, q: &[f64], i: usize) -> f64 {
-        let (xp, vp) = if i == 0 { (0.0, 0.0) } else { (q[i - 1], q[MASSES + i - 1]) };
-        self.stiffness[i] * (q[i] - xp) + self.damping[i] * (q[MASSES + i] - vp)
-    }
-
-    /// Number of natural frequencies below `hz`: Sturm's count of the row's matrix.
-    fn modes_below(&self, hz: f64) -> usize {
-        let w2 = (std::f64::consts::TAU * hz).powi(2);
-        let (mut below, mut pivot) = (0, 1.0_f64);
-        for i in 0..self.masses {
-            let above = if i + 1 < self.masses { self.stiffness[i + 1] } else { 0.0 };
-            let beside = if i == 0 { 0.0 } else { self.stiffness[i].powi(2) };
-            pivot = self.stiffness[i] + above - w2 * self.mass[i] - beside / pivot;
-            below += usize::from(pivot < 0.0);
-        }
-        below
-    }
 }
 
 impl Rig {
@@ -280,111 +203,6 @@ impl Rig {
                 d[MASSES + i] = force[i] / axis.mass[i];
             }
         }
-    }
-}
-
-/// What enters the rig at one moment.
-struct Moment {
-    drives: Vec<f64>,
-    clock: f64,
-    seconds: f64,
-}
-
-/// What an actuator makes of its command.
-fn actuator<'a>(
-    axis: &Axis,
-    q: &[f64],
-    d: &mut [f64],
-    command: f64,
-    flaws: impl Iterator<Item = &'a Placed> + Clone,
-) -> f64 {
-    let tau = std::f64::consts::TAU;
-    let y = q[axis.seen] / axis.level[0];
-    let mut u = command;
-    for p in flaws.clone().filter(|p| p.flaw == Flaw::ExtraPole) {
-        let w = tau * 200.0 / (1.0 + 100.0 * p.strength);
-        d[POLE] = w * (u - q[POLE]);
-        u = q[POLE];
-    }
-    if let Some(hz) = axis.before_hz {
-        let w = tau * hz;
-        d[INNER] = q[INNER + 1];
-        d[INNER + 1] = w * w * (u - q[INNER]) - 2.0 * 0.4 * w * q[INNER + 1];
-        u = q[INNER];
-    }
-    for p in flaws {
-        let s = p.strength;
-        let flow = |u: f64| u * (1.0 - (s * y * u.signum()).clamp(-3.0, 0.98)).sqrt();
-        match p.flaw {
-            Flaw::Sandwich { odd: true } => u -= s * u.powi(3) / (1.0 + u * u),
-            Flaw::Sandwich { odd: false } => u += s * u * u,
-            Flaw::ValveFlow => u = flow(u),
-            Flaw::LeakingFlow { leak } => u = flow(u) - leak * s * y,
-            _ => {}
-        }
-    }
-    if let Some(hz) = axis.lag_hz {
-        d[LAG] = tau * hz * (u - q[LAG]);
-        u = q[LAG];
-    }
-    u
-}
-
-/// Further force below the seen mass, of a changed spring and damper.
-fn changed(axis: &Axis, q: &[f64], s: f64, stiffness: f64, damping: f64) -> f64 {
-    let i = axis.seen;
-    let (xp, vp) = if i == 0 { (0.0, 0.0) } else { (q[i - 1], q[MASSES + i - 1]) };
-    let k = axis.stiffness[i] * s * stiffness;
-    let c = axis.damping[i] * ((1.0 + 2.0 * s * damping).max(0.2) - 1.0);
-    k * (q[i] - xp) + c * (q[MASSES + i] - vp)
-}
-
-/// Force of a flaw on the seen mass, in units of its elastic force.
-fn law(axis: &Axis, q: &[f64], d: &mut [f64], beside: f64, input: &Moment, placed: &Placed) -> f64 {
-    let tau = std::f64::consts::TAU;
-    let s = placed.strength;
-    let y = q[axis.seen] / axis.level[0];
-    let rate = q[MASSES + axis.seen] / axis.level[0];
-    let v = q[MASSES + axis.seen] / axis.level[1];
-    match placed.flaw {
-        Flaw::CubicStiffness { bend } => s * y.powi(3) / (1.0 + bend * y * y),
-        Flaw::QuadraticStiffness => s * y * y,
-        Flaw::BumpStop { gap } => 3.0 * s * (y.abs() - gap).max(0.0) * y.signum(),
-        Flaw::OneSidedStop { gap, side } => 3.0 * s * side * (side * y - gap).max(0.0),
-        Flaw::Clearance { gap } => -s * y.clamp(-gap, gap),
-        Flaw::Coulomb { smooth } => s * v / (v * v + smooth * smooth).sqrt(),
-        Flaw::Stribeck { smooth, peak, decay } => {
-            s * v / (v * v + smooth * smooth).sqrt() * (1.0 + peak * (-v.abs() / decay).exp())
-        }
-        Flaw::BoucWen { yielding, sharpness } => {
-            let (z, rate) = (q[HYSTERESIS], rate / yielding);
-            d[HYSTERESIS] = rate
-                - 0.5 * rate.abs() * z * z.abs().powf(sharpness - 1.0)
-                - 0.5 * rate * z.abs().powf(sharpness);
-            s * z
-        }
-        Flaw::LuGre { smooth } => {
-            let z = q[TWIST];
-            let limit = smooth * (1.0 + 0.3 * (-(v / 0.3).powi(2)).exp());
-            d[TWIST] = rate - rate.abs() * z / limit;
-            s * (z / smooth + 0.003 * d[TWIST] / smooth)
-        }
-        Flaw::QuadraticDamping => s * v * v.abs(),
-        Flaw::CrossLinear => -s * beside,
-        Flaw::CrossKinematic { mixed } => s * (beside * beside + mixed * y * beside),
-        Flaw::StiffnessDrift => s * input.clock * y,
-        Flaw::Quintic => s * y.powi(5) / 5.0,
-        Flaw::TwoStageStop { gap } => {
-            3.0 * s * y.signum() * ((y.abs() - gap).max(0.0) + 2.0 * (y.abs() - 1.6 * gap).max(0.0))
-        }
-        Flaw::Cogging { pitch } => s * (tau * y / pitch).sin(),
-        Flaw::UnmeasuredForce => {
-            let t = input.seconds + 1000.0 * input.clock;
-            s * ((tau * 5.3 * t).sin() + (tau * 9.1 * t + 3.0 * (0.7 * t).sin()).sin())
-        }
-        Flaw::Parametric { hz } => s * (tau * hz * input.seconds).sin() * y,
-        Flaw::NegativeDamping { width } => -s * v / (1.0 + (v / width).powi(4)),
-        _ => 0.0,
     }
 }
 

@@ -39,6 +39,9 @@ pub struct Lengths {
     pub baseline: f64,
 }
 
+/// Step through a suite's list, prime to the length of each.
+const STRIDE: usize = 11;
+
 impl Suite {
     /// All of them, in the order of the table.
     pub const ALL: [Self; 10] = [
@@ -95,7 +98,7 @@ impl Suite {
         matches!(self, Self::Catalogue | Self::InSitu)
     }
 
-    /// The flaws of one case; `index` walks through the list evenly.
+    /// The flaws of one case; `index` walks through the list evenly, a few cases through all of it.
     pub fn flaws(self, index: usize, rng: &mut impl Rng) -> Vec<Named> {
         let list = match self {
             Self::Catalogue | Self::Struck => effects::catalogue(rng),
@@ -107,7 +110,7 @@ impl Suite {
             Self::ThreeAxes => effects::three_axes(rng),
             Self::NextExperiment | Self::Time => effects::ambiguous(rng),
         };
-        vec![list[index % list.len()]]
+        vec![list[STRIDE * index % list.len()]]
     }
 }
 
@@ -116,6 +119,38 @@ fn pair(list: Vec<Named>, rng: &mut impl Rng) -> Vec<Named> {
         let two = [(); 2].map(|()| list[rng.random_range(0..list.len())]);
         if two[0].family != two[1].family {
             return two.to_vec();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    #[test]
+    fn a_suite_goes_through_its_whole_list() {
+        let effects = |suite: Suite, n: usize| {
+            let of = |i| suite.flaws(i, &mut ChaCha8Rng::seed_from_u64(1))[0].effect;
+            (0..n).map(of).collect::<std::collections::BTreeSet<_>>().len()
+        };
+        assert_eq!(effects(Suite::Catalogue, 28), 28);
+        assert_eq!(effects(Suite::Nothing, 4), 4);
+        assert_eq!(effects(Suite::Outside, 5), 5);
+        assert_eq!(effects(Suite::OtherEquation, 5), 5);
+        assert_eq!(effects(Suite::InSitu, 21), 21);
+        assert_eq!(effects(Suite::ThreeAxes, 26), 26);
+        assert_eq!(effects(Suite::NextExperiment, 15), 15);
+    }
+
+    #[test]
+    fn two_effects_are_of_two_families() {
+        for seed in 0..50 {
+            let two = Suite::TwoEffects.flaws(0, &mut ChaCha8Rng::seed_from_u64(seed));
+            assert_eq!(two.len(), 2);
+            assert_ne!(two[0].family, two[1].family);
         }
     }
 }

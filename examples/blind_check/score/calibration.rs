@@ -67,3 +67,23 @@ pub fn rows(cases: &[Case]) -> Vec<Row> {
         ),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn probabilities_that_come_true_as_often_as_they_say_have_no_error() {
+        let honest: Vec<(f64, bool)> = (0..100).map(|i| (0.75, i % 4 != 0)).collect();
+        assert!(expected_error(&honest) < 1e-12);
+        let [score, constant] = brier(&honest);
+        assert!((score - 0.1875).abs() < 1e-12 && (constant - 0.1875).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_sure_verdict_that_is_wrong_costs_most() {
+        let verdicts = [(1.0, false), (1.0, true), (0.0, false), (0.35, true)];
+        assert!((expected_error(&verdicts) - (2.0 * 0.5 + 0.65) / 4.0).abs() < 1e-12);
+        assert!((brier(&verdicts)[0] - (1.0 + 0.65 * 0.65) / 4.0).abs() < 1e-12);
+    }
+}

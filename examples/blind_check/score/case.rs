@@ -152,3 +152,74 @@ impl Case {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn case(suite: &str, effect: &str, family: &str, axes: u64, verdict: Value) -> Case {
+        let label = json!({"effects": [{"effect": effect, "family": family, "axis": "y"}], "axes": axes});
+        Case {
+            id: "0".into(),
+            suite: suite.into(),
+            label,
+            answer: Arc::new(json!({"report": {"verdict": verdict}})),
+        }
+    }
+
+    fn verdict(kind: &str, effect: Option<&str>, family: Option<&str>) -> Value {
+        json!({"kind": kind, "effect": effect, "family": family, "axis": "x", "equivalence_set": []})
+    }
+
+    #[test]
+    fn right_is_the_true_effect_stated_and_the_right_family_is_no_blame() {
+        let of = |v: Value| case("catalogue", "gain", "linear", 1, v);
+        let partial = of(verdict("partial", Some("gain"), Some("linear")));
+        assert!(partial.is_right() && partial.is_blamed() && partial.verdict_is_true());
+        let other = of(verdict("identified", Some("delay"), Some("linear")));
+        assert!(!other.is_right() && other.family_is_right() && other.is_blamed());
+        let family = of(verdict("family_only", None, Some("linear")));
+        assert!(!family.is_right() && family.family_is_right() && !family.is_blamed());
+        assert!(family.verdict_is_true());
+        let wrong = of(verdict("family_only", None, Some("damping")));
+        assert!(wrong.is_blamed() && !wrong.verdict_is_true());
+        let silent = of(verdict("none_of_catalogue", None, None));
+        assert!(!silent.is_blamed() && !silent.family_is_right() && !silent.verdict_is_true());
+    }
+
+    #[test]
+    fn on_several_axes_the_axis_counts() {
+        let v = verdict("identified", Some("gain"), Some("linear"));
+        assert!(!case("three-axes", "gain", "linear", 3, v.clone()).is_right());
+        assert!(case("catalogue", "gain", "linear", 1, v).is_right());
+    }
+
+    #[test]
+    fn where_the_truth_is_struck_only_abstention_is_true() {
+        let v = verdict("not_distinguishable", None, None);
+        let open = case("struck", "gain", "linear", 1, v);
+        assert!(!open.is_blamed() && !open.verdict_is_true());
+        let none = case("struck", "gain", "linear", 1, verdict("none_of_catalogue", None, None));
+        assert!(!none.is_blamed() && none.verdict_is_true());
+    }
+
+    #[test]
+    fn noise_is_not_blamed_on_a_drive() {
+        let hum =
+            verdict("noise_or_unmeasured_disturbance", Some("periodic_disturbance"), Some("disturbance"));
+        let right = case("nothing", "periodic_disturbance", "disturbance", 1, hum.clone());
+        assert!(right.is_right() && !right.is_blamed_on_drive());
+        assert!(!case("nothing", "raised_noise", "disturbance", 1, hum).is_right());
+        let gain = verdict("partial", Some("gain"), Some("linear"));
+        assert!(case("nothing", "nothing", "", 1, gain).is_blamed_on_drive());
+    }
+
+    #[test]
+    fn a_diagnosis_that_failed_is_wrong_and_blames_nobody() {
+        let failed = case("catalogue", "gain", "linear", 1, Value::Null);
+        assert!(!failed.is_right() && !failed.is_blamed() && !failed.verdict_is_true());
+        assert_eq!(failed.stated(), "failed");
+    }
+}

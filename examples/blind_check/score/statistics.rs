@@ -48,3 +48,27 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let n = sorted.len();
     if n == 0 { None } else { Some(0.5 * (sorted[(n - 1) / 2] + sorted[n / 2])) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wilsons_interval_is_the_published_one() {
+        // Newcombe 1998, Statist. Med. 17, table I, method 3: 81 of 263, 15 of 148, 0 of 20.
+        let cases = [((81, 263), [0.2553, 0.3662]), ((15, 148), [0.0624, 0.1605]), ((0, 20), [0.0, 0.1611])];
+        for ((of, all), expected) in cases {
+            let found = Share { of, all }.interval();
+            assert!((found[0] - expected[0]).abs() < 5e-5 && (found[1] - expected[1]).abs() < 5e-5);
+        }
+    }
+
+    #[test]
+    fn quantiles_of_few_values_are_values() {
+        let ten = || (1..=10).map(f64::from);
+        assert_eq!(median(ten()), Some(5.5));
+        assert_eq!(quantile(ten(), 0.9), Some(9.0));
+        assert_eq!(quantile([3.0], 0.9), Some(3.0));
+        assert_eq!((median([]), quantile([], 0.5)), (None, None));
+    }
+}
