@@ -85,6 +85,14 @@ impl Client {
         json(self.http.post(self.url(path)).json(body).send().await?).await
     }
 
+    /// `DELETE` of a resource.
+    ///
+    /// # Errors
+    /// [`ClientError::Problem`] for any status but 2xx.
+    pub async fn delete(&self, path: &str) -> Result<(), ClientError> {
+        ok(self.http.delete(self.url(path)).send().await?).await.map(|_| ())
+    }
+
     /// Uploads a run: `query` as in `POST /v1/rigs/{rig}/runs`, the body is the file.
     ///
     /// # Errors

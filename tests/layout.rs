@@ -55,8 +55,15 @@ fn sources(root: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Every source below `src` with the top-level module that it belongs to, and its text without
-/// comments and without what is compiled for tests only (which stands at the end of a file).
+/// Text of a source without comments and without what is compiled for tests only, which stands at its
+/// end.
+fn code(path: &Path) -> String {
+    let text = fs::read_to_string(path).unwrap();
+    let code = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
+    code.lines().filter(|line| !line.trim_start().starts_with("//")).flat_map(|line| [line, "\n"]).collect()
+}
+
+/// Every source below `src` with the top-level module that it belongs to, and its code.
 fn modules() -> Vec<(String, PathBuf, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     sources(&root)
@@ -67,13 +74,7 @@ fn modules() -> Vec<(String, PathBuf, String)> {
             let inside = path.strip_prefix(&root).unwrap();
             let first = inside.components().next().unwrap().as_os_str().to_str().unwrap();
             let module = first.trim_end_matches(".rs").to_owned();
-            let text = fs::read_to_string(&path).unwrap();
-            let code = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
-            let code: String = code
-                .lines()
-                .filter(|line| !line.trim_start().starts_with("//"))
-                .flat_map(|line| [line, "\n"])
-                .collect();
+            let code = code(&path);
             (module, path, code)
         })
         .collect()
@@ -159,6 +160,40 @@ fn every_sql_string_is_in_storage() {
         let holds_sql = SQL.iter().any(|word| code.contains(&format!("\"{word}")));
         if module != "storage" && holds_sql {
             wrong.push(path.display().to_string());
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Parts of the blind check, and the modules of the service and of the check that each may name.
+const BLIND_CHECK: &[(&str, &[&str])] = &[
+    ("generate", &["AnyError", "seeds"]),
+    ("diagnose", &["AnyError", "client", "demo"]),
+    ("score", &["AnyError", "seeds"]),
+    ("seeds", &[]),
+];
+
+#[test]
+fn the_blind_check_makes_cases_apart_from_the_service_and_diagnoses_them_without_their_labels() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/blind_check");
+    let mut wrong = Vec::new();
+    for (part, allowed) in BLIND_CHECK {
+        let (folder, file) = (root.join(part), root.join(format!("{part}.rs")));
+        let paths = if file.exists() { vec![file] } else { sources(&folder) };
+        assert!(!paths.is_empty(), "{part} is gone");
+        for path in paths {
+            let code = code(&path);
+            let leaves_its_part = path.ends_with("mod.rs") && code.contains("super::");
+            let other_way = code.contains("#[path") || code.contains("include") || leaves_its_part;
+            let strangers: Vec<String> =
+                named(&code).into_iter().filter(|name| !allowed.contains(&name.as_str())).collect();
+            if other_way || !strangers.is_empty() {
+                wrong.push(format!("{} names {strangers:?}", path.display()));
+            }
+            let sees_labels = code.contains("labels") || code.contains("truth");
+            if *part == "diagnose" && sees_labels {
+                wrong.push(format!("{} knows of labels", path.display()));
+            }
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

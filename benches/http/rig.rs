@@ -77,6 +77,7 @@ fn hybrid2() -> RigModel {
             recombine: Recombine::Welch,
         }),
         range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6 }; inputs],
+        effects: Vec::new(),
     }
 }
 

@@ -1,175 +1,176 @@
-//! Blind cases for the diagnosis, in one process: random rigs with one effect that the sim lacks, drawn
-//! and integrated without any code of the diagnosis, diagnosed without their label, and scored.
+//! Blind cases for the diagnosis, over HTTP, in three commands.
 //!
-//! `cargo run --release --example blind_check -- [--suite catalogue] [--cases 28] [--first-seed 70000]`
+//! `cargo run --release --example blind_check -- all [--seeds test] [--suite catalogue] [--cases 6]`
 //!
-//! Prints a JSON line a case and one for the suite. A seed that has been looked at is spent: whoever
-//! changes the diagnosis by what a run shows takes new seeds for the next figure.
+//! - `generate` makes random rigs with an effect that a sim lacks, drawn and integrated without any code
+//!   of the service, and writes their measured runs; the labels go to a file of their own.
+//! - `diagnose` reads the runs, never the labels, and asks a service like any user.
+//! - `score` reads reports and labels, prints the table of figures with its bars and a confusion matrix,
+//!   and ends with an error where a bar is missed.
+//! - `all` does the three; `real` diagnoses folders of measured data.
+//!
+//! A seed that has been looked at is spent: what a run of test seeds shows may change the diagnosis, what
+//! a run of final seeds shows is stated. Each final round runs once and is entered in a log.
 
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::time::Instant;
 
-use clap::{Parser, ValueEnum};
-use rigcast::engine::diagnosis::{
-    Channel, Diagnosis, Effect, Family, Input, Mode, Run, VerdictKind, diagnose,
-};
-use rigcast::engine::{EngineError, Signal, progress};
-use serde_json::json;
+use clap::{Args, Parser, Subcommand};
+use serde_json::{Value, json};
 
-mod cases;
-mod rig;
+use generate::{Plan, Suite, Wish};
+use seeds::Seeds;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SuiteName {
-    /// Effects of the catalogue.
-    Catalogue,
-    /// Nothing, noise, hum, quantisation.
-    Nothing,
-    /// Effects outside the catalogue.
-    Outside,
-    /// The same physics in another equation.
-    OtherEquation,
-}
+mod diagnose;
+mod generate;
+mod real;
+mod score;
+mod seeds;
 
-/// Diagnoses blind cases.
+type AnyError = Box<dyn std::error::Error>;
+
+/// Blind cases for the diagnosis.
 #[derive(Debug, Parser)]
-struct Args {
-    /// Suite.
-    #[arg(long, value_enum, default_value = "catalogue")]
-    suite: SuiteName,
-    /// Cases.
-    #[arg(long, default_value_t = 28)]
-    cases: usize,
-    /// Seed of the first case.
-    #[arg(long, default_value_t = 70_000)]
-    first_seed: u64,
-    /// The sim was fitted on the rig with the effect.
-    #[arg(long)]
-    in_situ: bool,
-    /// Strike the true effect and its family from the catalogue.
-    #[arg(long)]
-    strike: bool,
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
 }
 
-fn main() -> Result<(), EngineError> {
-    let args = Args::parse();
-    let suite = match args.suite {
-        SuiteName::Catalogue => cases::Suite::Catalogue,
-        SuiteName::Nothing => cases::Suite::Nothing,
-        SuiteName::Outside => cases::Suite::Outside,
-        SuiteName::OtherEquation => cases::Suite::OtherEquation,
-    };
-    let mut total = Total::default();
-    for index in 0..args.cases {
-        let seed = args.first_seed + index as u64;
-        let case = cases::case(suite, index, seed, args.in_situ);
-        let mut input = input(&case, if args.in_situ { Mode::InSitu } else { Mode::External })?;
-        if args.strike {
-            input.catalogue.retain(|effect| Some(effect.family()) != family(case.label));
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Make the cases.
+    Generate(Cases),
+    /// Ask a service what their sims lack.
+    Diagnose(Cases),
+    /// Compare with the labels.
+    Score(Cases),
+    /// Make, ask and compare.
+    All(Cases),
+    /// Run the rig of a case once more, as a report asked for.
+    Lab(Lab),
+    /// Diagnose measured data.
+    Real(real::Args),
+}
+
+#[derive(Debug, Args)]
+struct Cases {
+    /// Which seeds.
+    #[arg(long, value_enum, default_value = "test")]
+    seeds: Seeds,
+    /// Which of the many sets of such seeds; of the final ones the next that the log does not hold.
+    #[arg(long)]
+    round: Option<u64>,
+    /// Directory of cases, labels and reports; `target/blind_check/<seeds>-<round>` if left out.
+    #[arg(long)]
+    dir: Option<PathBuf>,
+    /// Only these suites.
+    #[arg(long, value_enum, value_delimiter = ',')]
+    suite: Vec<Suite>,
+    /// Cases a suite, instead of the whole check's.
+    #[arg(long)]
+    cases: Option<usize>,
+    /// A running service; one is started for the occasion if left out.
+    #[arg(long)]
+    service: Option<String>,
+    /// Cases in flight.
+    #[arg(long, default_value_t = 2)]
+    in_flight: usize,
+    /// Log of the final runs.
+    #[arg(long, default_value = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/blind_check/final_runs.jsonl"))]
+    log: PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct Lab {
+    /// Directory of the cases.
+    #[arg(long)]
+    dir: PathBuf,
+    /// Case.
+    #[arg(long)]
+    case: String,
+    /// `noise`, `slow_sine`, `resonance_sine`, `sweep` or `offset_noise`.
+    #[arg(long)]
+    kind: String,
+    /// Relative to the peaks of the runs so far.
+    #[arg(long)]
+    level: f64,
+    /// Of a sine; what suits the rig if left out.
+    #[arg(long)]
+    frequency_hz: Option<f64>,
+    /// Where the recording goes, as NPY.
+    #[arg(long)]
+    out: PathBuf,
+}
+
+fn main() -> Result<ExitCode, AnyError> {
+    match Cli::parse().command {
+        Command::Generate(cases) => generate(&cases, &dir(&cases)?)?,
+        Command::Diagnose(cases) => diagnose(&cases, &dir(&cases)?)?,
+        Command::Score(cases) => return score(&dir(&cases)?),
+        Command::All(cases) => {
+            let dir = dir(&cases)?;
+            generate(&cases, &dir)?;
+            diagnose(&cases, &dir)?;
+            return score(&dir);
         }
-        let began = Instant::now();
-        let found = diagnose(&input, &progress::unwatched)?;
-        total.add(&case, seed, &found, began.elapsed().as_secs_f64());
+        Command::Lab(lab) => {
+            let wish = Wish { kind: lab.kind, level_rel: lab.level, frequency_hz: lab.frequency_hz };
+            std::fs::write(lab.out, generate::further_run(&lab.dir, &lab.case, &wish)?)?;
+        }
+        Command::Real(args) => real::run(&args)?,
     }
-    total.print(&args);
-    Ok(())
+    Ok(ExitCode::SUCCESS)
 }
 
-/// What the diagnosis sees of a case: not the label.
-fn input(case: &cases::Case, mode: Mode) -> Result<Input, EngineError> {
-    let channel =
-        |name: &str, axis: &str| Channel { name: name.into(), axis: Some(axis.into()), unit: "mm".into() };
-    let run = |(name, record): (String, &cases::Record)| {
-        Ok(Run {
-            name,
-            drive: Signal::new(rig::RATE, record.drives.clone())?,
-            response: Signal::new(rig::RATE, vec![record.response.clone()])?,
-            simulated: None,
-            started_s: record.started_s,
-        })
+/// The round that is meant: of the final seeds one that no run has used.
+fn round(cases: &Cases) -> Result<u64, AnyError> {
+    if let Some(round) = cases.round {
+        return if round < seeds::ROUNDS { Ok(round) } else { Err("rounds end at 999".into()) };
+    }
+    if cases.seeds != Seeds::Final {
+        return Ok(0);
+    }
+    let used = seeds::logged(&cases.log)?;
+    Ok(used.iter().filter_map(|line| line["round"].as_u64()).max().map_or(0, |last| last + 1))
+}
+
+fn dir(cases: &Cases) -> Result<PathBuf, AnyError> {
+    let named = |round| PathBuf::from(format!("target/blind_check/{}-{round}", cases.seeds.name()));
+    Ok(cases.dir.clone().unwrap_or(named(round(cases)?)))
+}
+
+fn generate(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
+    let suites = if cases.suite.is_empty() { Suite::ALL.to_vec() } else { cases.suite.clone() };
+    let began = Instant::now();
+    generate::generate(&Plan {
+        dir: dir.to_owned(),
+        seeds: cases.seeds,
+        round: round(cases)?,
+        suites,
+        cases: cases.cases,
+        log: cases.log.clone(),
+    })?;
+    took(dir, "generate_s", began)
+}
+
+fn diagnose(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
+    let began = Instant::now();
+    diagnose::run(dir, cases.service.as_deref(), cases.in_flight)?;
+    took(dir, "diagnose_s", began)
+}
+
+fn score(dir: &Path) -> Result<ExitCode, AnyError> {
+    Ok(if score::run(dir)? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Enters how long a step took.
+fn took(dir: &Path, step: &str, began: Instant) -> Result<(), AnyError> {
+    let path = dir.join("times.json");
+    let mut times: Value = match std::fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes)?,
+        Err(_) => json!({}),
     };
-    let named = |prefix: &'static str| move |(i, record)| (format!("{prefix}-{i}"), record);
-    Ok(Input {
-        drives: vec![channel("drive_x", "x"), channel("drive_z", "z")],
-        responses: vec![channel("displacement_x", "x")],
-        baseline: case
-            .baseline
-            .iter()
-            .enumerate()
-            .map(named("baseline"))
-            .map(run)
-            .collect::<Result<_, EngineError>>()?,
-        runs: case.runs.iter().enumerate().map(named("run")).map(run).collect::<Result<_, EngineError>>()?,
-        roles: None,
-        repeats: case.repeats.clone(),
-        mode,
-        catalogue: Effect::ALL.to_vec(),
-        material_gap: 0.01,
-        drive_limit: None,
-        seed: 1,
-    })
-}
-
-/// Family of a label of the catalogue.
-fn family(label: &str) -> Option<Family> {
-    Effect::ALL.iter().find(|e| e.name() == label).map(|e| e.family())
-}
-
-#[derive(Debug, Default)]
-struct Total {
-    right: usize,
-    identified: usize,
-    right_family: usize,
-    in_set: usize,
-    blamed: usize,
-    set_sizes: Vec<usize>,
-    closures: Vec<f64>,
-    seconds: Vec<f64>,
-}
-
-impl Total {
-    fn add(&mut self, case: &cases::Case, seed: u64, found: &Diagnosis, seconds: f64) {
-        let verdict = &found.report.verdict;
-        let best = found.report.hypotheses.first();
-        let named = verdict.effect.or(best.map(|h| h.effect));
-        let first = named.is_some_and(|effect| effect.name() == case.label);
-        let stated = matches!(verdict.kind, VerdictKind::Identified | VerdictKind::Partial);
-        let right = match case.label {
-            "nothing" => verdict.kind == VerdictKind::NoMaterialGap,
-            "raised_noise" | "periodic_disturbance" => {
-                verdict.kind == VerdictKind::NoiseOrUnmeasuredDisturbance && first
-            }
-            _ => first && stated,
-        };
-        let wrong_family = verdict.family != family(case.label);
-        let blamed = stated || (verdict.kind == VerdictKind::FamilyOnly && wrong_family);
-        self.right += usize::from(right);
-        self.identified += usize::from(verdict.kind == VerdictKind::Identified);
-        self.right_family += usize::from(named.map(|effect| effect.family()) == family(case.label));
-        self.in_set += usize::from(verdict.equivalence_set.iter().any(|e| e.name() == case.label));
-        self.blamed += usize::from(blamed);
-        self.set_sizes.push(verdict.equivalence_set.len());
-        self.closures.extend(best.filter(|_| right).map(|h| h.held_out.closure));
-        self.seconds.push(seconds);
-        let line = json!({
-            "seed": seed, "label": case.label, "gap": case.gap, "noise": case.noise, "right": right,
-            "blamed": blamed, "verdict": verdict, "seconds": seconds,
-        });
-        println!("{line}");
-    }
-
-    fn print(mut self, args: &Args) {
-        self.set_sizes.sort_unstable();
-        self.closures.sort_by(f64::total_cmp);
-        self.seconds.sort_by(f64::total_cmp);
-        let line = json!({
-            "suite": format!("{:?}", args.suite), "in_situ": args.in_situ, "struck": args.strike,
-            "first_seed": args.first_seed, "cases": args.cases, "right": self.right,
-            "identified": self.identified, "right_family": self.right_family, "in_set": self.in_set,
-            "blamed": self.blamed, "set_median": self.set_sizes.get(args.cases / 2),
-            "set_p90": self.set_sizes.get(9 * args.cases / 10),
-            "closure_median": self.closures.get(self.closures.len() / 2),
-            "seconds_median": self.seconds.get(args.cases / 2), "seconds_max": self.seconds.last(),
-        });
-        println!("{line}");
-    }
+    times[step] = began.elapsed().as_secs_f64().into();
+    Ok(std::fs::write(path, times.to_string())?)
 }

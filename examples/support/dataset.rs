@@ -1,5 +1,6 @@
 //! A folder of measured data with its `about.json`.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rigcast::engine::Signal;
@@ -44,6 +45,18 @@ impl TestFile {
     /// The drive as an NPY file, `[samples, inputs]`.
     pub fn drive_npy(&self) -> Result<Vec<u8>, AnyError> {
         Ok(npy::write(&self.drive, Dtype::F8, Order::C)?)
+    }
+
+    /// Samples of each channel.
+    pub fn n_samples(&self) -> usize {
+        self.drive.first().map_or(0, Vec::len)
+    }
+
+    /// Drives and responses of some samples as an NPY file, `[samples, inputs and outputs]`.
+    pub fn recorded_npy(&self, samples: Range<usize>) -> Result<Vec<u8>, AnyError> {
+        let channels = self.drive.iter().chain(&self.response);
+        let part: Vec<Vec<f64>> = channels.map(|c| c[samples.clone()].to_vec()).collect();
+        Ok(npy::write(&part, Dtype::F8, Order::C)?)
     }
 }
 

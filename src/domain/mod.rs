@@ -1,20 +1,24 @@
-//! The service's nouns and their legal moves: rigs, runs, fits, jobs, models.
+//! The service's nouns and their legal moves: rigs, runs, fits, jobs, models, diagnoses.
 
+pub mod diagnosis;
 mod fit_check;
 pub mod fits;
 pub mod ids;
 pub mod job;
 pub mod model;
+mod model_name;
 pub mod page;
 pub mod problem;
 pub mod quality;
 pub mod rig;
 pub mod run;
 
+pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
 pub use fit_check::FitChannels;
-pub use ids::{JobId, RigId, RunId, new_id};
+pub use ids::{DiagnosisId, JobId, RigId, RunId, new_id};
 pub use job::{Job, JobKind, JobResult, JobState};
-pub use model::{ActiveModel, Lineage, Model, Origin, Span};
+pub use model::{ActiveModel, Adopted, Lineage, Model, Origin, Span};
+pub use model_name::ModelName;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::fits::FitRequest;
-use super::ids::{JobId, RigId, RunId};
+use super::ids::{DiagnosisId, JobId, RigId, RunId};
 use super::rig::Rig;
 use crate::engine::model::{FitReport, ModelKind};
 
@@ -16,6 +16,8 @@ pub enum Origin {
     Fit,
     /// As a weight file made elsewhere.
     Import,
+    /// From another version, by adopting an effect that a diagnosis found.
+    Diagnosis,
 }
 
 impl Origin {
@@ -24,6 +26,7 @@ impl Origin {
         match self {
             Self::Fit => "fit",
             Self::Import => "import",
+            Self::Diagnosis => "diagnosis",
         }
     }
 }
@@ -60,12 +63,38 @@ pub struct Lineage {
     pub frf: Vec<Span>,
     /// What chose among models; its errors are the report's.
     pub validation: Vec<Span>,
+    /// Effects that diagnoses added to it, the first adopted first; the rest of the lineage is that
+    /// of the version that they were added to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub diagnoses: Vec<Adopted>,
+}
+
+/// Where an adopted effect came from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Adopted {
+    /// The diagnosis.
+    pub id: DiagnosisId,
+    /// Place of the hypothesis in its report.
+    pub hypothesis: usize,
+    /// The version that was diagnosed.
+    pub version: u32,
+    /// What the effect's parameters were fitted to.
+    pub fit: Vec<Span>,
+    /// What the effect was chosen on.
+    pub select: Vec<Span>,
 }
 
 impl Lineage {
-    /// Whether a sample of `span` shaped the model's weights.
+    /// Whether a sample of `span` shaped the model's weights or the parameters of its effects.
     pub fn was_trained_on(&self, span: &Span) -> bool {
-        self.training.iter().chain(&self.frf).any(|used| used.overlaps(span))
+        let effects = self.diagnoses.iter().flat_map(|adopted| &adopted.fit);
+        self.training.iter().chain(&self.frf).chain(effects).any(|used| used.overlaps(span))
+    }
+
+    /// All data that the model has seen, for weights, parameters or choices.
+    pub fn spans(&self) -> impl Iterator<Item = &Span> {
+        let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
+        self.training.iter().chain(&self.frf).chain(&self.validation).chain(effects)
     }
 }
 
@@ -88,9 +117,9 @@ pub struct Model {
     pub sha256: String,
     /// Size of the weight file.
     pub size_bytes: u64,
-    /// Fitted or imported.
+    /// Fitted, imported or adopted.
     pub origin: Origin,
-    /// The job that fitted it.
+    /// The job that fitted it, or found its effect.
     pub job: Option<JobId>,
     /// What was asked for, with runs and channels resolved.
     pub request: Option<FitRequest>,
@@ -167,8 +196,18 @@ mod tests {
             training: vec![span(1, "aa", 0, 10)],
             frf: vec![span(2, "bb", 0, 10)],
             validation: vec![span(3, "cc", 0, 10)],
+            diagnoses: vec![Adopted {
+                id: DiagnosisId::nil(),
+                hypothesis: 0,
+                version: 1,
+                fit: vec![span(4, "dd", 0, 10)],
+                select: vec![span(5, "ee", 0, 10)],
+            }],
         };
         assert!(lineage.was_trained_on(&span(2, "bb", 9, 10)));
         assert!(!lineage.was_trained_on(&span(3, "cc", 0, 10)));
+        assert!(lineage.was_trained_on(&span(4, "dd", 0, 1)), "an effect's parameters are weights too");
+        assert!(!lineage.was_trained_on(&span(5, "ee", 0, 10)));
+        assert_eq!(lineage.spans().count(), 5);
     }
 }

@@ -100,6 +100,17 @@ codes! {
     JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
     JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
 
+    // Diagnoses.
+    DIAGNOSIS_NOT_FOUND = "diagnosis.not_found", 404, "No such diagnosis";
+    DIAGNOSIS_NO_RUNS = "diagnosis.no_runs", 409, "No run matches the selection of the diagnosis";
+    DIAGNOSIS_NO_EFFECT = "diagnosis.no_effect", 409, "The diagnosis blames no effect";
+    DIAGNOSIS_NO_MODEL = "diagnosis.no_model", 409, "The diagnosis has no model of the rig";
+    DIAGNOSIS_UNSTABLE = "diagnosis.unstable", 409, "The effect is not stable over the envelope";
+    DIAGNOSIS_INVALID = "diagnosis.invalid", 422, "The diagnosis does not suit the rig";
+    DIAGNOSIS_MISSING_CHANNEL = "diagnosis.missing_channel", 422, "A run lacks a channel of the diagnosis";
+    DIAGNOSIS_TOO_SHORT = "diagnosis.too_short", 422, "Runs are too short for a diagnosis";
+    DIAGNOSIS_NO_HYPOTHESIS = "diagnosis.no_hypothesis", 422, "The diagnosis has no such hypothesis";
+
     // Models.
     MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";
     MODEL_ACTIVE = "model.active", 409, "The model is active";

@@ -5,7 +5,7 @@ use super::problem::{FieldError, Problem};
 use crate::compute::ComputeError;
 use crate::engine::EngineError;
 use crate::formats::FormatError;
-use crate::jobs::FitProblem;
+use crate::jobs::{DiagnosisProblem, FitProblem};
 use crate::models::ModelError;
 use crate::storage::StoreError;
 
@@ -54,6 +54,15 @@ impl From<FitProblem> for Problem {
     fn from(error: FitProblem) -> Self {
         match error {
             FitProblem::Store(error) => error.into(),
+            error => error.problem().into(),
+        }
+    }
+}
+
+impl From<DiagnosisProblem> for Problem {
+    fn from(error: DiagnosisProblem) -> Self {
+        match error {
+            DiagnosisProblem::Store(error) => error.into(),
             error => error.problem().into(),
         }
     }
@@ -201,6 +210,8 @@ mod tests {
         let sources = [
             include_str!("../jobs/problem.rs"),
             include_str!("../jobs/fit_plan.rs"),
+            include_str!("../jobs/diagnosis.rs"),
+            include_str!("../jobs/diagnosis_problem.rs"),
             include_str!("../storage/jobs.rs"),
         ];
         let is_code = |word: &&str| {

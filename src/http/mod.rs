@@ -5,11 +5,13 @@
 //! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal.
 
 mod active_model;
+mod adopt;
 mod arrays;
 mod body;
 pub mod codes;
 mod contract;
 mod damage;
+mod diagnoses;
 mod errors;
 mod etag;
 mod fits;

@@ -19,7 +19,7 @@ use crate::compute::Class;
 use crate::domain::{Lineage, Origin, Rig};
 use crate::engine::Signal;
 use crate::engine::model::{RigModel, from_safetensors};
-use crate::storage::{ModelDelete, NewModel};
+use crate::storage::{Activation, ModelDelete, NewModel};
 
 /// Media type of weight files.
 const SAFETENSORS: &str = "application/x-safetensors";
@@ -89,7 +89,8 @@ pub async fn import(
     let class = Class::of_bytes(upload.size());
     let new =
         http.off_thread(class, move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
-    let model = http.store.insert_model(&id, new, http.now()).await?.ok_or_else(|| no_rig(id.as_str()))?;
+    let inserted = http.store.insert_model(&id, new, Activation::Leave, http.now()).await?;
+    let model = inserted.ok_or_else(|| no_rig(id.as_str()))?;
     let location = [(LOCATION, format!("/v1/rigs/{id}/models/{}", model.version))];
     Ok((StatusCode::CREATED, location, json::answer(&model)?).into_response())
 }

@@ -5,7 +5,7 @@ use axum::http::request::Parts;
 
 use super::codes::{self, Code};
 use super::problem::{Answer, Problem};
-use crate::domain::{JobId, RigId, RunId};
+use crate::domain::{DiagnosisId, JobId, RigId, RunId};
 
 /// `/v1/rigs/{rig}...`
 #[derive(Debug)]
@@ -18,6 +18,10 @@ pub struct OfRun(pub RigId, pub RunId);
 /// `/v1/rigs/{rig}/models/{version}...`
 #[derive(Debug)]
 pub struct OfModel(pub RigId, pub u32);
+
+/// `/v1/rigs/{rig}/diagnoses/{diagnosis}...`
+#[derive(Debug)]
+pub struct OfDiagnosis(pub RigId, pub DiagnosisId);
 
 /// `/v1/jobs/{job}...`
 #[derive(Debug)]
@@ -36,6 +40,11 @@ pub fn no_run(id: &str) -> Problem {
 /// The refusal of a model version that is not there.
 pub fn no_model(version: &str) -> Problem {
     Problem::new(codes::MODEL_NOT_FOUND, format!("The rig has no model version {version:?}."))
+}
+
+/// The refusal of a diagnosis that is not there.
+pub fn no_diagnosis(id: &str) -> Problem {
+    Problem::new(codes::DIAGNOSIS_NOT_FOUND, format!("The rig has no diagnosis {id:?}."))
 }
 
 /// The refusal of a job that is not there.
@@ -83,6 +92,15 @@ impl<S: Send + Sync> FromRequestParts<S> for OfModel {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
         let rig = parameter(parts, state, "rig", no_rig).await?;
         Ok(Self(rig, parameter(parts, state, "version", no_model).await?))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for OfDiagnosis {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
+        let rig = parameter(parts, state, "rig", no_rig).await?;
+        Ok(Self(rig, parameter(parts, state, "diagnosis", no_diagnosis).await?))
     }
 }
 

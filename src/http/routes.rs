@@ -4,8 +4,8 @@ use axum::http::Method;
 use axum::routing::{MethodRouter, delete, get, patch, post, put};
 
 use super::{
-    Shared, active_model, contract, damage, fits, health, jobs, metrics, models, predict, rigs, run_data,
-    runs,
+    Shared, active_model, adopt, contract, damage, diagnoses, fits, health, jobs, metrics, models, predict,
+    rigs, run_data, runs,
 };
 
 /// One operation.
@@ -36,6 +36,10 @@ pub static ROUTES: &[Route] = &[
     route(Method::DELETE, "/v1/rigs/{rig}/runs/{run}", || delete(runs::remove)),
     route(Method::GET, "/v1/rigs/{rig}/runs/{run}/data", || get(run_data::show)),
     route(Method::POST, "/v1/rigs/{rig}/fits", || post(fits::start)),
+    route(Method::GET, "/v1/rigs/{rig}/diagnoses", || get(diagnoses::list)),
+    route(Method::POST, "/v1/rigs/{rig}/diagnoses", || post(diagnoses::start)),
+    route(Method::GET, "/v1/rigs/{rig}/diagnoses/{diagnosis}", || get(diagnoses::show)),
+    route(Method::POST, "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt", || post(adopt::adopt)),
     route(Method::GET, "/v1/jobs", || get(jobs::list)),
     route(Method::GET, "/v1/jobs/{job}", || get(jobs::show)),
     route(Method::GET, "/v1/jobs/{job}/events", || get(jobs::events)),

@@ -237,11 +237,13 @@ mod tests {
             training: vec![span(1, 0, 900), span(2, 0, 900)],
             frf: vec![],
             validation: vec![span(1, 900, 1000), span(2, 900, 1000), span(5, 0, 1000)],
+            diagnoses: vec![],
         };
         let new = Lineage {
             training: vec![span(1, 0, 900), span(5, 0, 900)],
             frf: vec![span(2, 0, 1000)],
             validation: vec![span(1, 900, 1000), span(5, 900, 1000), span(6, 0, 1000)],
+            diagnoses: vec![],
         };
         // Run 1: held out by both. Run 2: the new FRF saw it. Run 5: the old model's span reaches
         // into the new one's training, the new one's does not. Run 6: unknown to the old model.

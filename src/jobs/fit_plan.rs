@@ -9,7 +9,7 @@ use crate::domain::{
 use crate::engine::model::{ModelKind, hold_out_from};
 use crate::storage::{Store, StoreError};
 
-use super::problem::codes;
+use super::problem::{codes, sentence};
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,14 +99,6 @@ impl FitProblem {
             ),
         }
     }
-}
-
-fn sentence(error: &FieldError) -> String {
-    let place = match &error.channel {
-        Some(channel) => format!("{} (channel {channel:?})", error.pointer),
-        None => error.pointer.clone(),
-    };
-    format!("{place}: {}", error.limit.as_deref().unwrap_or("not valid"))
 }
 
 /// Resolves a request against the rig and its runs, without loading a sample.
@@ -363,6 +355,7 @@ impl FitPlan {
             training: self.training.iter().map(|run| span(run, 0, self.training_until(run))).collect(),
             frf: self.frf.iter().flatten().map(|run| span(run, 0, self.frf_until(run))).collect(),
             validation: validation.chain(held_out).filter(|span| span.from_sample < span.to_sample).collect(),
+            diagnoses: Vec::new(),
         }
     }
 }

@@ -5,6 +5,10 @@
 
 mod activate;
 mod control;
+mod diagnosis;
+mod diagnosis_plan;
+mod diagnosis_problem;
+mod diagnosis_runs;
 mod events;
 pub mod fit;
 mod fit_plan;
@@ -20,13 +24,14 @@ use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Clock, Job, JobId, Rig};
+use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig};
 use crate::storage::{CancelOutcome, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
 use runner::Runner;
 
+pub use diagnosis_problem::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
 
 /// How the runner behaves.
@@ -102,6 +107,22 @@ impl Jobs {
         let job = store.insert_fit_job(&rig.id, request, clock()).await?.ok_or(FitProblem::RigGone)?;
         self.wake();
         Ok(job)
+    }
+
+    /// Checks a diagnosis and queues it, its model and runs resolved.
+    ///
+    /// # Errors
+    /// [`DiagnosisProblem`]: what is wrong with it, or the store's failure.
+    pub async fn submit_diagnosis(
+        &self,
+        rig: &Rig,
+        request: &DiagnosisRequest,
+    ) -> Result<Job, DiagnosisProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        let plan = diagnosis_plan::check(store, rig, request).await?;
+        let job = store.insert_diagnosis_job(&rig.id, &plan.request, clock()).await?;
+        self.wake();
+        job.ok_or(DiagnosisProblem::RigGone)
     }
 
     /// Notes the wish to cancel and stops the work if it is done here. Idempotent.

@@ -15,6 +15,20 @@ pub mod codes {
     pub const FIT_TEST_RUN: &str = "fit.test_run";
     /// No run matches a selection (409).
     pub const FIT_NO_RUNS: &str = "fit.no_runs";
+    /// The diagnosis' channels, runs or settings do not suit the rig or each other (422).
+    pub const DIAGNOSIS_INVALID: &str = "diagnosis.invalid";
+    /// A run lacks a channel of the diagnosis (422).
+    pub const DIAGNOSIS_MISSING_CHANNEL: &str = "diagnosis.missing_channel";
+    /// Runs too short for the linear core or for scores (422).
+    pub const DIAGNOSIS_TOO_SHORT: &str = "diagnosis.too_short";
+    /// No run matches a selection of a diagnosis (409).
+    pub const DIAGNOSIS_NO_RUNS: &str = "diagnosis.no_runs";
+    /// The rig has no active model (409).
+    pub const MODEL_NONE_ACTIVE: &str = "model.none_active";
+    /// The rig has no such model version (404).
+    pub const MODEL_NOT_FOUND: &str = "model.not_found";
+    /// The weights of a model cannot be read (500).
+    pub const MODEL_DAMAGED: &str = "model.damaged";
     /// The rig was deleted (404).
     pub const RIG_NOT_FOUND: &str = "rig.not_found";
     /// The fit's model cannot be activated (422).
@@ -82,6 +96,15 @@ pub(super) fn panicked(message: &str) -> JobError {
     tracing::error!(panic = message, "a job panicked: this is a bug");
     let detail = "A defect of the program ended the job; its log says more.";
     JobError::Failed(Problem::new(500, codes::JOB_PANICKED, "The job failed by a defect", detail))
+}
+
+/// A place and what is allowed there, in words.
+pub(super) fn sentence(error: &FieldError) -> String {
+    let place = match &error.channel {
+        Some(channel) => format!("{} (channel {channel:?})", error.pointer),
+        None => error.pointer.clone(),
+    };
+    format!("{place}: {}", error.limit.as_deref().unwrap_or("not valid"))
 }
 
 /// What the engine refused about a fit, its channel numbers turned into names.

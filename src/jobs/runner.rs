@@ -17,6 +17,7 @@ use crate::telemetry::names;
 
 use super::JobSettings;
 use super::control::{Control, Stop};
+use super::diagnosis;
 use super::events::Hub;
 use super::fit::{self, FitFunction};
 use super::problem::{JobError, codes, panicked};
@@ -153,7 +154,8 @@ impl Runner {
     async fn perform(self: Arc<Self>, claim: Claim, control: Arc<Control>) -> Result<(), JobError> {
         match claim.job.kind {
             JobKind::Fit => fit::run(&self, &claim, &control).await,
-            JobKind::Evaluation | JobKind::Diagnosis | JobKind::Iteration | JobKind::Study => {
+            JobKind::Diagnosis => diagnosis::run(&self, &claim, &control).await,
+            JobKind::Evaluation | JobKind::Iteration | JobKind::Study => {
                 let detail = "A newer version of the program queued this job.";
                 let title = "The job cannot be read";
                 Err(JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)))

@@ -103,6 +103,7 @@ fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitt
         frf: Some(frf),
         lstm: None,
         range: Vec::new(),
+        effects: Vec::new(),
     };
     let report = serde_json::json!({
         "preprocess": {}, "validation_rms": [0.5], "training_s": 18.0, "validation_s": 2.0, "warnings": []

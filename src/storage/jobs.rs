@@ -3,6 +3,7 @@
 //! Every change of a running job names its lease; a worker whose lease was taken changes nothing.
 
 use jiff::Timestamp;
+use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::rigs::rig_in;
@@ -86,20 +87,22 @@ pub(super) enum JobOrigin {
     Policy,
 }
 
-/// Queues a fit; the rig exists.
-pub(super) async fn insert_fit(
+/// Queues a job; the rig exists.
+pub(super) async fn insert(
     connection: &mut SqliteConnection,
     rig: &RigId,
-    request: &FitRequest,
+    kind: JobKind,
+    request: &impl Serialize,
     origin: JobOrigin,
     now: Timestamp,
 ) -> Result<Job, StoreError> {
     let row: JobRow = sqlx::query_as(
         "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us)
-         VALUES (?, ?, 'fit', 'queued', ?, ?, ?) RETURNING *",
+         VALUES (?, ?, ?, 'queued', ?, ?, ?) RETURNING *",
     )
     .bind(new_id(now).to_string())
     .bind(rig.as_str())
+    .bind(kind.as_str())
     .bind(match origin {
         JobOrigin::Request => "request",
         JobOrigin::Policy => "policy",
@@ -149,7 +152,7 @@ impl Store {
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
-        let job = insert_fit(&mut tx, rig, request, JobOrigin::Request, now).await?;
+        let job = insert(&mut tx, rig, JobKind::Fit, request, JobOrigin::Request, now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }

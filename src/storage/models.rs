@@ -26,9 +26,9 @@ pub struct NewModel {
     pub sample_rate_hz: f64,
     /// The safetensors file.
     pub weights: Bytes,
-    /// Fitted or imported.
+    /// Fitted, imported or adopted.
     pub origin: Origin,
-    /// The job that fitted it.
+    /// The job that fitted it, or found its effect.
     pub job: Option<JobId>,
     /// What was asked for, resolved.
     pub request: Option<FitRequest>,
@@ -40,7 +40,7 @@ pub struct NewModel {
     pub instruction_set: String,
 }
 
-/// What a fit wants done with the active model, decided against the version it was compared to.
+/// What a new model wants done with the active one, decided against the version it was compared to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Activation {
     /// Nothing.
@@ -89,7 +89,7 @@ macro_rules! select_models {
 }
 
 impl Store {
-    /// Adds an imported model, inactive; `None` when there is no such rig. Goes on to the end when
+    /// Adds a model that no job publishes; `None` when there is no such rig. Goes on to the end when
     /// the caller goes away.
     ///
     /// # Errors
@@ -98,12 +98,13 @@ impl Store {
         &self,
         rig: &RigId,
         model: NewModel,
+        activation: Activation,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
             let digest = Digest::of(&model.weights);
-            let inserted = store.insert_model_gated(&rig, &digest, model, now).await;
+            let inserted = store.insert_model_gated(&rig, &digest, model, activation, now).await;
             if !matches!(inserted, Ok(Some(_))) {
                 store.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
             }
@@ -117,12 +118,14 @@ impl Store {
         rig: &RigId,
         digest: &Digest,
         model: NewModel,
+        activation: Activation,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let _kept = self.objects_gate().read().await;
         self.objects().put(digest, model.weights.clone()).await?;
         let mut tx = self.write().await?;
         let Some(version) = insert_row(&mut tx, rig, digest, &model, now).await? else { return Ok(None) };
+        activate(&mut tx, rig, version, &activation, now).await?;
         let inserted = model_in(&mut tx, rig, version).await?;
         tx.commit().await?;
         Ok(inserted)
@@ -171,15 +174,7 @@ impl Store {
                 .await?;
         let Some(rig) = rig.and_then(|rig| rig.parse::<RigId>().ok()) else { return Ok(None) };
         let Some(version) = insert_row(&mut tx, &rig, digest, &model, now).await? else { return Ok(None) };
-        let active = match activation {
-            Activation::Leave => false,
-            Activation::Always => point(&mut tx, &rig, Some(version), now).await?.is_some(),
-            Activation::IfStill(expected) => {
-                let current = active_in(&mut tx, &rig).await?;
-                current.is_some_and(|current| current.version == expected)
-                    && point(&mut tx, &rig, Some(version), now).await?.is_some()
-            }
-        };
+        let active = activate(&mut tx, &rig, version, &activation, now).await?;
         let result = JobResult {
             kind: "model".into(),
             id: version.to_string(),
@@ -318,6 +313,24 @@ async fn active_in(
     Ok(row.map(|(version, revision)| ActiveModel { version, revision: revision.unsigned_abs() }))
 }
 
+/// Does with the active model what was decided; whether the version is the active one now.
+async fn activate(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    version: u32,
+    activation: &Activation,
+    now: Timestamp,
+) -> Result<bool, StoreError> {
+    let wanted = match activation {
+        Activation::Leave => false,
+        Activation::Always => true,
+        Activation::IfStill(expected) => {
+            active_in(connection, rig).await?.is_some_and(|current| current.version == *expected)
+        }
+    };
+    Ok(wanted && point(connection, rig, Some(version), now).await?.is_some())
+}
+
 /// Points the rig at a version; `None` when the rig is gone.
 async fn point(
     connection: &mut SqliteConnection,
@@ -408,7 +421,10 @@ mod tests {
         assert_eq!((listed.items, listed.next), (vec![first], Some("1".into())));
         let nobody = "nobody".parse().unwrap();
         assert_eq!(store.models(&nobody, &page).await.unwrap(), None);
-        assert_eq!(store.insert_model(&nobody, imported(b"4"), now()).await.unwrap(), None);
+        assert_eq!(
+            store.insert_model(&nobody, imported(b"4"), Activation::Leave, now()).await.unwrap(),
+            None
+        );
         let orphan = store.objects().get(Digest::of(b"4").as_str()).await;
         assert!(matches!(orphan, Err(StoreError::ObjectMissing { .. })));
     }
@@ -445,7 +461,7 @@ mod tests {
         let mut sensor = imported(b"1");
         sensor.inputs = vec!["y".into()];
         sensor.outputs = vec!["u".into()];
-        let sensor = store.insert_model(&rig.id, sensor, now()).await.unwrap().unwrap();
+        let sensor = store.insert_model(&rig.id, sensor, Activation::Leave, now()).await.unwrap().unwrap();
         let update = store.set_active_model(&rig.id, Some(sensor.version), "*", now()).await.unwrap();
         assert_eq!(update, ActiveUpdate::NotForward);
     }

@@ -152,7 +152,8 @@ impl Store {
     async fn is_referenced(&self, digest: &str) -> Result<bool, StoreError> {
         let found: i64 = sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM runs WHERE object = ?1)
-                 OR EXISTS (SELECT 1 FROM models WHERE sha256 = ?1)",
+                 OR EXISTS (SELECT 1 FROM models WHERE sha256 = ?1)
+                 OR EXISTS (SELECT 1 FROM diagnoses WHERE findings = ?1)",
         )
         .bind(digest)
         .fetch_one(self.reader())
@@ -163,9 +164,11 @@ impl Store {
     /// Removes every file below `objects` that no row refers to: what was written when a process
     /// died. Only at a start, when nobody else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
-        let rows: Vec<String> = sqlx::query_scalar("SELECT object FROM runs UNION SELECT sha256 FROM models")
-            .fetch_all(self.reader())
-            .await?;
+        let rows: Vec<String> = sqlx::query_scalar(
+            "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses",
+        )
+        .fetch_all(self.reader())
+        .await?;
         let root = self.objects().root.clone();
         off_thread(move || {
             let wanted: std::collections::HashSet<String> = rows.into_iter().collect();

@@ -9,9 +9,9 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::StoreError;
-use super::jobs::{JobOrigin, insert_fit};
+use super::jobs::{JobOrigin, insert};
 use super::rows::json;
-use crate::domain::{FitPolicy, JobId, Rig, RigId, Run, RunKind, Split};
+use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunKind, Split};
 
 /// Applies the rig's policy to a run that was just added; the jobs that it queued or joined.
 pub(super) async fn after_run(
@@ -44,7 +44,7 @@ pub(super) async fn after_run(
                 key: id.clone(),
                 what: error.to_string(),
             })?,
-            None => insert_fit(connection, &rig.id, fit, JobOrigin::Policy, now).await?.id,
+            None => insert(connection, &rig.id, JobKind::Fit, fit, JobOrigin::Policy, now).await?.id,
         };
         if !jobs.contains(&id) {
             jobs.push(id);

@@ -135,7 +135,7 @@ impl Store {
         Ok(RigUpdate::Updated(row.try_into()?))
     }
 
-    /// Removes a rig with its runs, models and jobs; whether it was there. Objects that nothing
+    /// Removes a rig with its runs, models, diagnoses and jobs; whether it was there. Objects that nothing
     /// else refers to are removed after the rows are.
     ///
     /// # Errors
@@ -143,7 +143,8 @@ impl Store {
     pub async fn delete_rig(&self, id: &RigId) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
         let objects: Vec<String> = sqlx::query_scalar(
-            "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1",
+            "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1
+             UNION SELECT findings FROM diagnoses WHERE rig = ?1",
         )
         .bind(id.as_str())
         .fetch_all(&mut *tx)

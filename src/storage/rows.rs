@@ -9,7 +9,8 @@ use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
 use super::StoreError;
-use crate::domain::{Job, Model, Rig, RigId, Run};
+use crate::domain::diagnosis::DiagnosedModel;
+use crate::domain::{DiagnosisSummary, Job, Model, Rig, RigId, Run, StoredDiagnosis};
 
 /// Reads the columns of one row.
 #[derive(Clone, Copy)]
@@ -256,6 +257,52 @@ impl TryFrom<JobRow> for Job {
             eta_s: row.eta_s,
             cancel_requested: row.cancel_requested,
         })
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct DiagnosisRow {
+    id: String,
+    rig: String,
+    job: String,
+    version: Option<i64>,
+    model_sha256: Option<String>,
+    mode: String,
+    request: String,
+    verdict: String,
+    findings: String,
+    elapsed_s: f64,
+    created_us: i64,
+}
+
+impl TryFrom<DiagnosisRow> for DiagnosisSummary {
+    type Error = StoreError;
+
+    fn try_from(row: DiagnosisRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "diagnoses", key: &row.id };
+        let model = match row.version.zip(row.model_sha256) {
+            Some((version, sha256)) => Some(DiagnosedModel { version: columns.number(version)?, sha256 }),
+            None => None,
+        };
+        Ok(Self {
+            id: columns.id(&row.id)?,
+            rig: columns.rig(row.rig)?,
+            created_at: columns.time(row.created_us)?,
+            model,
+            mode: columns.word(&row.mode)?,
+            verdict: columns.json(&row.verdict)?,
+            job: columns.id(&row.job)?,
+        })
+    }
+}
+
+impl TryFrom<DiagnosisRow> for StoredDiagnosis {
+    type Error = StoreError;
+
+    fn try_from(row: DiagnosisRow) -> Result<Self, StoreError> {
+        let request = Columns { table: "diagnoses", key: &row.id }.json(&row.request)?;
+        let (elapsed_s, findings) = (row.elapsed_s, row.findings.clone());
+        Ok(Self { summary: row.try_into()?, request, elapsed_s, findings })
     }
 }
 

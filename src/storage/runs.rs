@@ -293,8 +293,7 @@ async fn fitted_on(
             key: format!("{rig}/{version}"),
             what: error.to_string(),
         })?;
-        let mut spans = lineage.training.iter().chain(&lineage.frf).chain(&lineage.validation);
-        if spans.any(|span| span.run == run.id || span.sha256 == run.sha256) {
+        if lineage.spans().any(|span| span.run == run.id || span.sha256 == run.sha256) {
             versions.push(version);
         }
     }

@@ -173,6 +173,7 @@ async fn check_integrity(pool: &SqlitePool) -> Result<(), StoreError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::Origin;
 
     #[tokio::test]
     async fn a_data_directory_belongs_to_one_process_at_a_time() {
@@ -216,5 +217,51 @@ mod tests {
         drop(tx);
         let refused = sqlx::query("DELETE FROM rigs").execute(store.reader()).await;
         assert!(refused.is_err(), "readers cannot write");
+    }
+
+    /// A database as the first schema left it, with a rig whose active model was imported.
+    async fn first_schema(dir: &Path) {
+        let database = SqliteConnectOptions::new().filename(dir.join("rigcast.db")).create_if_missing(true);
+        let pool = SqlitePool::connect_with(database.foreign_keys(true)).await.unwrap();
+        let mut migrations = sqlx::migrate!();
+        migrations.migrations = migrations.migrations[..1].to_vec().into();
+        migrations.run(&pool).await.unwrap();
+        for statement in [
+            "INSERT INTO rigs (id, name, sample_rate_hz, channels, created_us, updated_us, revision, active_revision, next_version)
+             VALUES ('bench', 'Bench', 100, '[]', 1, 1, 1, 7, 3), ('idle', 'Idle', 100, '[]', 1, 1, 1, 1, 1)",
+            "INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes, origin, lineage,
+                                 code_version, instruction_set, created_us)
+             VALUES ('bench', 2, 'frf', '[\"u\"]', '[\"y\"]', 100, 'ab', 5, 'import',
+                     '{\"training\": [], \"frf\": [], \"validation\": []}', '0', 'portable', 9)",
+            "UPDATE rigs SET active_version = 2, active_us = 8 WHERE id = 'bench'",
+        ] {
+            sqlx::query(statement).execute(&pool).await.unwrap();
+        }
+        pool.close().await;
+    }
+
+    #[tokio::test]
+    async fn a_database_of_the_first_schema_keeps_its_models_and_which_is_active() {
+        let dir = tempfile::tempdir().unwrap();
+        first_schema(dir.path()).await;
+        let store = Store::open(dir.path()).await.unwrap();
+        let bench = "bench".parse().unwrap();
+        let active = store.active_model(&bench).await.unwrap().unwrap();
+        assert_eq!((active.version, active.revision), (Some(2), 7));
+        assert_eq!(store.active_model(&"idle".parse().unwrap()).await.unwrap().unwrap().version, None);
+        let model = store.model(&bench, 2).await.unwrap().unwrap();
+        assert_eq!((model.origin, model.inputs, model.size_bytes), (Origin::Import, vec!["u".to_owned()], 5));
+        assert!(model.active);
+        let mut writer = store.write_one().await.unwrap();
+        let adopted = sqlx::query("UPDATE models SET origin = 'diagnosis'").execute(&mut *writer).await;
+        assert_eq!(adopted.unwrap().rows_affected(), 1);
+        let gone = sqlx::query("DELETE FROM models").execute(&mut *writer).await;
+        assert!(gone.is_err(), "the rig still points at it");
+        let wrong = sqlx::query("UPDATE models SET origin = 'found'").execute(&mut *writer).await;
+        assert!(wrong.is_err(), "no such origin");
+        sqlx::query("DELETE FROM rigs").execute(&mut *writer).await.unwrap();
+        let left: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM models").fetch_one(&mut *writer).await.unwrap();
+        assert_eq!(left, 0, "models go with their rig");
     }
 }

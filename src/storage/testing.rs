@@ -7,7 +7,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use tempfile::TempDir;
 
-use super::{Digest, NewModel, PreparedRun, RunInsert, Store};
+use super::{Activation, Digest, NewModel, PreparedRun, RunInsert, Store};
 use crate::domain::{
     Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
     Span, Split,
@@ -122,14 +122,14 @@ impl TestStore {
     }
 
     pub(crate) async fn import(&self, rig: &Rig, weights: &[u8]) -> Model {
-        self.insert_model(&rig.id, imported(weights), now()).await.unwrap().unwrap()
+        self.insert_model(&rig.id, imported(weights), Activation::Leave, now()).await.unwrap().unwrap()
     }
 
     pub(crate) async fn import_fitted_on(&self, rig: &Rig, weights: &[u8], run: &Run) -> Model {
         let mut model = imported(weights);
         let span = Span { run: run.id, sha256: run.sha256.clone(), from_sample: 0, to_sample: run.samples };
         model.lineage.training = vec![span];
-        self.insert_model(&rig.id, model, now()).await.unwrap().unwrap()
+        self.insert_model(&rig.id, model, Activation::Leave, now()).await.unwrap().unwrap()
     }
 
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {

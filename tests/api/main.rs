@@ -4,6 +4,7 @@
 mod bad_runs;
 mod contract;
 mod damage;
+mod diagnoses;
 mod fits;
 mod isa;
 mod jobs;

@@ -10,6 +10,7 @@
 //! Lengths and velocities inside the laws are in units of the response's own RMS, time in units of
 //! the whole programme, frequencies of bands in cycles a sample.
 
+mod adopted;
 mod ar;
 mod augmented;
 mod candidate;

@@ -162,6 +162,7 @@ pub fn fit(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<F
         frf,
         lstm: None,
         range: input_ranges(&data.training),
+        effects: Vec::new(),
     };
     let mut lstm_settings = None;
     let mut seeds = Vec::new();

@@ -1,5 +1,6 @@
 //! A rig's model: FRF, LSTM or a hybrid of both, fitted from runs and applied to drives.
 
+mod effect;
 mod fit;
 mod predict;
 mod preprocess;
@@ -20,6 +21,7 @@ use super::frf::Frf;
 use super::lstm::{LstmNet, Recombine};
 use super::{EngineError, Signal};
 
+pub use effect::AddedEffect;
 pub use fit::{FitData, FitReport, Fitted, Pair, Validation, fit, hold_out_from};
 pub use predict::{Prediction, Predictor};
 pub use preprocess::Preprocess;
@@ -90,6 +92,8 @@ pub struct RigModel {
     pub lstm: Option<LstmPart>,
     /// What each input did in the training data; empty when unknown (imported weights).
     pub range: Vec<InputRange>,
+    /// Effects that were found on top of it, the first found first.
+    pub effects: Vec<AddedEffect>,
 }
 
 impl RigModel {

@@ -7,6 +7,9 @@
 //! differs from one in a single piece by rounding only: of the FRF's transforms, and with it of the
 //! network's inputs and sums, some 1e-7 of an output's standard deviation. Where the pieces lie
 //! depends on model and length alone, so that one input always has one result.
+//!
+//! Effects on top of a model are free runs from the first sample on, which each piece would have to
+//! begin anew: with them the whole response is computed before its first piece is given.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -14,7 +17,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::trust::{self, Trust};
-use super::{LstmPart, ModelKind, RigModel, network_inputs};
+use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
 use crate::engine::frf::FrfFilter;
 use crate::engine::lstm::{self, Recombine, Streaming};
 use crate::engine::windowing::check_window;
@@ -22,6 +25,9 @@ use crate::engine::{EngineError, Signal};
 
 /// Most samples of a piece.
 const PIECE_SAMPLES: usize = 1 << 18;
+
+/// Nothing of a prediction is left.
+const ALL_GIVEN: EngineError = EngineError::TooShort { what: "rest of the drive", needed: 1, found: 0 };
 
 /// Most windows that a piece is made of, those included that only reach into it: whole groups of
 /// windows on any number of threads.
@@ -43,6 +49,8 @@ pub struct Prediction {
     at: usize,
     /// The network's state at that sample, where it is carried through.
     stream: Option<Streaming>,
+    /// The whole response with the model's effects, if it has some, once it is known.
+    whole: Option<Signal>,
 }
 
 impl Predictor {
@@ -157,7 +165,7 @@ fn begin(model: &RigModel, x: Signal) -> Result<Prediction, EngineError> {
         }
         None => None,
     };
-    Ok(Prediction { x: model.preprocess.apply_to(x)?, at: 0, stream })
+    Ok(Prediction { x: model.preprocess.apply_to(x)?, at: 0, stream, whole: None })
 }
 
 fn rest(
@@ -165,21 +173,16 @@ fn rest(
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
 ) -> Result<Signal, EngineError> {
-    let done = EngineError::TooShort { what: "rest of the drive", needed: 1, found: 0 };
-    let left = prediction.n_samples() - prediction.at;
-    let first = next(model, filter, prediction)?.ok_or(done)?;
-    if first.n_samples() == left {
-        return Ok(first);
+    if model.effects.is_empty() {
+        return rest_without_effects(model, filter, prediction);
     }
-    let rate = first.sample_rate_hz();
-    let mut channels = first.into_channels();
-    channels.iter_mut().for_each(|channel| channel.reserve_exact(left - channel.len()));
-    while let Some(piece) = next(model, filter, prediction)? {
-        for (channel, piece) in channels.iter_mut().zip(piece.channels()) {
-            channel.extend_from_slice(piece);
-        }
+    if prediction.at == prediction.n_samples() {
+        return Err(ALL_GIVEN);
     }
-    Signal::new(rate, channels)
+    let whole = with_effects(model, filter, prediction)?;
+    let n = whole.n_samples();
+    let from = std::mem::replace(&mut prediction.at, n);
+    Ok(if from == 0 { whole } else { whole.slice(from..n) })
 }
 
 fn next(
@@ -187,7 +190,63 @@ fn next(
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
 ) -> Result<Option<Signal>, EngineError> {
-    let Prediction { x, at, stream } = prediction;
+    if model.effects.is_empty() {
+        return piece(model, filter, prediction);
+    }
+    if prediction.at == prediction.n_samples() {
+        prediction.whole = None;
+        return Ok(None);
+    }
+    let whole = with_effects(model, filter, prediction)?;
+    let range = prediction.at..whole.n_samples().min(prediction.at + PIECE_SAMPLES);
+    prediction.at = range.end;
+    let piece = whole.slice(range);
+    prediction.whole = Some(whole);
+    Ok(Some(piece))
+}
+
+/// The whole response with the model's effects, taken out of the prediction.
+fn with_effects(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    prediction: &mut Prediction,
+) -> Result<Signal, EngineError> {
+    if let Some(whole) = prediction.whole.take() {
+        return Ok(whole);
+    }
+    let base = rest_without_effects(model, filter, prediction)?;
+    prediction.at = 0;
+    effect::apply_all(&model.effects, &prediction.x, base)
+}
+
+fn rest_without_effects(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    prediction: &mut Prediction,
+) -> Result<Signal, EngineError> {
+    let left = prediction.n_samples() - prediction.at;
+    let first = piece(model, filter, prediction)?.ok_or(ALL_GIVEN)?;
+    if first.n_samples() == left {
+        return Ok(first);
+    }
+    let rate = first.sample_rate_hz();
+    let mut channels = first.into_channels();
+    channels.iter_mut().for_each(|channel| channel.reserve_exact(left - channel.len()));
+    while let Some(next) = piece(model, filter, prediction)? {
+        for (channel, next) in channels.iter_mut().zip(next.channels()) {
+            channel.extend_from_slice(next);
+        }
+    }
+    Signal::new(rate, channels)
+}
+
+/// The next samples of the model without its effects.
+fn piece(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    prediction: &mut Prediction,
+) -> Result<Option<Signal>, EngineError> {
+    let Prediction { x, at, stream, .. } = prediction;
     let range = *at..x.n_samples().min(*at + piece_len(model.lstm.as_ref()));
     if range.is_empty() {
         return Ok(None);
@@ -224,8 +283,7 @@ fn next(
         }
     };
     *at = range.end;
-    let piece = Signal::new(x.sample_rate_hz(), channels).map_err(|error| later(error, range.start))?;
-    Ok(Some(piece))
+    Signal::new(x.sample_rate_hz(), channels).map(Some).map_err(|error| later(error, range.start))
 }
 
 /// Samples of a piece; with a network a multiple of its hop, so that windows keep their places.

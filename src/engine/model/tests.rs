@@ -114,6 +114,7 @@ fn made_up(kind: ModelKind) -> RigModel {
         frf: (kind != ModelKind::Lstm).then_some(frf),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
         range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0 }; inputs],
+        effects: Vec::new(),
     }
 }
 

@@ -13,7 +13,8 @@ use realfft::num_complex::Complex64;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
-use super::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use super::effect::MAX_EFFECTS;
+use super::{AddedEffect, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
 use crate::engine::EngineError;
 use crate::engine::frf::Frf;
 use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
@@ -49,6 +50,9 @@ struct Metadata {
     /// What the inputs did in the training data, for trust; left out: unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     range: Vec<InputRange>,
+    /// Effects that diagnoses found.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    effects: Vec<AddedEffect>,
 }
 
 /// Serialises a model; the same model always gives the same bytes.
@@ -103,6 +107,7 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
         preprocess: model.preprocess,
         usable_hz: model.frf.as_ref().map(|f| f.usable_hz),
         range: model.range.clone(),
+        effects: model.effects.clone(),
     };
     let metadata = serde_json::to_string(&metadata).expect("names and finite numbers are always JSON");
     let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
@@ -142,6 +147,7 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         frf,
         lstm,
         range: meta.range,
+        effects: meta.effects,
     })
 }
 
@@ -170,6 +176,12 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
     }
     if !meta.range.is_empty() && meta.range.len() != meta.inputs.len() {
         return Err(wrong(format!("range: {} entries for {} inputs", meta.range.len(), meta.inputs.len())));
+    }
+    if meta.effects.len() > MAX_EFFECTS {
+        return Err(wrong(format!("effects: {}, at most {MAX_EFFECTS} are read", meta.effects.len())));
+    }
+    for effect in &meta.effects {
+        effect.check(meta.inputs.len(), meta.outputs.len(), meta.sample_rate_hz)?;
     }
     meta.preprocess.check(meta.sample_rate_hz)
 }

@@ -270,6 +270,7 @@ mod tests {
             frf: None,
             lstm: Some(part),
             range: Vec::new(),
+            effects: Vec::new(),
         })
         .expect("a model")
     }

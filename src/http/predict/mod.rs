@@ -21,12 +21,12 @@ use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
 use super::signals::header_names;
 use super::{Shared, arrays, body, codes, json, negotiate};
-use crate::domain::{Rig, RigId};
+use crate::domain::{ModelName, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
 use answer::{Computed, Job};
 use inputs::Drive;
-use request::{ModelName, NpyQuery, PredictRequest};
+use request::{NpyQuery, PredictRequest};
 
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";

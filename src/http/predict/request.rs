@@ -1,10 +1,8 @@
 //! What a client may ask for.
 
-use std::fmt;
+use serde::Deserialize;
 
-use serde::de::{Error, Visitor};
-use serde::{Deserialize, Deserializer};
-
+use crate::domain::ModelName;
 use crate::engine::fatigue::DamageSettings;
 use crate::http::arrays::HoldsSignals;
 use crate::http::codes;
@@ -30,16 +28,6 @@ pub struct PredictRequest {
     /// What the answer holds.
     #[serde(default)]
     include: Option<Vec<Part>>,
-}
-
-/// `"active"` or a version.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ModelName {
-    /// Whichever is active.
-    #[default]
-    Active,
-    /// This one.
-    Version(u32),
 }
 
 /// Signals, or a run that holds them. One flat object, so that an error has its place and no
@@ -146,41 +134,6 @@ impl NpyQuery {
 
 const MODEL_LIMIT: &str = "active or the number of a version";
 
-impl ModelName {
-    fn parse(text: &str) -> Option<Self> {
-        if text == "active" { Some(Self::Active) } else { text.parse().ok().map(Self::Version) }
-    }
-}
-
-impl<'de> Deserialize<'de> for ModelName {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct NameVisitor;
-        impl Visitor<'_> for NameVisitor {
-            type Value = ModelName;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("\"active\" or the number of a version")
-            }
-
-            fn visit_str<E: Error>(self, text: &str) -> Result<ModelName, E> {
-                if text == "active" {
-                    Ok(ModelName::Active)
-                } else {
-                    Err(E::invalid_value(serde::de::Unexpected::Str(text), &self))
-                }
-            }
-
-            fn visit_u64<E: Error>(self, number: u64) -> Result<ModelName, E> {
-                let version = u32::try_from(number);
-                version
-                    .map(ModelName::Version)
-                    .map_err(|_| E::invalid_value(serde::de::Unexpected::Unsigned(number), &self))
-            }
-        }
-        deserializer.deserialize_any(NameVisitor)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -205,15 +158,5 @@ mod tests {
         assert_eq!(includes(r#"{"drive": {}, "include": ["damage"]}"#).expect("parts"), only);
         let refused = includes(r#"{"drive": {}, "include": ["errors"]}"#).expect_err("no target");
         assert_eq!(refused.code(), "predict.target_missing");
-    }
-
-    #[test]
-    fn a_model_is_active_or_a_number() {
-        let model = |json: &str| serde_json::from_str::<ModelName>(json).ok();
-        assert_eq!(model("\"active\""), Some(ModelName::Active));
-        assert_eq!(model("3"), Some(ModelName::Version(3)));
-        for odd in ["\"3\"", "-1", "1.5", "null", "4294967296", "\"latest\""] {
-            assert_eq!(model(odd), None, "{odd}");
-        }
     }
 }

@@ -75,6 +75,7 @@ pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {
         }),
         lstm: None,
         range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0 }; n_inputs],
+        effects: Vec::new(),
     }
 }
 

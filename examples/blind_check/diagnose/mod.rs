@@ -1,0 +1,134 @@
+//! Asks a service what the sims of all cases lack, over HTTP alone like any user. Labels are not read;
+//! one more run of a case's rig is the lab's doing, which is another process.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use futures::stream::{self, StreamExt};
+use indicatif::{ProgressBar, ProgressStyle};
+use rigcast::client::Client;
+use rigcast::demo::LocalService;
+use serde_json::{Value, json};
+
+use crate::AnyError;
+use session::Session;
+
+mod lab;
+pub mod session;
+
+/// Writes `reports/<id>.json` for every case that has none yet.
+///
+/// # Errors
+/// No cases, or a service that cannot be started; what goes wrong in a case stands in its report.
+pub fn run(dir: &Path, service: Option<&str>, in_flight: usize) -> Result<(), AnyError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let own = match service {
+            Some(_) => None,
+            None => Some(LocalService::start(([127, 0, 0, 1], 0).into(), None).await?),
+        };
+        let url = own.as_ref().map(LocalService::url).or(service.map(String::from)).ok_or("no service")?;
+        all(dir, &Client::new(&url)?, in_flight).await?;
+        if let Some(own) = own {
+            own.stop().await?;
+        }
+        Ok(())
+    })
+}
+
+async fn all(dir: &Path, client: &Client, in_flight: usize) -> Result<(), AnyError> {
+    let reports = dir.join("reports");
+    fs::create_dir_all(&reports)?;
+    let mut folders: Vec<PathBuf> =
+        fs::read_dir(dir.join("cases"))?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
+    folders.sort();
+    let mut together = Vec::new();
+    let mut alone = Vec::new();
+    for folder in folders {
+        let about: Value = serde_json::from_slice(&fs::read(folder.join("case.json"))?)?;
+        let report = reports.join(format!("{}.json", about["id"].as_str().ok_or("a case without id")?));
+        if !report.exists() {
+            let list = if about["alone"] == true { &mut alone } else { &mut together };
+            list.push((folder, about, report));
+        }
+    }
+    let style = ProgressStyle::with_template("{prefix:>9} {bar:32} {pos}/{len}, {eta} left")?;
+    let bar = ProgressBar::new((together.len() + alone.len()) as u64).with_style(style);
+    bar.set_prefix("diagnose");
+    bar.tick();
+    for (list, width) in [(together, in_flight.max(1)), (alone, 1)] {
+        let cases = list.into_iter().map(|(folder, about, report)| {
+            let bar = &bar;
+            async move {
+                let answer = answer(dir, client, &folder, &about).await;
+                bar.inc(1);
+                fs::write(report, answer.to_string())
+            }
+        });
+        let mut written = stream::iter(cases).buffer_unordered(width);
+        while let Some(result) = written.next().await {
+            result?;
+        }
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// What the service says of one case: its report and what was made of it, or why there is none.
+async fn answer(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Value {
+    let found = ask(dir, client, folder, about).await;
+    let rig = about["rig"]["id"].as_str().unwrap_or_default();
+    let deleted = client.delete(&format!("/v1/rigs/{rig}")).await;
+    match (found, deleted) {
+        (Ok(answer), Ok(())) => answer,
+        (Ok(answer), Err(e)) => json!({"report": answer["report"], "error": format!("rig not deleted: {e}")}),
+        (Err(e), _) => json!({"report": null, "error": e.to_string()}),
+    }
+}
+
+async fn ask(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Result<Value, AnyError> {
+    let mut session = Session::open(client, &about["rig"]).await?;
+    for run in about["runs"].as_array().into_iter().flatten() {
+        let word = |key: &str| run[key].as_str().ok_or_else(|| format!("a run without {key}"));
+        let file = fs::read(folder.join(word("file")?))?;
+        session.upload(word("name")?, word("kind")?, word("started_at")?, "application/x-npy", file).await?;
+    }
+    let names = |baseline: bool| -> Vec<&str> {
+        let runs = about["runs"].as_array().into_iter().flatten();
+        runs.filter(|r| r["baseline"] == baseline).filter_map(|r| r["name"].as_str()).collect()
+    };
+    let model = session.fit(&about["fit"], &names(true)).await?;
+    let mut request = about["diagnosis"].clone();
+    request["model"] = model.into();
+    request["baseline_runs"] = session.ids(&names(true))?;
+    request["runs"] = session.ids(&names(false))?;
+    request["repeats"] = about["repeats"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|group| {
+            session
+                .ids(&group.as_array().map_or(Vec::new(), |g| g.iter().filter_map(Value::as_str).collect()))
+        })
+        .collect::<Result<Vec<Value>, _>>()?
+        .into();
+    let (href, report) = session.diagnose(&request).await?;
+    let mut answer = json!({"report": report});
+    let checks = about["check"].as_array().map_or(&[][..], Vec::as_slice);
+    let kind = answer["report"]["verdict"]["kind"].as_str();
+    if !checks.is_empty() && matches!(kind, Some("identified" | "partial")) {
+        let adopted = session.adopt(&href).await?;
+        for (name, version) in [("sim", model), ("adopted", adopted)] {
+            let mut responses = Vec::new();
+            for file in checks.iter().filter_map(Value::as_str) {
+                let drive = serde_json::from_slice(&fs::read(folder.join(file))?)?;
+                responses.push(session.predict(version, &drive).await?);
+            }
+            answer["check"][name] = responses.into();
+        }
+    }
+    if about["next_experiment"] == true {
+        answer["next"] = lab::further(dir, folder, about, &mut session, &request, &answer["report"]).await?;
+    }
+    Ok(answer)
+}

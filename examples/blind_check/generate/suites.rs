@@ -1,0 +1,156 @@
+//! The suites of the check: how many cases, which flaws, which data.
+
+use clap::ValueEnum;
+use rand::{Rng, RngExt};
+
+use super::effects::{self, Named};
+
+/// A row, or part of a row, of the table of figures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Suite {
+    /// Effects of the catalogue.
+    Catalogue,
+    /// Nothing, noise, hum, quantisation.
+    Nothing,
+    /// Effects outside the catalogue.
+    Outside,
+    /// The true effect and its siblings struck from the catalogue.
+    Struck,
+    /// The same physics in another equation.
+    OtherEquation,
+    /// The baseline runs have the effect already.
+    InSitu,
+    /// Two effects at once.
+    TwoEffects,
+    /// Three drives, three displacements, three forces, the effect on one axis.
+    ThreeAxes,
+    /// Runs of one level that leave effects ambiguous, and a rig that can be run once more.
+    NextExperiment,
+    /// 100 s of one response, and of three drives and six responses.
+    Time,
+}
+
+/// Lengths of the runs of one case, s. `long` and `half` (at half the level) are each run twice.
+#[derive(Debug, Clone, Copy)]
+pub struct Lengths {
+    pub long: f64,
+    /// None: one level only.
+    pub half: Option<f64>,
+    pub baseline: f64,
+}
+
+/// Step through a suite's list, prime to the length of each.
+const STRIDE: usize = 11;
+
+impl Suite {
+    /// All of them, in the order of the table.
+    pub const ALL: [Self; 10] = [
+        Self::Catalogue,
+        Self::Nothing,
+        Self::Outside,
+        Self::Struck,
+        Self::OtherEquation,
+        Self::InSitu,
+        Self::TwoEffects,
+        Self::ThreeAxes,
+        Self::NextExperiment,
+        Self::Time,
+    ];
+
+    /// As labels and the command line write it.
+    pub fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned())
+    }
+
+    /// Its place among the seeds.
+    pub fn number(self) -> u64 {
+        Self::ALL.iter().position(|s| *s == self).map_or(0, |i| i as u64)
+    }
+
+    /// Cases of the whole check.
+    pub fn cases(self) -> usize {
+        match self {
+            Self::Catalogue | Self::Nothing | Self::NextExperiment => 200,
+            Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu => 60,
+            Self::TwoEffects | Self::ThreeAxes => 40,
+            Self::Time => 2,
+        }
+    }
+
+    /// Axes of the rig of one case.
+    pub fn axes(self, index: usize) -> usize {
+        if self == Self::ThreeAxes || (self == Self::Time && index % 2 == 1) { 3 } else { 1 }
+    }
+
+    /// Lengths of its runs: 70 s but for the three axes, whose six responses each cost as much, the next
+    /// experiment, which diagnoses three times, and the clocked cases.
+    pub fn lengths(self) -> Lengths {
+        match self {
+            Self::ThreeAxes => Lengths { long: 14.0, half: Some(12.0), baseline: 40.0 },
+            Self::NextExperiment => Lengths { long: 16.0, half: None, baseline: 30.0 },
+            Self::Time => Lengths { long: 30.0, half: Some(20.0), baseline: 40.0 },
+            _ => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
+        }
+    }
+
+    /// Whether fresh runs are predicted with the effect adopted, to see what the intervals of closure hold.
+    pub fn is_checked(self) -> bool {
+        matches!(self, Self::Catalogue | Self::InSitu)
+    }
+
+    /// The flaws of one case; `index` walks through the list evenly, a few cases through all of it.
+    pub fn flaws(self, index: usize, rng: &mut impl Rng) -> Vec<Named> {
+        let list = match self {
+            Self::Catalogue | Self::Struck => effects::catalogue(rng),
+            Self::Nothing => effects::nothing(rng),
+            Self::Outside => effects::outside(rng),
+            Self::OtherEquation => effects::other_equation(rng),
+            Self::InSitu => effects::in_situ(rng),
+            Self::TwoEffects => return pair(effects::for_pairs(rng), rng),
+            Self::ThreeAxes => effects::three_axes(rng),
+            Self::NextExperiment | Self::Time => effects::ambiguous(rng),
+        };
+        vec![list[STRIDE * index % list.len()]]
+    }
+}
+
+fn pair(list: Vec<Named>, rng: &mut impl Rng) -> Vec<Named> {
+    loop {
+        let two = [(); 2].map(|()| list[rng.random_range(0..list.len())]);
+        if two[0].family != two[1].family {
+            return two.to_vec();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    #[test]
+    fn a_suite_goes_through_its_whole_list() {
+        let effects = |suite: Suite, n: usize| {
+            let of = |i| suite.flaws(i, &mut ChaCha8Rng::seed_from_u64(1))[0].effect;
+            (0..n).map(of).collect::<std::collections::BTreeSet<_>>().len()
+        };
+        assert_eq!(effects(Suite::Catalogue, 28), 28);
+        assert_eq!(effects(Suite::Nothing, 4), 4);
+        assert_eq!(effects(Suite::Outside, 5), 5);
+        assert_eq!(effects(Suite::OtherEquation, 5), 5);
+        assert_eq!(effects(Suite::InSitu, 21), 21);
+        assert_eq!(effects(Suite::ThreeAxes, 26), 26);
+        assert_eq!(effects(Suite::NextExperiment, 15), 15);
+    }
+
+    #[test]
+    fn two_effects_are_of_two_families() {
+        for seed in 0..50 {
+            let two = Suite::TwoEffects.flaws(0, &mut ChaCha8Rng::seed_from_u64(seed));
+            assert_eq!(two.len(), 2);
+            assert_ne!(two[0].family, two[1].family);
+        }
+    }
+}

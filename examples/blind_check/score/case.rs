@@ -1,0 +1,225 @@
+//! One case with its label and report, and what counts as right.
+
+use std::sync::Arc;
+
+use serde_json::Value;
+
+/// A label, and the report that was made without it.
+#[derive(Debug, Clone)]
+pub struct Case {
+    pub id: String,
+    pub suite: String,
+    pub label: Value,
+    /// What `diagnose` wrote: `report`, `check`, `next`, `error`.
+    pub answer: Arc<Value>,
+}
+
+/// Kinds of verdicts that name an effect.
+const NAMES_EFFECT: [&str; 2] = ["identified", "partial"];
+
+impl Case {
+    /// The report; `Null` where the diagnosis failed.
+    pub fn report(&self) -> &Value {
+        &self.answer["report"]
+    }
+
+    pub fn verdict(&self) -> &Value {
+        &self.report()["verdict"]
+    }
+
+    /// Kind of the verdict, `failed` where there is none.
+    pub fn kind(&self) -> &str {
+        self.verdict()["kind"].as_str().unwrap_or("failed")
+    }
+
+    /// True effects: one, or two at once.
+    pub fn effects(&self) -> impl Iterator<Item = &Value> {
+        self.label["effects"].as_array().into_iter().flatten()
+    }
+
+    /// The (first) true effect's name.
+    pub fn truth(&self) -> &str {
+        self.label["effects"][0]["effect"].as_str().unwrap_or("")
+    }
+
+    fn is_one_of(&self, effect: &Value) -> bool {
+        self.effects().any(|e| e["effect"] == *effect)
+    }
+
+    fn family_is_one_of(&self, family: &Value) -> bool {
+        !family.is_null() && self.effects().any(|e| e["family"] == *family)
+    }
+
+    /// Hypotheses, best first.
+    pub fn hypotheses(&self) -> &[Value] {
+        self.report()["hypotheses"].as_array().map_or(&[], Vec::as_slice)
+    }
+
+    /// The hypothesis that the verdict blames.
+    pub fn blamed_hypothesis(&self) -> Option<&Value> {
+        self.hypotheses().iter().find(|h| h["effect"] == self.verdict()["effect"])
+    }
+
+    fn names_effect(&self) -> bool {
+        NAMES_EFFECT.contains(&self.kind())
+    }
+
+    /// Whether the axis is the one, of rigs with several.
+    fn axis_is_right(&self) -> bool {
+        self.label["axes"].as_u64() < Some(2) || self.effects().any(|e| e["axis"] == self.verdict()["axis"])
+    }
+
+    /// *Right*: the true effect first and the kind `identified` or `partial`; on several axes the axis
+    /// too. Of nothing, noise and hum the kind that says so.
+    pub fn is_right(&self) -> bool {
+        let effect = &self.verdict()["effect"];
+        match self.truth() {
+            "nothing" => self.kind() == "no_material_gap",
+            "raised_noise" | "periodic_disturbance" => {
+                self.kind() == "noise_or_unmeasured_disturbance" && self.is_one_of(effect)
+            }
+            _ => self.names_effect() && self.is_one_of(effect) && self.axis_is_right(),
+        }
+    }
+
+    /// *Right family*: it is stated, with or without an effect of it.
+    pub fn family_is_right(&self) -> bool {
+        self.states_family() && self.family_is_one_of(&self.verdict()["family"])
+    }
+
+    fn states_family(&self) -> bool {
+        self.names_effect() || self.kind() == "family_only"
+    }
+
+    /// *Blamed*: `identified` or `partial`, or `family_only` with a wrong family.
+    pub fn is_blamed(&self) -> bool {
+        self.names_effect() || (self.kind() == "family_only" && !self.family_is_right())
+    }
+
+    /// Blamed on something that a drive causes.
+    pub fn is_blamed_on_drive(&self) -> bool {
+        let verdict = self.verdict();
+        self.is_blamed() && verdict["family"] != "disturbance" && verdict["effect"] != "quantisation"
+    }
+
+    /// Effects that the report cannot tell apart.
+    pub fn set(&self) -> &[Value] {
+        self.verdict()["equivalence_set"].as_array().map_or(&[], Vec::as_slice)
+    }
+
+    pub fn truth_is_in_set(&self) -> bool {
+        self.set().iter().any(|e| self.is_one_of(e))
+    }
+
+    /// Both true effects are the first hypothesis and the second effect.
+    pub fn both_are_found(&self) -> bool {
+        let first = &self.hypotheses().first().unwrap_or(&Value::Null)["effect"];
+        let second = &self.report()["remaining"]["second_effect"]["effect"];
+        self.is_one_of(first) && self.is_one_of(second) && first != second
+    }
+
+    /// Whether the verdict as it is stated is true: what its probability is of.
+    pub fn verdict_is_true(&self) -> bool {
+        let set_holds_family = || {
+            let family = |e: &Value| self.hypotheses().iter().find(|h| h["effect"] == *e);
+            self.set().iter().filter_map(family).any(|h| self.family_is_one_of(&h["family"]))
+        };
+        match (self.suite.as_str(), self.kind()) {
+            ("struck", kind) => kind == "none_of_catalogue",
+            // What is not measured and not predictable is rightly called a disturbance.
+            ("outside", "noise_or_unmeasured_disturbance") => self.truth() == "unmeasured_force",
+            ("outside", kind) => kind == "none_of_catalogue",
+            ("nothing", _) => self.is_right(),
+            ("other-equation", "not_distinguishable") => set_holds_family(),
+            ("other-equation", _) => self.family_is_right(),
+            (_, "family_only") => self.family_is_right(),
+            (_, "not_distinguishable") => self.truth_is_in_set(),
+            _ => self.is_right(),
+        }
+    }
+
+    /// How the verdict reads in the confusion matrix.
+    pub fn stated(&self) -> String {
+        let verdict = self.verdict();
+        let word = |key: &str| verdict[key].as_str().unwrap_or("?").to_owned();
+        match self.kind() {
+            "identified" | "partial" => word("effect"),
+            "noise_or_unmeasured_disturbance" => {
+                verdict["effect"].as_str().map_or("noise_or_unmeasured_disturbance".into(), String::from)
+            }
+            "family_only" => format!("family {}", word("family")),
+            kind => kind.to_owned(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn case(suite: &str, effect: &str, family: &str, axes: u64, verdict: Value) -> Case {
+        let label = json!({"effects": [{"effect": effect, "family": family, "axis": "y"}], "axes": axes});
+        Case {
+            id: "0".into(),
+            suite: suite.into(),
+            label,
+            answer: Arc::new(json!({"report": {"verdict": verdict}})),
+        }
+    }
+
+    fn verdict(kind: &str, effect: Option<&str>, family: Option<&str>) -> Value {
+        json!({"kind": kind, "effect": effect, "family": family, "axis": "x", "equivalence_set": []})
+    }
+
+    #[test]
+    fn right_is_the_true_effect_stated_and_the_right_family_is_no_blame() {
+        let of = |v: Value| case("catalogue", "gain", "linear", 1, v);
+        let partial = of(verdict("partial", Some("gain"), Some("linear")));
+        assert!(partial.is_right() && partial.is_blamed() && partial.verdict_is_true());
+        let other = of(verdict("identified", Some("delay"), Some("linear")));
+        assert!(!other.is_right() && other.family_is_right() && other.is_blamed());
+        let family = of(verdict("family_only", None, Some("linear")));
+        assert!(!family.is_right() && family.family_is_right() && !family.is_blamed());
+        assert!(family.verdict_is_true());
+        let wrong = of(verdict("family_only", None, Some("damping")));
+        assert!(wrong.is_blamed() && !wrong.verdict_is_true());
+        let silent = of(verdict("none_of_catalogue", None, None));
+        assert!(!silent.is_blamed() && !silent.family_is_right() && !silent.verdict_is_true());
+    }
+
+    #[test]
+    fn on_several_axes_the_axis_counts() {
+        let v = verdict("identified", Some("gain"), Some("linear"));
+        assert!(!case("three-axes", "gain", "linear", 3, v.clone()).is_right());
+        assert!(case("catalogue", "gain", "linear", 1, v).is_right());
+    }
+
+    #[test]
+    fn where_the_truth_is_struck_only_abstention_is_true() {
+        let v = verdict("not_distinguishable", None, None);
+        let open = case("struck", "gain", "linear", 1, v);
+        assert!(!open.is_blamed() && !open.verdict_is_true());
+        let none = case("struck", "gain", "linear", 1, verdict("none_of_catalogue", None, None));
+        assert!(!none.is_blamed() && none.verdict_is_true());
+    }
+
+    #[test]
+    fn noise_is_not_blamed_on_a_drive() {
+        let hum =
+            verdict("noise_or_unmeasured_disturbance", Some("periodic_disturbance"), Some("disturbance"));
+        let right = case("nothing", "periodic_disturbance", "disturbance", 1, hum.clone());
+        assert!(right.is_right() && !right.is_blamed_on_drive());
+        assert!(!case("nothing", "raised_noise", "disturbance", 1, hum).is_right());
+        let gain = verdict("partial", Some("gain"), Some("linear"));
+        assert!(case("nothing", "nothing", "", 1, gain).is_blamed_on_drive());
+    }
+
+    #[test]
+    fn a_diagnosis_that_failed_is_wrong_and_blames_nobody() {
+        let failed = case("catalogue", "gain", "linear", 1, Value::Null);
+        assert!(!failed.is_right() && !failed.is_blamed() && !failed.verdict_is_true());
+        assert_eq!(failed.stated(), "failed");
+    }
+}

@@ -1,0 +1,87 @@
+//! The rows of each suite.
+
+use super::case::Case;
+use super::row::{Bar, Row};
+use super::statistics::{Share, median, quantile};
+
+/// Rows of the suites that have cases.
+pub fn rows(cases: &[Case]) -> Vec<Row> {
+    let of = |suite: &str| -> Vec<&Case> { cases.iter().filter(|c| c.suite == suite).collect() };
+    let mut rows = Vec::new();
+    let mut add = |suite: &'static str, make: fn(&'static str, &[&Case]) -> Vec<Row>| {
+        let own = of(suite);
+        if !own.is_empty() {
+            rows.extend(make(suite, &own));
+        }
+    };
+    add("catalogue", catalogue);
+    add("nothing", nothing);
+    add("outside", |suite, cases| {
+        let spared = Share::count(cases, |c| !c.is_blamed());
+        vec![Row::share(suite, "not blamed", spared, Bar::AtLeast(0.95))]
+    });
+    add("struck", |suite, cases| {
+        let abstains = Share::count(cases, |c| !c.is_blamed());
+        vec![Row::share(suite, "abstains", abstains, Bar::AtLeast(0.85))]
+    });
+    add("other-equation", other_equation);
+    add("in-situ", |suite, cases| {
+        vec![Row::share(suite, "right", Share::count(cases, |c| c.is_right()), Bar::AtLeast(0.90))]
+    });
+    add("two-effects", |suite, cases| {
+        let both = Share::count(cases, |c| c.both_are_found());
+        vec![Row::share(suite, "both among the first two", both, Bar::AtLeast(0.80))]
+    });
+    add("three-axes", |suite, cases| {
+        let right = Share::count(cases, |c| c.is_right());
+        vec![Row::share(suite, "effect and axis right", right, Bar::AtLeast(0.90))]
+    });
+    rows
+}
+
+fn catalogue(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    let count = |holds: fn(&Case) -> bool| Share::count(cases, |c| holds(c));
+    let sizes = || cases.iter().map(|c| c.set().len() as f64);
+    vec![
+        Row::share(suite, "right", count(Case::is_right), Bar::AtLeast(0.95)),
+        Row::share(
+            suite,
+            "right and identified",
+            count(|c| c.is_right() && c.kind() == "identified"),
+            Bar::AtLeast(0.80),
+        ),
+        Row::share(suite, "right family", count(Case::family_is_right), Bar::AtLeast(0.97)),
+        Row::share(suite, "blamed wrongly", count(|c| c.is_blamed() && !c.is_right()), Bar::None),
+        Row::share(suite, "truth in the equivalence set", count(Case::truth_is_in_set), Bar::AtLeast(0.98)),
+        Row::number(suite, "size of the set, median", median(sizes()), Bar::AtMost(2.0)),
+        Row::number(suite, "size of the set, 90th percentile", quantile(sizes(), 0.9), Bar::AtMost(4.0)),
+    ]
+}
+
+fn nothing(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    let blamed = Share::count(cases, |c| c.is_blamed_on_drive());
+    let right = Share::count(cases, |c| c.is_right());
+    vec![
+        Row::share(suite, "blamed on a drive-related effect", blamed, Bar::AtMost(0.02)),
+        Row::share(suite, "the right one of the four", right, Bar::AtLeast(0.90)),
+    ]
+}
+
+fn other_equation(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    // A family of which no member is among the hypotheses closes nothing.
+    let best_member = |case: &Case| -> f64 {
+        let family = &case.label["effects"][0]["family"];
+        let members = case.hypotheses().iter().filter(|h| h["family"] == *family);
+        members.filter_map(|h| h["held_out"]["closure"].as_f64()).fold(0.0, f64::max)
+    };
+    let closures: Vec<f64> = cases.iter().map(|c| best_member(c)).collect();
+    vec![
+        Row::share(suite, "right family", Share::count(cases, |c| c.family_is_right()), Bar::AtLeast(0.95)),
+        Row::number(
+            suite,
+            "closure by the family's best member, median",
+            median(closures),
+            Bar::AtLeast(0.95),
+        ),
+    ]
+}

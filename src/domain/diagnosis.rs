@@ -1,0 +1,259 @@
+//! A diagnosis as a client asks for it (`POST /v1/rigs/{rig}/diagnoses`), as lists show it and as it
+//! is kept.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::fits::{RunFilter, RunSelection};
+use super::ids::{DiagnosisId, JobId, RigId, RunId};
+use super::model::Span;
+use super::model_name::ModelName;
+use super::problem::FieldError;
+use crate::engine::diagnosis::{Augmented, Effect, Family, Mode, Report, Verdict, VerdictKind, Views};
+
+/// Systematic error, relative to the response, below which a gap does not matter unless a request
+/// says otherwise.
+const MATERIAL_GAP: f64 = 0.02;
+
+/// Runs to explain: the service splits them, or each has its role.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "ids of runs, {fit, select, test} with ids of runs, or a selection of runs")]
+pub enum DiagnosisRuns {
+    /// Exactly these.
+    Ids(Vec<RunId>),
+    /// Exactly these, each for one purpose.
+    Roles(RunRoles),
+    /// All that match.
+    Match(RunFilter),
+}
+
+/// What each run is used for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunRoles {
+    /// Parameters are fitted to these.
+    pub fit: Vec<RunId>,
+    /// Effects are chosen on these.
+    pub select: Vec<RunId>,
+    /// On these, neither fitted nor chosen on, the closure is measured.
+    pub test: Vec<RunId>,
+}
+
+/// Drives that a next experiment may use and over which an effect must stay stable.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Envelope {
+    /// Largest magnitude by drive; left out: that of the runs.
+    pub drive_peak: BTreeMap<String, f64>,
+}
+
+/// The request; every field but `runs` has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DiagnosisRequest {
+    /// The sim; left out: the active model, unless `simulated` is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<ModelName>,
+    /// Instead of a model: for each run the one that holds its simulated responses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated: Option<BTreeMap<RunId, RunId>>,
+    /// Whether the sim has seen the effect.
+    #[serde(default)]
+    pub mode: Mode,
+    /// Low-level runs for the linear core; left out: the model's own fit runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baseline_runs: Option<RunSelection>,
+    /// Runs to explain.
+    pub runs: DiagnosisRuns,
+    /// Runs with the same drive.
+    #[serde(default)]
+    pub repeats: Vec<Vec<RunId>>,
+    /// Effects and families that may be named, or `all`.
+    #[serde(default = "all")]
+    pub catalogue: Vec<String>,
+    /// Limits of the drives.
+    #[serde(default)]
+    pub envelope: Envelope,
+    /// Systematic RMS relative to the response's below which a gap does not matter.
+    #[serde(default = "material_gap")]
+    pub material_gap: f64,
+}
+
+fn all() -> Vec<String> {
+    vec!["all".into()]
+}
+
+fn material_gap() -> f64 {
+    MATERIAL_GAP
+}
+
+impl DiagnosisRequest {
+    /// Effects of the catalogue, each once, in the catalogue's order.
+    ///
+    /// # Errors
+    /// Names that are neither an effect nor a family, with what is allowed; an empty list.
+    pub fn effects(&self) -> Result<Vec<Effect>, Vec<FieldError>> {
+        let named = |name: &str| -> Vec<Effect> {
+            let is = |e: &Effect| name == "all" || name == e.name() || name == word(&e.family());
+            Effect::ALL.into_iter().filter(is).collect()
+        };
+        if self.catalogue.is_empty() {
+            return Err(vec![FieldError::new("/catalogue", "at least one effect, family or all")]);
+        }
+        let mut effects = BTreeSet::new();
+        let mut errors = Vec::new();
+        for (i, name) in self.catalogue.iter().enumerate() {
+            let found = named(name);
+            if found.is_empty() {
+                errors.push(FieldError::new(format!("/catalogue/{i}"), allowed()));
+            }
+            effects.extend(found);
+        }
+        if errors.is_empty() { Ok(effects.into_iter().collect()) } else { Err(errors) }
+    }
+}
+
+/// Every name that a catalogue may hold.
+fn allowed() -> String {
+    let families: BTreeSet<Family> = Effect::ALL.into_iter().map(Effect::family).collect();
+    let families = families.iter().map(word);
+    let names = families.chain(Effect::ALL.into_iter().map(Effect::name));
+    format!("one of all, {}", names.collect::<Vec<_>>().join(", "))
+}
+
+fn word(family: &Family) -> String {
+    match serde_json::to_value(family) {
+        Ok(serde_json::Value::String(word)) => word,
+        other => unreachable!("a word of the contract, not {other:?}"),
+    }
+}
+
+/// The model that was diagnosed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct DiagnosedModel {
+    /// Version.
+    pub version: u32,
+    /// SHA-256 of its weight file, hex.
+    pub sha256: String,
+}
+
+/// The verdict without its reasons.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VerdictSummary {
+    /// What kind of answer.
+    pub kind: VerdictKind,
+    /// The effect blamed, if one is.
+    pub effect: Option<Effect>,
+    /// Its family.
+    pub family: Option<Family>,
+    /// Axis of the effect.
+    pub axis: Option<String>,
+    /// Response on which it closes most.
+    pub channel: Option<String>,
+    /// That the verdict is right, 0..1.
+    pub probability: f64,
+}
+
+impl From<&Verdict> for VerdictSummary {
+    fn from(verdict: &Verdict) -> Self {
+        Self {
+            kind: verdict.kind,
+            effect: verdict.effect,
+            family: verdict.family,
+            axis: verdict.axis.clone(),
+            channel: verdict.channel.clone(),
+            probability: verdict.probability,
+        }
+    }
+}
+
+/// A diagnosis as lists show it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DiagnosisSummary {
+    /// Id.
+    pub id: DiagnosisId,
+    /// Its rig.
+    pub rig: RigId,
+    /// When its report was stored.
+    pub created_at: Timestamp,
+    /// The sim; none where simulated responses were sent.
+    pub model: Option<DiagnosedModel>,
+    /// Whether the sim had seen the effect.
+    pub mode: Mode,
+    /// The answer in short.
+    pub verdict: VerdictSummary,
+    /// The job that made it.
+    pub job: JobId,
+}
+
+/// A diagnosis with everything but its findings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredDiagnosis {
+    /// As lists show it.
+    pub summary: DiagnosisSummary,
+    /// What was asked for, resolved.
+    pub request: DiagnosisRequest,
+    /// Seconds that it took, loading and predicting included.
+    pub elapsed_s: f64,
+    /// SHA-256 of the object that holds its [`Findings`], hex.
+    pub findings: String,
+}
+
+/// What a diagnosis found: too much for a row.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Findings {
+    /// The report; its runs are named by their ids.
+    pub report: Report,
+    /// What the report's page draws.
+    pub views: Views,
+    /// The sim with the effect in it, one a hypothesis.
+    pub augmented: Vec<Augmented>,
+    /// What the effects' parameters were fitted to.
+    pub fit: Vec<Span>,
+    /// What the effects were chosen on.
+    pub select: Vec<Span>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(json: &str) -> DiagnosisRequest {
+        serde_json::from_str(json).unwrap()
+    }
+
+    #[test]
+    fn what_is_left_open_has_the_contracts_defaults() {
+        let request = request(r#"{"runs": {"tags": ["high"]}}"#);
+        assert_eq!((request.model, request.mode), (None, Mode::InSitu));
+        assert_eq!(request.material_gap, 0.02);
+        assert_eq!(request.effects().unwrap(), Effect::ALL);
+        assert!(matches!(request.runs, DiagnosisRuns::Match(RunFilter { kinds: None, .. })));
+        let again = serde_json::from_str(&serde_json::to_string(&request).unwrap()).unwrap();
+        assert_eq!(request, again);
+    }
+
+    #[test]
+    fn a_catalogue_is_made_of_effects_and_families_and_an_unknown_name_is_pointed_at() {
+        let named = |list: &str| request(&format!(r#"{{"runs": [], "catalogue": {list}}}"#)).effects();
+        let damping = [Effect::CubicStiffness, Effect::QuadraticDamping, Effect::FreeDamping];
+        assert_eq!(named(r#"["damping", "cubic_stiffness", "damping"]"#).unwrap(), damping);
+        let errors = named(r#"["damping", "cubic"]"#).unwrap_err();
+        assert_eq!(errors[0].pointer, "/catalogue/1");
+        let limit = errors[0].limit.as_deref().unwrap();
+        assert!(limit.contains("all, linear") && limit.contains("cubic_stiffness"), "{limit}");
+        assert_eq!(named("[]").unwrap_err()[0].pointer, "/catalogue");
+    }
+
+    #[test]
+    fn roles_are_complete_or_refused_with_what_is_allowed() {
+        let parse = |json: &str| serde_json::from_str::<DiagnosisRequest>(json);
+        assert!(parse(r#"{"runs": {"fit": [], "select": [], "test": []}}"#).is_ok());
+        let error = parse(r#"{"runs": {"fit": [], "select": []}}"#).unwrap_err().to_string();
+        assert!(error.contains("{fit, select, test}"), "{error}");
+        assert!(parse(r#"{"runs": [], "run": []}"#).is_err());
+        assert!(parse("{}").is_err());
+    }
+}

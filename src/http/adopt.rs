@@ -1,0 +1,197 @@
+//! Adopting an effect: the model that was diagnosed, with a hypothesis of the report added to it.
+
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::http::header::LOCATION;
+use axum::response::IntoResponse;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+use super::diagnoses::find;
+use super::json::{self, Json};
+use super::params::NoParams;
+use super::paths::{OfDiagnosis, no_model, no_rig};
+use super::problem::{Answer, FieldError, Problem};
+use super::{Shared, codes, errors};
+use crate::compute::Class;
+use crate::domain::diagnosis::Findings;
+use crate::domain::fits::Activate;
+use crate::domain::{Adopted, Model, Origin, Rig, RigId, Role, StoredDiagnosis};
+use crate::engine::diagnosis::{HeldOut, VerdictKind};
+use crate::engine::model::{AddedEffect, from_safetensors, to_safetensors};
+use crate::engine::simd::Isa;
+use crate::storage::{Activation, NewModel};
+
+/// An adopted model must leave this much of the diagnosed one's held-out error or less to be better.
+const BETTER: f64 = 0.99;
+
+/// The body.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AdoptRequest {
+    /// Place in the report's hypotheses; the best first.
+    #[serde(default)]
+    hypothesis: usize,
+    /// When the new version becomes the active one.
+    #[serde(default = "never")]
+    activate: Activate,
+}
+
+fn never() -> Activate {
+    Activate::Never
+}
+
+/// The new version.
+#[derive(Debug, Serialize)]
+struct NewVersion {
+    version: u32,
+    href: String,
+}
+
+/// `POST /v1/rigs/{rig}/diagnoses/{diagnosis}/adopt`
+pub async fn adopt(
+    State(http): State<Shared>,
+    OfDiagnosis(rig_id, id): OfDiagnosis,
+    _: NoParams,
+    Json(request): Json<AdoptRequest>,
+) -> Answer {
+    let rig = http.store.rig(&rig_id).await?.ok_or_else(|| no_rig(rig_id.as_str()))?;
+    let diagnosis = find(&http, &rig_id, id).await?;
+    let base = diagnosed(&http, &rig_id, &diagnosis).await?;
+    allowed(diagnosis.summary.verdict.kind)?;
+    if request.activate == Activate::Always && !base.is_forward(&rig) {
+        let limit = "never: the model does not map all drives of the rig to all its responses";
+        return Err(Problem::new(codes::MODEL_NOT_FORWARD, format!("activate must be {limit}."))
+            .with(FieldError::new("/activate", limit)));
+    }
+    let findings = http.store.findings(&diagnosis).await?;
+    let held_out = hypothesis(&findings, request.hypothesis)?.clone();
+    let activation = activation(&http, &rig, &base, request.activate, &held_out).await?;
+    let model = make(&http, &rig, &diagnosis, findings, base, request.hypothesis).await?;
+    let inserted = http.store.insert_model(&rig_id, model, activation, http.now()).await?;
+    let version = inserted.ok_or_else(|| no_rig(rig_id.as_str()))?.version;
+    let href = format!("/v1/rigs/{rig_id}/models/{version}");
+    let location = [(LOCATION, href.clone())];
+    Ok((StatusCode::CREATED, location, json::answer(&NewVersion { version, href })?).into_response())
+}
+
+/// The model that was diagnosed, if it is still there.
+async fn diagnosed(http: &Shared, rig: &RigId, diagnosis: &StoredDiagnosis) -> Answer<Model> {
+    let Some(named) = &diagnosis.summary.model else {
+        let detail =
+            "The diagnosis is one of simulated runs that were sent; there is no model to add an effect to.";
+        return Err(Problem::new(codes::DIAGNOSIS_NO_MODEL, detail));
+    };
+    let found = http.store.model(rig, named.version).await?;
+    found.filter(|model| model.sha256 == named.sha256).ok_or_else(|| no_model(&named.version.to_string()))
+}
+
+/// Refuses verdicts that blame nothing that could be added.
+fn allowed(kind: VerdictKind) -> Answer<()> {
+    match kind {
+        VerdictKind::Identified
+        | VerdictKind::Partial
+        | VerdictKind::FamilyOnly
+        | VerdictKind::NotDistinguishable => Ok(()),
+        VerdictKind::NoneOfCatalogue
+        | VerdictKind::NoiseOrUnmeasuredDisturbance
+        | VerdictKind::NoMaterialGap => {
+            let detail = "The verdict blames no effect of the rig that a model could have.";
+            Err(Problem::new(codes::DIAGNOSIS_NO_EFFECT, detail))
+        }
+    }
+}
+
+/// How far a hypothesis closes the gap, if it may be adopted.
+fn hypothesis(findings: &Findings, index: usize) -> Answer<&HeldOut> {
+    let found = findings.report.hypotheses.get(index).filter(|_| index < findings.augmented.len());
+    let Some(found) = found else {
+        let n = findings.report.hypotheses.len();
+        let limit = format!("a place in the report's list of {n} hypotheses, from 0");
+        return Err(Problem::new(codes::DIAGNOSIS_NO_HYPOTHESIS, format!("hypothesis must be {limit}."))
+            .with(FieldError::new("/hypothesis", limit)));
+    };
+    if !found.stable_over_envelope {
+        let detail = format!(
+            "With {} the free run does not stay bounded over the allowed drives; diagnose with a smaller \
+             envelope.drive_peak, or adopt another hypothesis.",
+            found.effect.name()
+        );
+        return Err(Problem::new(codes::DIAGNOSIS_UNSTABLE, detail)
+            .with(FieldError::new("/hypothesis", "a hypothesis with stable_over_envelope")));
+    }
+    Ok(&found.held_out)
+}
+
+/// What happens to the rig's active model. `if_better`: the adopted one replaces none, or the model
+/// that was diagnosed if the held-out error of the report is at least 1 % lower; what it does beside
+/// any third model nobody has measured.
+async fn activation(
+    http: &Shared,
+    rig: &Rig,
+    base: &Model,
+    wanted: Activate,
+    held_out: &HeldOut,
+) -> Answer<Activation> {
+    match wanted {
+        Activate::Never => Ok(Activation::Leave),
+        Activate::Always => Ok(Activation::Always),
+        Activate::IfBetter if !base.is_forward(rig) => Ok(Activation::Leave),
+        Activate::IfBetter => {
+            let active = http.store.active_model(&rig.id).await?.and_then(|active| active.version);
+            let better = held_out.rms_after <= BETTER * held_out.rms_before;
+            Ok(match active {
+                None => Activation::IfStill(None),
+                Some(version) if version == base.version && better => Activation::IfStill(Some(version)),
+                Some(_) => Activation::Leave,
+            })
+        }
+    }
+}
+
+/// The diagnosed model with one more effect.
+async fn make(
+    http: &Shared,
+    rig: &Rig,
+    diagnosis: &StoredDiagnosis,
+    mut findings: Findings,
+    base: Model,
+    hypothesis: usize,
+) -> Answer<NewModel> {
+    let weights = http.store.weights(&base).await?;
+    let is_drive = |name: &String| rig.channel(name).is_some_and(|channel| channel.role == Role::Drive);
+    let drives = (0..base.inputs.len()).filter(|&i| is_drive(&base.inputs[i])).collect();
+    let effect = AddedEffect { drives, augmented: findings.augmented.swap_remove(hypothesis) };
+    let add = move || {
+        let mut model = from_safetensors(&weights).map_err(|error| {
+            Problem::new(codes::MODEL_DAMAGED, "The stored weights cannot be read as a model.").because(error)
+        })?;
+        model.effects.push(effect);
+        let weights = to_safetensors(&model);
+        // What is stored can be read; there is an end to how many effects a model takes.
+        from_safetensors(&weights).map_err(|error| errors::engine(&error, &[], "/hypothesis"))?;
+        Ok::<_, Problem>(weights)
+    };
+    let weights = http.off_thread(Class::Predict, add).await??;
+    let mut lineage = base.lineage;
+    lineage.diagnoses.push(Adopted {
+        id: diagnosis.summary.id,
+        hypothesis,
+        version: base.version,
+        fit: findings.fit,
+        select: findings.select,
+    });
+    Ok(NewModel {
+        kind: base.kind,
+        inputs: base.inputs,
+        outputs: base.outputs,
+        sample_rate_hz: base.sample_rate_hz,
+        weights: Bytes::from(weights),
+        origin: Origin::Diagnosis,
+        job: Some(diagnosis.summary.job),
+        request: None,
+        report: None,
+        lineage,
+        instruction_set: Isa::of_process().map_err(Problem::internal)?.name().into(),
+    })
+}

@@ -1,0 +1,92 @@
+//! Diagnoses: checked while the client waits, done as jobs, shown as reports.
+
+use axum::extract::State;
+use axum::http::header::LOCATION;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::IntoResponse;
+use jiff::Timestamp;
+use serde::Serialize;
+
+use super::json::{self, Json};
+use super::lists::page;
+use super::params::{NoParams, Params};
+use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
+use super::problem::{Answer, Problem};
+use super::{Shared, negotiate};
+use crate::compute::Class;
+use crate::domain::diagnosis::DiagnosedModel;
+use crate::domain::{DiagnosisId, DiagnosisRequest, JobId, RigId, StoredDiagnosis};
+use crate::engine::diagnosis::Report;
+
+/// Representations of a report.
+const OFFERS: &[&str] = &[json::MEDIA_TYPE];
+
+/// A report with what the engine does not know of it.
+#[derive(Debug, Serialize)]
+struct Shown<'a> {
+    id: DiagnosisId,
+    rig: &'a RigId,
+    created_at: Timestamp,
+    job: JobId,
+    model: &'a Option<DiagnosedModel>,
+    elapsed_s: f64,
+    request: &'a DiagnosisRequest,
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+/// `POST /v1/rigs/{rig}/diagnoses`
+pub async fn start(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    _: NoParams,
+    Json(request): Json<DiagnosisRequest>,
+) -> Answer {
+    let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
+    let job = http.jobs.submit_diagnosis(&rig, &request).await?;
+    let location = [(LOCATION, format!("/v1/jobs/{}", job.id))];
+    Ok((StatusCode::ACCEPTED, location, json::answer(&job)?).into_response())
+}
+
+/// `GET /v1/rigs/{rig}/diagnoses`
+pub async fn list(State(http): State<Shared>, OfRig(rig): OfRig, mut params: Params) -> Answer {
+    let page = page(&mut params)?;
+    params.finish()?;
+    json::answer(&http.store.diagnoses(&rig, &page).await?.ok_or_else(|| no_rig(rig.as_str()))?)
+}
+
+/// `GET /v1/rigs/{rig}/diagnoses/{diagnosis}`
+pub async fn show(
+    State(http): State<Shared>,
+    OfDiagnosis(rig, id): OfDiagnosis,
+    _: NoParams,
+    headers: HeaderMap,
+) -> Answer {
+    let diagnosis = find(&http, &rig, id).await?;
+    negotiate::choose(&headers, OFFERS)?;
+    let findings = http.store.findings(&diagnosis).await?;
+    let bytes = http
+        .off_thread(Class::Predict, move || {
+            let StoredDiagnosis { summary, request, elapsed_s, .. } = &diagnosis;
+            serde_json::to_vec(&Shown {
+                id: summary.id,
+                rig: &summary.rig,
+                created_at: summary.created_at,
+                job: summary.job,
+                model: &summary.model,
+                elapsed_s: *elapsed_s,
+                request,
+                report: &findings.report,
+            })
+        })
+        .await?;
+    Ok(json::respond(bytes.map_err(Problem::internal)?))
+}
+
+/// The diagnosis of this id.
+///
+/// # Errors
+/// `diagnosis.not_found`.
+pub(super) async fn find(http: &Shared, rig: &RigId, id: DiagnosisId) -> Answer<StoredDiagnosis> {
+    http.store.diagnosis(rig, id).await?.ok_or_else(|| no_diagnosis(&id.to_string()))
+}

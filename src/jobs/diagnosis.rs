@@ -1,0 +1,303 @@
+//! The diagnosis job: runs and a sim in, a report out.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+
+use crate::compute::Class;
+use crate::domain::diagnosis::{DiagnosedModel, Findings, VerdictSummary};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span};
+use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
+use crate::engine::model::{Pair, Predictor, Preprocess, from_safetensors};
+use crate::engine::{EngineError, Progress, Signal};
+use crate::storage::{Claim, NewDiagnosis};
+
+use super::control::Control;
+use super::diagnosis_plan::{DiagnosisPlan, check};
+use super::diagnosis_problem::{DiagnosisProblem, of_diagnosis};
+use super::fit::pair;
+use super::problem::{JobError, codes};
+use super::runner::Runner;
+
+/// Share of the job that loading and simulating takes; the rest is the engine's.
+const LOADED: f64 = 0.1;
+
+/// Seed of the bootstrap and of the next experiment's drives: the same request, the same report.
+const SEED: u64 = 1;
+
+/// Sees a diagnosis through, from its request to the stored report.
+pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) -> Result<(), JobError> {
+    let started = Instant::now();
+    let request: DiagnosisRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
+        let detail = format!("This version of the program cannot read the job: {error}.");
+        JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
+    })?;
+    let rig = runner.store.rig(&claim.job.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
+    // Again, because runs and models may have gone since it was queued.
+    let plan = Arc::new(check(&runner.store, &rig, &request).await?);
+    let input = load(runner, &plan, control).await?;
+    let found = diagnose(runner, &plan, input, control).await?;
+    control.report("publishing", 1.0);
+    publish(runner, claim, &plan, found, started).await
+}
+
+/// What says how the rig would respond.
+enum Sim {
+    Model(Box<Predictor>),
+    /// Simulated responses, one run for each run of the diagnosis.
+    Outside,
+}
+
+async fn sim(runner: &Runner, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
+    let Some(model) = &plan.model else { return Ok(Sim::Outside) };
+    let weights = runner.store.weights(model).await?;
+    let predictor =
+        runner.compute.run(Class::Fit, move || Predictor::new(from_safetensors(&weights)?)).await?;
+    predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
+        tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
+        let detail = "The stored weights cannot be read as a model.";
+        JobError::Failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
+    })
+}
+
+/// Loads every run and simulates those that are to be explained.
+async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>) -> Result<Input, JobError> {
+    control.report("loading runs", 0.0);
+    let sim = Arc::new(sim(runner, plan).await?);
+    let places = times(&plan.runs);
+    let steps = (plan.baseline.len() + plan.runs.len()) as f64;
+    let mut baseline = Vec::with_capacity(plan.baseline.len());
+    for part in &plan.baseline {
+        let signal = runner.store.load_signal(&part.run).await?;
+        let (plan, sim, part) = (Arc::clone(plan), Arc::clone(&sim), part.clone());
+        let cut = move || {
+            let span = |sample: u64| usize::try_from(sample.min(part.run.samples)).unwrap_or(usize::MAX);
+            let whole = halves(&plan, &sim, &part.run, signal)?;
+            let range = span(part.from_sample)..span(part.to_sample);
+            let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
+            measured(&plan, &sim, &part.run, &kept)
+        };
+        baseline.push(runner.compute.run(Class::Fit, cut).await??);
+        step(control, "loading runs", baseline.len() as f64 / steps)?;
+    }
+    let mut runs = Vec::with_capacity(plan.runs.len());
+    for (i, run) in plan.runs.iter().enumerate() {
+        let signal = runner.store.load_signal(run).await?;
+        let outside = match plan.simulated.get(i) {
+            Some(simulated) => Some((simulated.clone(), runner.store.load_signal(simulated).await?)),
+            None => None,
+        };
+        let (plan, sim, run) = (Arc::clone(plan), Arc::clone(&sim), run.clone());
+        let started_s = places[i];
+        let simulate = move || {
+            let whole = halves(&plan, &sim, &run, signal)?;
+            let simulated = match (&*sim, outside) {
+                (Sim::Model(predictor), _) => {
+                    predictor.predict(whole.x.clone()).map_err(|error| diverged(&error, &plan, &run))?
+                }
+                (Sim::Outside, Some((row, signal))) => {
+                    let names: Vec<String> = plan.responses.iter().map(|c| c.name.clone()).collect();
+                    // Only the second half is of use, but a pair has a first.
+                    pair(&row, signal, &names[..1], &names)?.y
+                }
+                (Sim::Outside, None) => unreachable!("the plan has a simulated run for each run"),
+            };
+            let measured = measured(&plan, &sim, &run, &whole)?;
+            Ok::<_, JobError>(diagnosis::Run { simulated: Some(simulated), started_s, ..measured })
+        };
+        runs.push(runner.compute.run(Class::Fit, simulate).await??);
+        step(control, "simulating runs", (baseline.len() + runs.len()) as f64 / steps)?;
+    }
+    let channel =
+        |c: &Channel| diagnosis::Channel { name: c.name.clone(), axis: c.axis.clone(), unit: c.unit.clone() };
+    Ok(Input {
+        drives: plan.drives.iter().map(channel).collect(),
+        responses: plan.responses.iter().map(channel).collect(),
+        baseline,
+        runs,
+        roles: plan.roles.clone(),
+        repeats: plan.repeats.clone(),
+        mode: plan.request.mode,
+        catalogue: plan.effects.clone(),
+        material_gap: plan.request.material_gap,
+        drive_limit: Some(plan.drive_limit.clone()),
+        seed: SEED,
+    })
+}
+
+fn step(control: &Control, stage: &str, share: f64) -> Result<(), JobError> {
+    control.report(stage, LOADED * share);
+    if control.stopped().is_some() { Err(JobError::Stopped) } else { Ok(()) }
+}
+
+/// A run as what the sim takes and what it is compared with, as uploaded.
+fn halves(plan: &DiagnosisPlan, sim: &Sim, run: &Run, signal: Signal) -> Result<Pair, JobError> {
+    let channels = plan.channels();
+    let inputs = match sim {
+        Sim::Model(predictor) => &predictor.model().inputs,
+        Sim::Outside => &channels.inputs,
+    };
+    Ok(pair(run, signal, inputs, &channels.outputs)?)
+}
+
+/// A run as the diagnosis takes it. Drives and responses pass the model's filter, as in its fit: what
+/// it removes is no gap.
+fn measured(plan: &DiagnosisPlan, sim: &Sim, run: &Run, whole: &Pair) -> Result<diagnosis::Run, JobError> {
+    let (filter, drives): (Preprocess, Vec<usize>) = match sim {
+        Sim::Model(predictor) => {
+            let model = predictor.model();
+            let place = |c: &Channel| model.inputs.iter().position(|name| *name == c.name);
+            (model.preprocess, plan.drives.iter().filter_map(place).collect())
+        }
+        Sim::Outside => (Preprocess::default(), (0..plan.drives.len()).collect()),
+    };
+    let refused = |error: EngineError| of_diagnosis(&error, &plan.channels());
+    Ok(diagnosis::Run {
+        name: run.id.to_string(),
+        drive: filter.apply_to(whole.x.select(&drives)).map_err(refused)?,
+        response: filter.apply(&whole.y).map_err(refused)?,
+        simulated: None,
+        started_s: 0.0,
+    })
+}
+
+/// A sim that cannot follow a run.
+fn diverged(error: &EngineError, plan: &DiagnosisPlan, run: &Run) -> JobError {
+    let EngineError::NonFiniteResult { channel, sample, .. } = error else {
+        return of_diagnosis(error, &plan.channels());
+    };
+    let name = plan.responses.get(*channel).map(|c| c.name.clone()).unwrap_or_default();
+    let mut place = FieldError::new("/model", "a model that stays finite on every run").on_channel(&name);
+    place.sample = Some(*sample as u64);
+    let detail = format!(
+        "The model's response to run {} is not finite at sample {sample} (channel {name:?}).",
+        run.id
+    );
+    JobError::Failed(
+        Problem::new(422, "result.non_finite", "The result is not finite", detail).with(vec![place]),
+    )
+}
+
+/// Place of each run in time, seconds: its `started_at` if all have one, else one run after the
+/// other in the order of their upload.
+fn times(runs: &[Run]) -> Vec<f64> {
+    let started: Option<Vec<f64>> =
+        runs.iter().map(|run| run.started_at.map(|at| at.as_microsecond() as f64 * 1e-6)).collect();
+    started.unwrap_or_else(|| {
+        let before = |run: &Run| runs.iter().filter(|r| r.id < run.id).map(|r| r.duration_s).sum();
+        runs.iter().map(before).collect()
+    })
+}
+
+/// Diagnoses on the threads for fits.
+async fn diagnose(
+    runner: &Runner,
+    plan: &DiagnosisPlan,
+    input: Input,
+    control: &Arc<Control>,
+) -> Result<Diagnosis, JobError> {
+    let watched = Arc::clone(control);
+    let watch = move |p: Progress<'_>| {
+        watched.watch(Progress { stage: p.stage, fraction: LOADED + (1.0 - LOADED) * p.fraction })
+    };
+    let found = runner.compute.run(Class::Fit, move || diagnosis::diagnose(&input, &watch)).await?;
+    found.map_err(|error| of_diagnosis(&error, &plan.channels()))
+}
+
+/// Stores the report and ends the job, if the job is still ours.
+async fn publish(
+    runner: &Runner,
+    claim: &Claim,
+    plan: &DiagnosisPlan,
+    found: Diagnosis,
+    started: Instant,
+) -> Result<(), JobError> {
+    let Diagnosis { report, views, augmented } = found;
+    let (verdict, mode) = (VerdictSummary::from(&report.verdict), report.mode);
+    let (fit, select) = (spans(plan, &report.data_split.fit), spans(plan, &report.data_split.select));
+    let findings = Findings { report, views, augmented, fit, select };
+    let encode = move || {
+        let bytes = serde_json::to_vec(&findings)?;
+        // JSON has no NaN: a report that holds one must not be stored, for it could not be read.
+        serde_json::from_slice::<Findings>(&bytes)?;
+        Ok::<_, serde_json::Error>(bytes)
+    };
+    let findings = runner.compute.run(Class::Fit, encode).await?.map_err(|error| {
+        tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
+        let detail = "A number of the report is not finite; the report is not stored.";
+        JobError::Failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
+    })?;
+    let model = plan.model.as_ref();
+    let stage = last_words(&verdict, mode);
+    let new = NewDiagnosis {
+        model: model.map(|m| DiagnosedModel { version: m.version, sha256: m.sha256.clone() }),
+        request: plan.request.clone(),
+        verdict,
+        findings: Bytes::from(findings),
+        elapsed_s: started.elapsed().as_secs_f64(),
+    };
+    let now = (runner.clock)();
+    match runner.store.publish_diagnosis(&claim.lease, new, &stage, now).await? {
+        Some(id) => {
+            tracing::info!(diagnosis.id = %id, stage, "stored a diagnosis");
+            Ok(())
+        }
+        // Somebody else has the job now, or nobody: this work is void.
+        None => Err(JobError::Stopped),
+    }
+}
+
+/// Parts of runs as a lineage names them.
+fn spans(plan: &DiagnosisPlan, parts: &[RunPart]) -> Vec<Span> {
+    let of = |part: &RunPart| {
+        let run = plan.runs.iter().find(|run| run.id.to_string() == part.run)?;
+        let sample = |seconds: f64| ((seconds * run.sample_rate_hz).round() as u64).min(run.samples);
+        let (from_sample, to_sample) = (sample(part.from_s), sample(part.to_s));
+        Some(Span { run: run.id, sha256: run.sha256.clone(), from_sample, to_sample })
+    };
+    parts.iter().filter_map(of).collect()
+}
+
+/// A job's last words about its verdict.
+fn last_words(verdict: &VerdictSummary, mode: Mode) -> String {
+    let kind = match verdict.kind {
+        VerdictKind::Identified => "identified",
+        VerdictKind::Partial => "partly explained",
+        VerdictKind::FamilyOnly => "family only",
+        VerdictKind::NotDistinguishable => "not distinguishable",
+        VerdictKind::NoneOfCatalogue => "none of the catalogue",
+        VerdictKind::NoiseOrUnmeasuredDisturbance => "noise or an unmeasured disturbance",
+        VerdictKind::NoMaterialGap => "no material gap",
+    };
+    let effect = verdict.effect.map(|effect| format!(": {}", effect.name())).unwrap_or_default();
+    let channel = verdict.channel.as_ref().map(|c| format!(" on {c}")).unwrap_or_default();
+    let mode = if mode == Mode::External { "external" } else { "in situ" };
+    format!("{kind}{effect}{channel} ({mode}, probability {:.2})", verdict.probability)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::{RunKind, Split};
+    use crate::jobs::fit_plan::testing::run;
+
+    #[test]
+    fn a_run_without_a_start_takes_its_place_by_upload() {
+        let mut runs = [
+            run(3, RunKind::Noise, Split::Training, 1000),
+            run(1, RunKind::Noise, Split::Training, 500),
+            run(2, RunKind::Noise, Split::Training, 200),
+        ];
+        let seconds = |runs: &[Run]| -> Vec<f64> { runs.iter().map(|r| r.duration_s).collect() };
+        let lens = seconds(&runs);
+        assert_eq!(times(&runs), [lens[1] + lens[2], 0.0, lens[1]]);
+        for (run, at) in runs.iter_mut().zip(["2026-03-01T12:00:00Z", "2026-03-01T11:00:00Z"]) {
+            run.started_at = Some(at.parse().unwrap());
+        }
+        assert_eq!(times(&runs)[2], lens[1], "one without: all by upload");
+        runs[2].started_at = runs[0].started_at;
+        let found = times(&runs);
+        assert_eq!((found[0] - found[1], found[2]), (3600.0, found[0]));
+    }
+}
