@@ -1,5 +1,10 @@
 //! The diagnosis job: runs and a sim in, a report out.
 
+mod checks;
+mod plan;
+mod problem;
+mod runs;
+
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -14,11 +19,14 @@ use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::{Claim, NewDiagnosis};
 
 use super::control::Control;
-use super::diagnosis_plan::{DiagnosisPlan, check};
-use super::diagnosis_problem::{DiagnosisProblem, of_diagnosis};
 use super::fit::pair;
 use super::problem::{JobError, codes};
 use super::runner::Runner;
+use plan::DiagnosisPlan;
+use problem::of_diagnosis;
+
+pub(super) use plan::check;
+pub use problem::DiagnosisProblem;
 
 /// Share of the job that loading and simulating takes; the rest is the engine's.
 const LOADED: f64 = 0.1;
