@@ -30,14 +30,21 @@ pub struct Views {
 }
 
 impl Views {
-    /// Views of all responses and, of the verdict's, of what `best` does to it.
-    pub(super) fn new(input: &Input, prepared: &Prepared, problem: &Problem, best: Option<&Fitted>) -> Self {
+    /// Views of all responses; of the verdict's with what the best fit does to it; and of the response
+    /// on which the effect acts, if one was found.
+    pub(super) fn new(
+        input: &Input,
+        prepared: &Prepared,
+        shown: (&Problem, Option<&Fitted>),
+        host: Option<(&Problem, &Fitted)>,
+    ) -> Self {
         let rate = input.sample_rate_hz();
+        let (seen_at, acting) = host.map_or((shown.0, None), |(problem, fitted)| (problem, Some(fitted)));
         Self {
             band_hz: prepared.band.map(|f| short(f * rate)),
             spectra: spectra::all(input, prepared),
-            unseen: unseen::view(input, prepared, problem, best),
-            force: force::view(input, prepared, problem, best),
+            unseen: unseen::view(input, prepared, shown.0, shown.1),
+            force: force::view(input, prepared, seen_at, acting),
         }
     }
 }

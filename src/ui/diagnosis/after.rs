@@ -28,7 +28,9 @@ pub fn remaining(report: &Report) -> Markup {
             @else if size < 2.0 { ": a little is left beside the noise." }
             @else { ": more is left than noise explains." }
             @if let Some(second) = &r.second_effect {
-                " A second effect helps: " b { (words(second.effect).name) } " (" (family(second.family)) ") on top brings it to "
+                " A second effect helps: " b { (words(second.effect).name) } " (" (family(second.family)) ")"
+                @if let Some(axis) = &second.axis { " on axis " (axis) }
+                " on top leaves " (second.channel) " at "
                 (number(second.chi2.max(0.0).sqrt())) " noise floors, and both together close " (percent(second.closure)) " of the gap on unseen runs."
             } @else if size >= 1.26 { " No second effect of the catalogue takes away much of it." }
         }

@@ -7,7 +7,7 @@ use super::location::spectral;
 use super::{figure, heading};
 use crate::engine::diagnosis::views::UnseenRun;
 use crate::engine::diagnosis::{Hypothesis, Report, Views};
-use crate::ui::plot::{Axis, Figure, Key, Mark, Scale, Style};
+use crate::ui::plot::{Axis, Figure, Key, Mark, Scale, Style, WhiskerRow, whiskers};
 use crate::ui::text::{number, percent, with_unit};
 
 /// The section; nothing where there is no unseen run to show.
@@ -16,7 +16,10 @@ pub fn section(report: &Report, views: &Views) -> Markup {
     let best = report.hypotheses.first().filter(|_| unseen.with_effect.is_some());
     html! {
         (heading("how-far", if best.is_some() { "How far does it close?" } else { "Model and rig on an unseen run" }))
-        @if let Some(best) = best { p { (in_words(best, unseen)) } }
+        @if let Some(best) = best {
+            p { (in_words(best, unseen)) }
+            @if best.responses.len() > 1 { (by_response(best)) }
+        }
         (figure(&signals(unseen, best).svg(), &html! {
             b { (unseen.channel) " in " (unseen.run) ", " } "a run that was neither fitted nor chosen on, where the gap is largest."
         }))
@@ -41,13 +44,41 @@ fn in_words(best: &Hypothesis, unseen: &UnseenRun) -> String {
     } else {
         format!("; that is {} times the noise", number(times))
     };
+    let damage = match (h.damage_ratio_before, h.damage_ratio_after) {
+        (Some(before), Some(after)) => format!(
+            " Predicted damage over measured damage goes from {} to {}; 1 would be right.",
+            number(before),
+            number(after)
+        ),
+        _ => String::new(),
+    };
     format!(
-        "With {} simulated, the RMS error on unseen runs goes from {} to {}{rest} ({}). In terms of RMS {} of the gap is closed.",
+        "With {} simulated, the RMS error on unseen runs goes from {} to {}{rest} ({}). In terms of RMS {} of the gap is closed.{damage}",
         words(best.effect).name,
         with_unit(h.rms_before, unit),
         with_unit(h.rms_after, unit),
         with_unit(h.noise_rms, unit),
         percent(h.closure_rms)
+    )
+}
+
+/// How far the effect closes the gap of each response that feels it.
+fn by_response(best: &Hypothesis) -> Markup {
+    let rows: Vec<WhiskerRow> = best
+        .responses
+        .iter()
+        .map(|r| WhiskerRow {
+            name: r.channel.clone(),
+            value: r.held_out.closure,
+            interval: r.held_out.closure_ci90,
+            probability: None,
+            chosen: true,
+        })
+        .collect();
+    let description = format!("One row a response that feels {}.", words(best.effect).name);
+    figure(
+        &whiskers("by-response", "Closure by response", &description, &rows),
+        &html! { b { "By response. " } "One effect, simulated where it acts, and what every other response feels of it." },
     )
 }
 

@@ -20,7 +20,7 @@ pub fn section(report: &Report) -> Markup {
             name: words(h.effect).name.into(),
             value: h.held_out.closure,
             interval: h.held_out.closure_ci90,
-            probability: h.probability,
+            probability: Some(h.probability),
             chosen: blames(v.kind) && v.equivalence_set.contains(&h.effect),
         })
         .collect();

@@ -31,8 +31,8 @@ pub struct WhiskerRow {
     pub name: String,
     pub value: f64,
     pub interval: [f64; 2],
-    /// 0..1
-    pub probability: f64,
+    /// 0..1, if there is one to draw.
+    pub probability: Option<f64>,
     /// Whether the row is among the answers.
     pub chosen: bool,
 }
@@ -109,7 +109,9 @@ pub fn whiskers(id: &str, title: &str, description: &str, rows: &[WhiskerRow]) -
     let bottom = top + ROW * rows.len() as f64;
     let content = html! {
         text.name x=(px(left)) y="14" { "Share of the gap closed on unseen runs, with 90 % interval" }
-        text.name x=(px(right + 24.0)) y="14" { "Probability" }
+        @if rows.iter().any(|r| r.probability.is_some()) {
+            text.name x=(px(right + 24.0)) y="14" { "Probability" }
+        }
         g class="grid" {
             @for tick in &ticks {
                 @let x = px(at(tick.value));
@@ -120,14 +122,16 @@ pub fn whiskers(id: &str, title: &str, description: &str, rows: &[WhiskerRow]) -
         @for (k, row) in rows.iter().enumerate() {
             @let y = top + ROW * k as f64 + 0.5 * ROW;
             @let style = if row.chosen { Style::After } else { Style::Noise };
-            @let probability = if row.probability.is_finite() { row.probability.clamp(0.0, 1.0) } else { 0.0 };
             text class=(if row.chosen { "chosen" } else { "" }) x=(px(left - 12.0)) y=(px(y)) dy="0.35em" text-anchor="end" { (cut(&row.name)) }
             line class=(format!("whisker {}", style.class()))
                 x1=(px(at(row.interval[0]))) x2=(px(at(row.interval[1]).max(at(row.interval[0]) + 1.0))) y1=(px(y)) y2=(px(y)) {}
             circle class=(format!("dot {}", style.class())) cx=(px(at(row.value))) cy=(px(y)) r="4.5" {}
-            rect class=(format!("bar {}", style.class())) x=(px(right + 24.0)) y=(px(y - 7.0))
-                width=(px((bar * probability).max(1.0))) height="14" {}
-            text x=(px(right + 30.0 + bar * probability)) y=(px(y)) dy="0.35em" { (percent(row.probability)) }
+            @if let Some(probability) = row.probability {
+                @let length = bar * if probability.is_finite() { probability.clamp(0.0, 1.0) } else { 0.0 };
+                rect class=(format!("bar {}", style.class())) x=(px(right + 24.0)) y=(px(y - 7.0))
+                    width=(px(length.max(1.0))) height="14" {}
+                text x=(px(right + 30.0 + length)) y=(px(y)) dy="0.35em" { (percent(probability)) }
+            }
         }
     };
     frame(id, title, description, bottom + 22.0, &content)
@@ -143,7 +147,7 @@ mod tests {
             name: name.into(),
             value,
             interval: [value - 0.1, value],
-            probability: value,
+            probability: Some(value),
             chosen: true,
         };
         let svg = whiskers("w", "t", "d", &[row("<b>", 1.0), row(&"x".repeat(99), -4.0), row("y", f64::NAN)])

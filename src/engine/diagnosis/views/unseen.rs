@@ -97,7 +97,7 @@ fn spectra(
         let parts: Vec<&[f64]> = signals.iter().zip(&stretches).map(|(x, s)| &x[s.lead..]).collect();
         welch.auto(&parts, rate)
     };
-    let measured: Vec<Vec<f64>> = stretches.iter().map(|s| s.measured.clone()).collect();
+    let measured: Vec<Vec<f64>> = stretches.iter().map(|s| s.measured.to_vec()).collect();
     let left =
         predictions.map(|p| stretches.iter().zip(p).map(|(s, p)| s.residual(p)).collect::<Vec<Vec<f64>>>());
     let after = scored(left.as_deref().unwrap_or(gaps));
