@@ -3,7 +3,7 @@
 use axum::extract::State;
 use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, StatusCode};
-use axum::response::IntoResponse;
+use axum::response::{Html, IntoResponse};
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -12,14 +12,15 @@ use super::lists::page;
 use super::params::{NoParams, Params};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, negotiate};
+use super::{Shared, diagnosis_page, negotiate};
 use crate::compute::Class;
 use crate::domain::diagnosis::DiagnosedModel;
 use crate::domain::{DiagnosisId, DiagnosisRequest, JobId, RigId, StoredDiagnosis};
 use crate::engine::diagnosis::Report;
+use crate::ui;
 
 /// Representations of a report.
-const OFFERS: &[&str] = &[json::MEDIA_TYPE];
+const OFFERS: &[&str] = &[json::MEDIA_TYPE, diagnosis_page::MEDIA_TYPE];
 
 /// A report with what the engine does not know of it.
 #[derive(Debug, Serialize)]
@@ -63,8 +64,14 @@ pub async fn show(
     headers: HeaderMap,
 ) -> Answer {
     let diagnosis = find(&http, &rig, id).await?;
-    negotiate::choose(&headers, OFFERS)?;
+    let wanted = negotiate::choose(&headers, OFFERS)?;
     let findings = http.store.findings(&diagnosis).await?;
+    if wanted == diagnosis_page::MEDIA_TYPE {
+        let rig = http.store.rig(&rig).await?.ok_or_else(|| no_rig(rig.as_str()))?;
+        let heading = diagnosis_page::heading(&http, &rig, &diagnosis).await?;
+        let drawn = move || ui::diagnosis::page(&heading, &findings.report, &findings.views);
+        return Ok(Html(http.off_thread(Class::Predict, drawn).await?).into_response());
+    }
     let bytes = http
         .off_thread(Class::Predict, move || {
             let StoredDiagnosis { summary, request, elapsed_s, .. } = &diagnosis;

@@ -33,16 +33,24 @@ impl Augmented {
     }
 
     fn checked(&self, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
-        within("response", self.response, responses)?;
-        if self.plant.response != self.response {
-            return Err("two responses".into());
-        }
-        plant(&self.plant, drives, responses, sample_rate_hz)?;
+        let Some(host) = self.members.first() else { return Err("no response".into()) };
+        within("responses of the effect", self.members.len(), responses + 1)?;
         numbers("time", &[self.time])?;
-        candidate(&self.candidate, &self.plant)?;
-        // Only now: a file's knots could have made the sum of their numbers overflow.
-        count("parameters", self.p.len(), self.candidate.parameters(&self.plant))?;
-        numbers("parameters", &self.p)
+        let carried = host.candidate.laws();
+        let mut seen = vec![false; responses];
+        for (place, member) in self.members.iter().enumerate() {
+            within("response", member.plant.response, responses)?;
+            if std::mem::replace(&mut seen[member.plant.response], true) {
+                return Err(format!("response {} twice", member.plant.response));
+            }
+            plant(&member.plant, drives, responses, sample_rate_hz)?;
+            // What acts at the host is carried to the others, never to the host itself.
+            candidate(&member.candidate, &member.plant, if place == 0 { 0 } else { carried })?;
+            // Only now: a file's knots could have made the sum of their numbers overflow.
+            count("parameters", member.p.len(), member.candidate.parameters(&member.plant))?;
+            numbers("parameters", &member.p)?;
+        }
+        Ok(())
     }
 }
 
@@ -83,14 +91,14 @@ fn core(core: &Core, drives: usize, sample_rate_hz: f64) -> Checked {
     numbers("core.response_mean", &[core.response_mean])
 }
 
-fn candidate(candidate: &Candidate, plant: &Plant) -> Checked {
+fn candidate(candidate: &Candidate, plant: &Plant, carried: usize) -> Checked {
     if candidate.parts.is_empty() || candidate.parts.len() > MAX_PARTS {
         return Err(format!("1 to {MAX_PARTS} parts"));
     }
-    candidate.parts.iter().try_for_each(|p| part(p, plant))
+    candidate.parts.iter().try_for_each(|p| part(p, plant, carried))
 }
 
-fn part(part: &Part, plant: &Plant) -> Checked {
+fn part(part: &Part, plant: &Plant, carried: usize) -> Checked {
     within("drive of a part", part.drive, plant.drive_peak.len())?;
     let scaled = [plant.drive_peak[part.drive]];
     if part.input.is_some() || part.sandwich {
@@ -114,6 +122,7 @@ fn part(part: &Part, plant: &Plant) -> Checked {
     part.forces.iter().try_for_each(|law| match law {
         Law::FreeStiffness(shape) | Law::FreeDamping(shape) => spline(shape),
         Law::OneSided(side) => numbers("side", &[*side]),
+        Law::Carried(law) => within("carried law", *law, carried),
         _ => Ok(()),
     })
 }

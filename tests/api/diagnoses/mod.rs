@@ -40,6 +40,11 @@ async fn a_stiffening_spring_is_named_with_where_and_how_far_it_closes() {
         report,
         "the same report whenever it is read"
     );
+    let page = asked("text/html,application/xhtml+xml;q=0.9,*/*;q=0.1").await.expect(200);
+    assert!(page.header("content-type").starts_with("text/html"));
+    let page = page.text();
+    assert!(page.contains("cubic stiffness") && page.contains("<svg") && !page.contains("NaN"), "{page}");
+    assert!(page.contains(&format!("POST {href}/adopt")), "the page says how to adopt");
 }
 
 #[tokio::test]
