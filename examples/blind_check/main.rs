@@ -12,7 +12,7 @@ use clap::{Parser, ValueEnum};
 use rigcast::engine::diagnosis::{
     Channel, Diagnosis, Effect, Family, Input, Mode, Run, VerdictKind, diagnose,
 };
-use rigcast::engine::{EngineError, Signal, progress};
+use rigcast::engine::{EngineError, Quantity, Signal, progress};
 use serde_json::json;
 
 mod cases;
@@ -76,8 +76,12 @@ fn main() -> Result<(), EngineError> {
 
 /// What the diagnosis sees of a case: not the label.
 fn input(case: &cases::Case, mode: Mode) -> Result<Input, EngineError> {
-    let channel =
-        |name: &str, axis: &str| Channel { name: name.into(), axis: Some(axis.into()), unit: "mm".into() };
+    let channel = |name: &str, axis: &str| Channel {
+        name: name.into(),
+        axis: Some(axis.into()),
+        unit: "mm".into(),
+        quantity: Quantity::Displacement,
+    };
     let run = |(name, record): (String, &cases::Record)| {
         Ok(Run {
             name,
