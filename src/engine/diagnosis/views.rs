@@ -21,7 +21,7 @@ pub use unseen::{UnseenRun, UnseenSpectra};
 pub struct Views {
     /// Lower and upper edge of the band in which errors count.
     pub band_hz: [f64; 2],
-    /// One a response.
+    /// One a response; of very many those with the largest gaps.
     pub spectra: Vec<ResponseSpectra>,
     /// The verdict's response on a run that neither fitted nor chose.
     pub unseen: Option<UnseenRun>,

@@ -39,7 +39,7 @@ pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) 
     let started = Instant::now();
     let request: DiagnosisRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
         let detail = format!("This version of the program cannot read the job: {error}.");
-        JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
+        JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
     })?;
     let rig = runner.store.rig(&claim.job.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
     // Again, because runs and models may have gone since it was queued.
@@ -65,7 +65,7 @@ async fn sim(runner: &Runner, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
         tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
         let detail = "The stored weights cannot be read as a model.";
-        JobError::Failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
+        JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
     })
 }
 
@@ -186,7 +186,7 @@ fn diverged(error: &EngineError, plan: &DiagnosisPlan, run: &Run) -> JobError {
         "The model's response to run {} is not finite at sample {sample} (channel {name:?}).",
         run.id
     );
-    JobError::Failed(
+    JobError::failed(
         Problem::new(422, "result.non_finite", "The result is not finite", detail).with(vec![place]),
     )
 }
@@ -238,7 +238,7 @@ async fn publish(
     let findings = runner.compute.run(Class::Fit, encode).await?.map_err(|error| {
         tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
         let detail = "A number of the report is not finite; the report is not stored.";
-        JobError::Failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
+        JobError::failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
     })?;
     let model = plan.model.as_ref();
     let stage = last_words(&verdict, mode);

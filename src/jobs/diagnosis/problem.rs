@@ -100,7 +100,7 @@ impl From<DiagnosisProblem> for JobError {
     fn from(problem: DiagnosisProblem) -> Self {
         match problem {
             DiagnosisProblem::Store(error) => error.into(),
-            problem => Self::Failed(problem.problem()),
+            problem => Self::failed(problem.problem()),
         }
     }
 }

@@ -122,7 +122,7 @@ pub fn method(of: &Heading, report: &Report, views: &Views) -> Markup {
         dl {
             (runs("Fitted to", &report.data_split.fit))
             (runs("Chosen on", &report.data_split.select))
-            (runs("Neither, only measured on", &report.data_split.test))
+            (runs("Unseen until the end", &report.data_split.test))
         }
         p.soft {
             (match &of.model {

@@ -8,6 +8,8 @@ use crate::engine::diagnosis::{RangeShare, Report, SegmentChi2, VerdictKind, Vie
 use crate::ui::plot::{Axis, BarRow, Figure, Key, Mark, Scale, Style, bars};
 use crate::ui::text::{exponents, number, percent, with_unit};
 
+/// Stretches of time that can be told apart.
+const STRETCHES: usize = 500;
 /// Responses whose spectrum is drawn.
 const DRAWN: usize = 8;
 
@@ -211,8 +213,21 @@ fn ranges(channel: &str, all: &[RangeShare], what: &str, axis: &str) -> Markup {
     )
 }
 
+/// Neighbouring stretches of one run together, with their mean, where there are too many to be seen.
+fn thinned(all: Vec<&SegmentChi2>) -> Vec<SegmentChi2> {
+    let together = all.len().div_ceil(STRETCHES).max(1);
+    all.chunk_by(|a, b| a.run == b.run)
+        .flat_map(|run| run.chunks(together))
+        .map(|part| SegmentChi2 {
+            to_s: part[part.len() - 1].to_s,
+            chi2: part.iter().map(|s| s.chi2).sum::<f64>() / part.len() as f64,
+            ..part[0].clone()
+        })
+        .collect()
+}
+
 fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
-    let own: Vec<&SegmentChi2> = all.iter().filter(|s| s.channel == channel).collect();
+    let own = thinned(all.iter().filter(|s| s.channel == channel).collect());
     let Some(worst) = own.iter().max_by(|a, b| a.chi2.total_cmp(&b.chi2)) else { return html! {} };
     let (mut x, mut y, mut starts) = (Vec::new(), Vec::new(), Vec::new());
     let mut clock = 0.0;
@@ -259,4 +274,33 @@ fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
             (number(worst.chi2.max(0.0).sqrt())) " times the noise floor."
         },
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hours_are_thinned_to_means_that_stay_within_their_run() {
+        let second = |run: &str, k: usize| SegmentChi2 {
+            run: run.into(),
+            channel: "x".into(),
+            from_s: k as f64,
+            to_s: (k + 1) as f64,
+            chi2: (k % 2) as f64,
+        };
+        let all: Vec<SegmentChi2> =
+            (0..3001).map(|k| second("a", k)).chain((0..1999).map(|k| second("b", k))).collect();
+        let thin = thinned(all.iter().collect());
+        assert!(thin.len() <= STRETCHES + 2, "{}", thin.len());
+        assert_eq!(thin.iter().map(|s| s.to_s - s.from_s).sum::<f64>(), 5000.0);
+        assert!(thin[0].chi2 == 0.5 && thin.iter().filter(|s| s.run == "b").all(|s| s.to_s <= 1999.0));
+        assert_eq!(thinned(all[..400].iter().collect()), all[..400]);
+    }
+
+    #[test]
+    fn units_of_densities_are_squared_as_a_whole() {
+        assert_eq!(density_unit("mm"), "mm²/Hz");
+        assert_eq!(density_unit("m/s^2"), "(m/s²)²/Hz");
+    }
 }

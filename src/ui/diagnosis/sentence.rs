@@ -9,6 +9,10 @@ pub fn verdict(report: &Report) -> String {
     let v = &report.verdict;
     let sure = certainty(v.probability);
     match (v.kind, v.effect) {
+        (VerdictKind::Identified | VerdictKind::Partial, Some(Effect::Quantisation)) => format!(
+            "{sure}, the samples{} are rounded to coarse steps, and that rounding makes up the gap.",
+            v.channel.as_ref().map_or_else(String::new, |c| format!(" of {c}")),
+        ),
         (VerdictKind::Identified | VerdictKind::Partial, Some(effect)) => {
             format!("{sure}, {}{}", has(v, effect), closes(report, effect))
         }
@@ -43,7 +47,7 @@ pub fn verdict(report: &Report) -> String {
                     "{sure}, model and rig agree: what differs between them is {size} of the response, too little to matter."
                 ),
                 Some(_) => format!(
-                    "{sure}, the model lacks no effect: they differ by {size} of the response, and adjusting the model's linear part closes that."
+                    "{sure}, the model lacks no effect: the gap is {size} of the response, and adjusting the model's linear part closes it."
                 ),
             }
         }

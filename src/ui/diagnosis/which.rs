@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::labels::words;
 use super::sentence::closure;
 use super::{figure, heading};
-use crate::engine::diagnosis::{Report, VerdictKind};
+use crate::engine::diagnosis::{Effect, Report, VerdictKind};
 use crate::ui::plot::{WhiskerRow, whiskers};
 use crate::ui::text::{number, percent};
 
@@ -31,7 +31,7 @@ pub fn section(report: &Report) -> Markup {
     );
     html! {
         (heading("which", "Which effect is it?"))
-        @if blames(v.kind) { p { b { (capital(words(best.effect).name)) ". " } (words(best.effect).plain) } }
+        @if blames(v.kind) { (explained(report)) }
         (figure(
             &whiskers("candidates", "Candidates side by side", &description, &rows),
             &html! {
@@ -52,6 +52,16 @@ pub fn section(report: &Report) -> Markup {
             }
         }
         (fingerprints(report))
+    }
+}
+
+/// What the effect that is blamed is, or each of those that it may be.
+fn explained(report: &Report) -> Markup {
+    let v = &report.verdict;
+    let line = |effect: Effect| html! { b { (capital(words(effect).name)) ". " } (words(effect).plain) };
+    match v.effect {
+        Some(effect) => html! { p { (line(effect)) } },
+        None => html! { ul { @for effect in &v.equivalence_set { li { (line(*effect)) } } } },
     }
 }
 

@@ -12,6 +12,8 @@ use crate::engine::diagnosis::rows::fast_len;
 
 /// Lines that the core's band is resolved into.
 const LINES: f64 = 160.0;
+/// Responses that are kept.
+const KEPT: usize = 24;
 /// Lines nearer than this share of their frequency are averaged.
 const NEAR: f64 = 0.012;
 
@@ -34,10 +36,11 @@ pub struct ResponseSpectra {
     pub noise: Vec<f64>,
 }
 
-/// Spectra of every response.
+/// Spectra of the responses with the largest gaps relative to their own power, in the order of the
+/// request.
 pub(super) fn all(input: &Input, prepared: &Prepared) -> Vec<ResponseSpectra> {
     let rate = input.sample_rate_hz();
-    prepared
+    let mut all: Vec<ResponseSpectra> = prepared
         .problems
         .iter()
         .zip(&prepared.noises)
@@ -69,7 +72,17 @@ pub(super) fn all(input: &Input, prepared: &Prepared) -> Vec<ResponseSpectra> {
                 noise,
             }
         })
-        .collect()
+        .collect();
+    if all.len() > KEPT {
+        let share = |s: &ResponseSpectra| {
+            s.gap.iter().sum::<f64>() / s.measured.iter().sum::<f64>().max(f64::MIN_POSITIVE)
+        };
+        let mut shares: Vec<f64> = all.iter().map(share).collect();
+        shares.sort_by(|a, b| b.total_cmp(a));
+        let least = shares[KEPT - 1];
+        all.retain(|s| share(s) >= least);
+    }
+    all
 }
 
 /// Pairs of stretches with the same drives.
