@@ -2,6 +2,7 @@
 //! can show. All numbers are finite; a density of 0 means nothing above the noise.
 
 mod force;
+mod inverse;
 mod spectra;
 mod unseen;
 

@@ -5,10 +5,9 @@
 //! missing force, or change of drive, as the measurement shows it; the fitted law is drawn beside
 //! it. Without a fitted effect the path is that of the drive which moves the response most.
 
-use realfft::RealFftPlanner;
-use realfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+use super::inverse::{SPOILT, divided};
 use super::{short, shorten};
 use crate::engine::diagnosis::candidate::Part;
 use crate::engine::diagnosis::catalogue::own_drive;
@@ -28,8 +27,6 @@ use crate::engine::diagnosis::rows::fast_len;
 const POINTS: usize = 1500;
 /// Points of a law's curve.
 const CURVE: usize = 161;
-/// Share of a stretch at each end that the taper and the unknown past spoil.
-const SPOILT: f64 = 0.06;
 
 /// Where the missing piece acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -264,7 +261,7 @@ fn look(
         }
     };
     let kept = spoilt..n - spoilt;
-    let missing = divided(&gap[from..to], &answer, noise, problem.band_end);
+    let missing = divided(&gap[from..to], &answer, &noise.ar, problem.band_end);
     let cut = |x: &[f64]| x[from..to][kept.clone()].to_vec();
     Some(Seen {
         response: cut(arguments),
@@ -294,45 +291,6 @@ fn retune(problem: &Problem, stretch: &Stretch, best: &Fitted, measured: &[f64])
         add(&moved.iter().map(|u| later[0] * u).collect::<Vec<f64>>());
         rest = &later[1..];
     }
-    out
-}
-
-/// Wiener's inverse of `answer` (an impulse response) on `gap`, with a flat spectrum of what is
-/// looked for that is as strong as the gap says.
-fn divided(gap: &[f64], answer: &[f64], noise: &Noise, band_end: f64) -> Vec<f64> {
-    let n = gap.len();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
-    let edge = ((n as f64 * SPOILT) as usize).max(1);
-    let taper = |i: usize| {
-        let end = i.min(n - 1 - i);
-        if end >= edge { 1.0 } else { 0.5 - 0.5 * (std::f64::consts::PI * end as f64 / edge as f64).cos() }
-    };
-    let lines = |x: &mut [f64]| -> Vec<Complex64> {
-        let mut lines = forward.make_output_vec();
-        forward.process(x, &mut lines).expect("buffers are the plan's own");
-        lines
-    };
-    let mut gap_lines = lines(&mut gap.iter().enumerate().map(|(i, g)| g * taper(i)).collect::<Vec<f64>>());
-    let path = lines(&mut answer.to_vec());
-    let floor = |line: usize| noise.ar.power(line as f64 / n as f64) * n as f64;
-    let systematic: f64 =
-        gap_lines.iter().enumerate().map(|(line, g)| (g.norm_sqr() - floor(line)).max(0.0)).sum();
-    let passed: f64 = path.iter().map(Complex64::norm_sqr).sum();
-    let sought = systematic / passed.max(f64::MIN_POSITIVE);
-    for (line, (g, h)) in gap_lines.iter_mut().zip(&path).enumerate() {
-        let f = line as f64 / n as f64;
-        // Far above the band the core was never seen.
-        let over = ((f - 2.0 * band_end) / band_end).clamp(0.0, 1.0);
-        let fade = 0.5 * (1.0 + (std::f64::consts::PI * over).cos());
-        let weight = h.norm_sqr() * sought + floor(line);
-        *g *=
-            if weight > 0.0 { h.conj() * (fade * sought / weight / n as f64) } else { Complex64::default() };
-    }
-    gap_lines[0].im = 0.0;
-    gap_lines[n / 2].im = 0.0;
-    let mut out = inverse.make_output_vec();
-    inverse.process(&mut gap_lines, &mut out).expect("buffers are the plan's own");
     out
 }
 
