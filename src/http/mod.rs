@@ -12,7 +12,6 @@ pub mod codes;
 mod contract;
 mod damage;
 mod diagnoses;
-mod diagnosis_page;
 mod errors;
 mod etag;
 mod fits;

@@ -33,19 +33,15 @@ impl Augmented {
     }
 
     fn checked(&self, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
-        let Some(host) = self.members.first() else { return Err("no response".into()) };
-        within("responses of the effect", self.members.len(), responses + 1)?;
         numbers("time", &[self.time])?;
-        let carried = host.candidate.laws();
-        let mut seen = vec![false; responses];
-        for (place, member) in self.members.iter().enumerate() {
-            within("response", member.plant.response, responses)?;
-            if std::mem::replace(&mut seen[member.plant.response], true) {
-                return Err(format!("response {} twice", member.plant.response));
-            }
+        let Some(host) = self.members.first() else { return Err("members: none".into()) };
+        within("members", self.members.len(), responses + 1)?;
+        let laws = host.candidate.parts.iter().map(|p| p.forces.len() + usize::from(p.sandwich)).sum();
+        for (i, member) in self.members.iter().enumerate() {
             plant(&member.plant, drives, responses, sample_rate_hz)?;
-            // What acts at the host is carried to the others, never to the host itself.
-            candidate(&member.candidate, &member.plant, if place == 0 { 0 } else { carried })?;
+            // What the host does is carried to the others; nothing is carried to the host.
+            let carried = if i == 0 { 0 } else { laws };
+            candidate(&member.candidate, &member.plant, carried)?;
             // Only now: a file's knots could have made the sum of their numbers overflow.
             count("parameters", member.p.len(), member.candidate.parameters(&member.plant))?;
             numbers("parameters", &member.p)?;
@@ -55,6 +51,7 @@ impl Augmented {
 }
 
 fn plant(plant: &Plant, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
+    within("response", plant.response, responses)?;
     core(&plant.core, drives, sample_rate_hz)?;
     let scales = &plant.scales;
     numbers("scales", &[scales.y_mean])?;

@@ -160,11 +160,6 @@ impl Candidate {
         own + self.retuned(problem)
     }
 
-    /// Number of laws whose values are carried to other responses.
-    pub fn laws(&self) -> usize {
-        self.parts.iter().map(|p| p.forces.len() + usize::from(p.sandwich)).sum()
-    }
-
     /// Parameters of the retune: feedback, then per drive its path and its direct part.
     pub fn retuned(&self, problem: &Plant) -> usize {
         let order = problem.core.modes.order();

