@@ -210,8 +210,8 @@ mod tests {
         let sources = [
             include_str!("../jobs/problem.rs"),
             include_str!("../jobs/fit_plan.rs"),
-            include_str!("../jobs/diagnosis.rs"),
-            include_str!("../jobs/diagnosis_problem.rs"),
+            include_str!("../jobs/diagnosis/mod.rs"),
+            include_str!("../jobs/diagnosis/problem.rs"),
             include_str!("../storage/jobs.rs"),
         ];
         let is_code = |word: &&str| {

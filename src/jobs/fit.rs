@@ -30,7 +30,7 @@ impl From<FitProblem> for JobError {
     fn from(problem: FitProblem) -> Self {
         match problem {
             FitProblem::Store(error) => error.into(),
-            problem => Self::Failed(problem.problem()),
+            problem => Self::failed(problem.problem()),
         }
     }
 }
@@ -39,7 +39,7 @@ impl From<FitProblem> for JobError {
 pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) -> Result<(), JobError> {
     let request: FitRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
         let detail = format!("This version of the program cannot read the job: {error}.");
-        JobError::Failed(crate::domain::Problem::new(
+        JobError::failed(crate::domain::Problem::new(
             500,
             codes::JOB_UNKNOWN,
             "The job cannot be read",

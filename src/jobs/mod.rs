@@ -6,9 +6,6 @@
 mod activate;
 mod control;
 mod diagnosis;
-mod diagnosis_plan;
-mod diagnosis_problem;
-mod diagnosis_runs;
 mod events;
 pub mod fit;
 mod fit_plan;
@@ -31,7 +28,7 @@ use control::Stop;
 use fit::FitFunction;
 use runner::Runner;
 
-pub use diagnosis_problem::DiagnosisProblem;
+pub use diagnosis::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
 
 /// How the runner behaves.
@@ -119,7 +116,7 @@ impl Jobs {
         request: &DiagnosisRequest,
     ) -> Result<Job, DiagnosisProblem> {
         let Runner { store, clock, .. } = &*self.runner;
-        let plan = diagnosis_plan::check(store, rig, request).await?;
+        let plan = diagnosis::check(store, rig, request).await?;
         let job = store.insert_diagnosis_job(&rig.id, &plan.request, clock()).await?;
         self.wake();
         job.ok_or(DiagnosisProblem::RigGone)

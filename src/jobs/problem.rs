@@ -53,9 +53,19 @@ pub(super) enum JobError {
     /// It was asked to stop.
     Stopped,
     /// Trying again would end the same way.
-    Failed(Problem),
+    Failed(Box<Problem>),
     /// Another attempt may succeed.
-    Retry(Problem),
+    Retry(Box<Problem>),
+}
+
+impl JobError {
+    pub(super) fn failed(problem: Problem) -> Self {
+        Self::Failed(Box::new(problem))
+    }
+
+    pub(super) fn retry(problem: Problem) -> Self {
+        Self::Retry(Box::new(problem))
+    }
 }
 
 impl From<StoreError> for JobError {
@@ -65,15 +75,15 @@ impl From<StoreError> for JobError {
         match error {
             StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. } | StoreError::Row { .. } => {
                 let detail = "Data that the job needs are damaged; they are not used.";
-                Self::Failed(Problem::new(500, codes::STORE_DAMAGED, "Stored data are damaged", detail))
+                Self::failed(Problem::new(500, codes::STORE_DAMAGED, "Stored data are damaged", detail))
             }
             error if error.is_disk_full() => {
                 let detail = "The disk is full; the job's result could not be stored.";
-                Self::Retry(Problem::new(507, codes::STORE_FULL, "The disk is full", detail))
+                Self::retry(Problem::new(507, codes::STORE_FULL, "The disk is full", detail))
             }
             _ => {
                 let detail = "The store failed while the job was running.";
-                Self::Retry(Problem::new(503, codes::STORE_UNAVAILABLE, "The store is out of reach", detail))
+                Self::retry(Problem::new(503, codes::STORE_UNAVAILABLE, "The store is out of reach", detail))
             }
         }
     }
@@ -85,7 +95,7 @@ impl From<ComputeError> for JobError {
             ComputeError::Panicked(message) => panicked(&message),
             ComputeError::Busy { .. } | ComputeError::Threads(_) => {
                 tracing::error!(%error, "a job got no threads");
-                Self::Retry(Problem::new(503, "busy", "Busy", "There were no threads for the job."))
+                Self::retry(Problem::new(503, "busy", "Busy", "There were no threads for the job."))
             }
         }
     }
@@ -95,7 +105,7 @@ impl From<ComputeError> for JobError {
 pub(super) fn panicked(message: &str) -> JobError {
     tracing::error!(panic = message, "a job panicked: this is a bug");
     let detail = "A defect of the program ended the job; its log says more.";
-    JobError::Failed(Problem::new(500, codes::JOB_PANICKED, "The job failed by a defect", detail))
+    JobError::failed(Problem::new(500, codes::JOB_PANICKED, "The job failed by a defect", detail))
 }
 
 /// A place and what is allowed there, in words.
@@ -117,7 +127,7 @@ pub(super) fn of_engine(error: &EngineError, channels: &FitChannels) -> JobError
         Some(channel) => format!("{error} (channel {channel:?})."),
         None => format!("{error}."),
     };
-    JobError::Failed(Problem::new(422, code, title, detail).with(vec![place]))
+    JobError::failed(Problem::new(422, code, title, detail).with(vec![place]))
 }
 
 /// Code, title and place: the same as where a request meets the error.

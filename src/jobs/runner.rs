@@ -158,7 +158,7 @@ impl Runner {
             JobKind::Evaluation | JobKind::Iteration | JobKind::Study => {
                 let detail = "A newer version of the program queued this job.";
                 let title = "The job cannot be read";
-                Err(JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)))
+                Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)))
             }
         }
     }
@@ -217,8 +217,8 @@ impl Runner {
         let outcome = match end {
             // Published, and the job ended with it.
             Ok(()) => return Ok(()),
-            Err(JobError::Failed(problem)) => Outcome::Failed(problem),
-            Err(JobError::Retry(problem)) => Outcome::Retry(problem),
+            Err(JobError::Failed(problem)) => Outcome::Failed(*problem),
+            Err(JobError::Retry(problem)) => Outcome::Retry(*problem),
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
                 Some(Stop::Shutdown) => Outcome::Released,

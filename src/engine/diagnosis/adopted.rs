@@ -149,3 +149,112 @@ fn positive(what: &str, list: &[f64]) -> Checked {
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::super::tests::rig::{RATE, hardening, noise_drive, request};
+    use super::super::{Augmented, Effect, Input, diagnose};
+    use crate::engine::Signal;
+    use crate::engine::progress::unwatched;
+
+    fn found(effects: Vec<Effect>) -> Vec<Augmented> {
+        let input = Input { catalogue: effects, ..request(hardening, 0.01) };
+        diagnose(&input, &unwatched).unwrap().augmented
+    }
+
+    /// Every place of a document at which `wanted` is true, as a pointer.
+    fn places(value: &Value, at: &str, wanted: &dyn Fn(&Value) -> bool, found: &mut Vec<String>) {
+        if wanted(value) {
+            found.push(at.to_owned());
+        }
+        match value {
+            Value::Array(list) => {
+                list.iter().enumerate().for_each(|(i, v)| places(v, &format!("{at}/{i}"), wanted, found));
+            }
+            Value::Object(map) => {
+                map.iter().for_each(|(k, v)| places(v, &format!("{at}/{k}"), wanted, found))
+            }
+            _ => {}
+        }
+    }
+
+    /// Reads, checks and simulates; whatever it is, nothing panics and nothing takes long.
+    fn survives(document: Value) -> bool {
+        let Ok(augmented) = serde_json::from_value::<Augmented>(document) else { return false };
+        if augmented.check(1, 1, RATE).is_err() {
+            return false;
+        }
+        let drive = Signal::new(RATE, vec![noise_drive(2.0, 1.0, 9)]).unwrap();
+        match augmented.apply(&drive, &drive) {
+            Ok(response) => assert_eq!(response.n_samples(), drive.n_samples()),
+            Err(error) => assert!(error.to_string().contains("not finite"), "{error}"),
+        }
+        true
+    }
+
+    #[test]
+    fn what_a_diagnosis_found_passes_and_belongs_to_its_channels_and_rate() {
+        for augmented in found(vec![Effect::CubicStiffness, Effect::FreeStiffness, Effect::Gain]) {
+            augmented.check(1, 1, RATE).unwrap();
+            for (drives, responses, rate) in [(2, 1, RATE), (1, 2, RATE), (0, 0, RATE), (1, 1, 2.0 * RATE)] {
+                let error = augmented.check(drives, responses, rate).unwrap_err().to_string();
+                assert!(error.contains("effect: "), "{error}");
+            }
+            assert!(survives(serde_json::to_value(&augmented).unwrap()));
+        }
+    }
+
+    #[test]
+    fn a_hostile_file_is_refused_or_harmless_whichever_number_or_list_is_changed() {
+        let hostile = [
+            json!(1e300),
+            json!(-1e300),
+            json!(0.0),
+            json!(-1.0),
+            json!(1e14),
+            json!(3),
+            json!(u64::MAX),
+            json!(u64::from(u32::MAX)),
+            json!(null),
+            json!([]),
+        ];
+        let effects = vec![
+            Effect::CubicStiffness,
+            Effect::FreeStiffness,
+            Effect::FreeDamping,
+            Effect::FreeDriveMap,
+            Effect::Delay,
+            Effect::BoucWenHysteresis,
+        ];
+        let mut refused = 0;
+        for augmented in found(effects) {
+            let document = serde_json::to_value(&augmented).unwrap();
+            let (mut numbers, mut lists) = (Vec::new(), Vec::new());
+            places(&document, "", &Value::is_number, &mut numbers);
+            places(&document, "", &Value::is_array, &mut lists);
+            assert!(numbers.len() > 10 && lists.len() > 5, "{document}");
+            for place in &numbers {
+                for value in &hostile {
+                    let mut changed = document.clone();
+                    *changed.pointer_mut(place).unwrap() = value.clone();
+                    refused += usize::from(!survives(changed));
+                }
+            }
+            for place in &lists {
+                for longer in [false, true] {
+                    let mut changed = document.clone();
+                    let list = changed.pointer_mut(place).unwrap().as_array_mut().unwrap();
+                    if longer {
+                        list.extend(list.clone());
+                    } else {
+                        list.pop();
+                    }
+                    refused += usize::from(!survives(changed));
+                }
+            }
+        }
+        assert!(refused > 100, "{refused} refused");
+    }
+}

@@ -43,7 +43,7 @@ mod spline;
 mod split;
 mod start;
 #[cfg(test)]
-mod tests;
+pub(in crate::engine) mod tests;
 mod views;
 
 pub use augmented::Augmented;

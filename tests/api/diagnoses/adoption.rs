@@ -59,7 +59,7 @@ async fn a_network_takes_an_effect_too_and_activation_is_as_asked() {
     let lab = Lab::without_model().await;
     // Of low runs only, the hybrid knows nothing of the stiffening either.
     let request = json!({
-        "kind": "hybrid2", "frf": {"segment_len": 512}, "preprocess": {"low_pass_hz": 40.0},
+        "kind": "hybrid2", "frf": {"segment_len": 2048}, "preprocess": {"low_pass_hz": 40.0},
         "lstm": {"blocks": [4], "window_len": 64, "hop": 32, "epochs": 2, "seeds": [1]},
     });
     let job = lab.app.post_json("/v1/rigs/mass/fits", &request).await.expect(202).json();

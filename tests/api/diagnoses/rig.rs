@@ -96,7 +96,7 @@ impl Lab {
     /// The FRF is fitted by the service.
     pub async fn with_frf() -> Self {
         let lab = Self::without_model().await;
-        let request = json!({"kind": "frf", "frf": {"segment_len": 512}});
+        let request = json!({"kind": "frf", "frf": {"segment_len": 2048}});
         let job = lab.app.post_json("/v1/rigs/mass/fits", &request).await.expect(202).json();
         let job = lab.app.finished(job["id"].as_str().expect("an id")).await;
         assert_eq!(job["state"], "succeeded", "{job}");
@@ -106,7 +106,7 @@ impl Lab {
     pub async fn without_model() -> Self {
         let app = TestApp::start();
         app.rig(&draft()).await;
-        let low = upload(&app, "kind=noise&tag=low", &drive(60.0, 0.15, 3), 10).await;
+        let low = upload(&app, "kind=noise&tag=low", &drive(120.0, 0.15, 3), 10).await;
         let (a, b) = (drive(16.0, 1.0, 1), drive(16.0, 0.7, 2));
         let mut high = Vec::new();
         for (k, drive) in [&a, &b, &b, &a].into_iter().enumerate() {
@@ -181,10 +181,10 @@ pub async fn upload_csv(app: &TestApp, query: &str, csv: &str) -> String {
 
 /// Weights of an FRF whose runs the service has never seen: it has no lineage.
 pub fn frf_weights(preprocess: Preprocess) -> Vec<u8> {
-    let u = drive(60.0, 0.15, 77);
+    let u = drive(120.0, 0.15, 77);
     let x = Signal::new(RATE, vec![u.clone()]).expect("a signal");
     let y = Signal::new(RATE, vec![measure(&u, 0.0, 78)]).expect("a signal");
-    let settings = FrfSettings { segment_len: Some(512), ..FrfSettings::default() };
+    let settings = FrfSettings { segment_len: Some(2048), ..FrfSettings::default() };
     let found = estimate(&[(&x, &y)], &settings, &unwatched).expect("an FRF");
     to_safetensors(&RigModel {
         kind: ModelKind::Frf,

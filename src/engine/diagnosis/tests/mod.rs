@@ -2,5 +2,5 @@
 
 mod bad_input;
 mod leaks;
-mod rig;
+pub(in crate::engine) mod rig;
 mod verdicts;

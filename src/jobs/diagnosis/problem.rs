@@ -4,7 +4,7 @@ use crate::domain::{FieldError, FitChannels, Problem};
 use crate::engine::EngineError;
 use crate::storage::StoreError;
 
-use super::problem::{JobError, codes, of_engine, sentence};
+use crate::jobs::problem::{JobError, codes, of_engine, sentence};
 
 /// Why a diagnosis cannot be done.
 #[derive(Debug, thiserror::Error)]
@@ -100,7 +100,7 @@ impl From<DiagnosisProblem> for JobError {
     fn from(problem: DiagnosisProblem) -> Self {
         match problem {
             DiagnosisProblem::Store(error) => error.into(),
-            problem => Self::Failed(problem.problem()),
+            problem => Self::failed(problem.problem()),
         }
     }
 }

@@ -1,5 +1,10 @@
 //! The diagnosis job: runs and a sim in, a report out.
 
+mod checks;
+mod plan;
+mod problem;
+mod runs;
+
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -14,11 +19,14 @@ use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::{Claim, NewDiagnosis};
 
 use super::control::Control;
-use super::diagnosis_plan::{DiagnosisPlan, check};
-use super::diagnosis_problem::{DiagnosisProblem, of_diagnosis};
 use super::fit::pair;
 use super::problem::{JobError, codes};
 use super::runner::Runner;
+use plan::DiagnosisPlan;
+use problem::of_diagnosis;
+
+pub(super) use plan::check;
+pub use problem::DiagnosisProblem;
 
 /// Share of the job that loading and simulating takes; the rest is the engine's.
 const LOADED: f64 = 0.1;
@@ -31,7 +39,7 @@ pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) 
     let started = Instant::now();
     let request: DiagnosisRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
         let detail = format!("This version of the program cannot read the job: {error}.");
-        JobError::Failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
+        JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
     })?;
     let rig = runner.store.rig(&claim.job.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
     // Again, because runs and models may have gone since it was queued.
@@ -57,7 +65,7 @@ async fn sim(runner: &Runner, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
         tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
         let detail = "The stored weights cannot be read as a model.";
-        JobError::Failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
+        JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
     })
 }
 
@@ -174,7 +182,7 @@ fn diverged(error: &EngineError, plan: &DiagnosisPlan, run: &Run) -> JobError {
         "The model's response to run {} is not finite at sample {sample} (channel {name:?}).",
         run.id
     );
-    JobError::Failed(
+    JobError::failed(
         Problem::new(422, "result.non_finite", "The result is not finite", detail).with(vec![place]),
     )
 }
@@ -226,7 +234,7 @@ async fn publish(
     let findings = runner.compute.run(Class::Fit, encode).await?.map_err(|error| {
         tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
         let detail = "A number of the report is not finite; the report is not stored.";
-        JobError::Failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
+        JobError::failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
     })?;
     let model = plan.model.as_ref();
     let stage = last_words(&verdict, mode);

@@ -1,0 +1,200 @@
+//! Which runs a diagnosis means: to explain, for the core, simulated; by id, or all that match.
+
+use std::collections::HashMap;
+
+use crate::domain::diagnosis::{DiagnosisRuns, RunRoles};
+use crate::domain::fits::{RunFilter, RunSelection};
+use crate::domain::{DiagnosisRequest, FieldError, Lineage, Model, Run, RunId, RunKind, Split};
+use crate::engine::diagnosis::Role;
+
+use super::plan::invalid;
+use super::problem::DiagnosisProblem;
+
+/// Most runs that a list may name.
+const MAX_RUNS: usize = 10_000;
+
+/// A stretch of a run that the linear core is fitted to.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::jobs) struct Baseline {
+    pub run: Run,
+    pub from_sample: u64,
+    pub to_sample: u64,
+}
+
+/// Runs to explain with their roles, each measurement once.
+pub(super) fn runs(
+    all: &[Run],
+    asked: &DiagnosisRuns,
+) -> Result<(Vec<Run>, Option<Vec<Role>>), DiagnosisProblem> {
+    match asked {
+        DiagnosisRuns::Match(filter) => {
+            let runs = matching(all, filter, "/runs")?;
+            if runs.is_empty() {
+                Err(DiagnosisProblem::NoRuns { pointer: "/runs" })
+            } else {
+                Ok((runs, None))
+            }
+        }
+        DiagnosisRuns::Ids(ids) => {
+            let runs = by_id(all, ids, "/runs")?;
+            once(&runs, &["/runs"], &[runs.len()])?;
+            Ok((runs, None))
+        }
+        DiagnosisRuns::Roles(RunRoles { fit, select, test }) => {
+            let places = ["/runs/fit", "/runs/select", "/runs/test"];
+            let lists = [fit, select, test];
+            let mut runs = Vec::new();
+            let mut roles = Vec::new();
+            for ((ids, pointer), role) in lists.iter().zip(places).zip([Role::Fit, Role::Select, Role::Test])
+            {
+                runs.extend(by_id(all, ids, pointer)?);
+                roles.resize(runs.len(), role);
+            }
+            once(&runs, &places, &lists.map(Vec::len))?;
+            Ok((runs, Some(roles)))
+        }
+    }
+}
+
+/// Refuses a measurement that is named twice, by its id or by the bytes it came in: what is fitted
+/// must not be tested on, and a copy says nothing about noise.
+fn once(runs: &[Run], places: &[&str], lens: &[usize]) -> Result<(), DiagnosisProblem> {
+    let pointers =
+        places.iter().zip(lens).flat_map(|(place, n)| (0..*n).map(move |i| format!("{place}/{i}")));
+    let mut seen: HashMap<&str, RunId> = HashMap::new();
+    let mut errors = Vec::new();
+    for (run, pointer) in runs.iter().zip(pointers) {
+        if let Some(first) = seen.insert(&run.sha256, run.id) {
+            errors.push(FieldError::new(
+                pointer,
+                format!("each measurement once: its bytes are those of run {first}"),
+            ));
+        }
+    }
+    if errors.is_empty() { Ok(()) } else { Err(DiagnosisProblem::Invalid(errors)) }
+}
+
+/// Runs of the linear core: those that were asked for, else what the model's linear part, or
+/// without one the model, was fitted to.
+pub(super) fn baseline(
+    all: &[Run],
+    asked: Option<&RunSelection>,
+    model: Option<&Model>,
+) -> Result<Vec<Baseline>, DiagnosisProblem> {
+    let pointer = "/baseline_runs";
+    let whole = |run: Run| Baseline { from_sample: 0, to_sample: run.samples, run };
+    match asked {
+        Some(RunSelection::Ids(ids)) => Ok(by_id(all, ids, pointer)?.into_iter().map(whole).collect()),
+        Some(RunSelection::Match(filter)) => {
+            let runs = matching(all, filter, pointer)?;
+            if runs.is_empty() {
+                Err(DiagnosisProblem::NoRuns { pointer })
+            } else {
+                Ok(runs.into_iter().map(whole).collect())
+            }
+        }
+        None => {
+            let Some(model) = model else {
+                return invalid(pointer, "required with simulated: low-level runs for the linear core");
+            };
+            let Lineage { training, frf, .. } = &model.lineage;
+            let spans = if frf.is_empty() { training } else { frf };
+            let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
+            let found = spans.iter().filter_map(|span| {
+                let run = (*rows.get(&span.run)?).clone();
+                Some(Baseline { run, from_sample: span.from_sample, to_sample: span.to_sample })
+            });
+            let found: Vec<Baseline> = found.collect();
+            if found.is_empty() {
+                let limit = format!(
+                    "required: the rig has none of the runs that model {} was fitted on",
+                    model.version
+                );
+                return invalid(pointer, limit);
+            }
+            Ok(found)
+        }
+    }
+}
+
+/// Of each run the one with its simulated responses.
+pub(super) fn simulated(
+    all: &[Run],
+    request: &DiagnosisRequest,
+    runs: &[Run],
+) -> Result<Vec<Run>, DiagnosisProblem> {
+    let Some(map) = &request.simulated else { return Ok(Vec::new()) };
+    let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
+    let mut errors = Vec::new();
+    for id in map.keys().filter(|id| !runs.iter().any(|run| run.id == **id)) {
+        errors.push(FieldError::new(format!("/simulated/{id}"), "one of the runs of this diagnosis"));
+    }
+    let mut found = Vec::new();
+    for run in runs {
+        let pointer = format!("/simulated/{}", run.id);
+        match map.get(&run.id).map(|id| (id, rows.get(id))) {
+            None => errors.push(FieldError::new(pointer, "required: a simulated run for each of the runs")),
+            Some((id, None)) => errors.push(FieldError::new(pointer, format!("a run of the rig, not {id}"))),
+            Some((id, Some(_))) if *id == run.id => {
+                errors.push(FieldError::new(pointer, "another run than the measured one"));
+            }
+            Some((_, Some(row))) => found.push((*row).clone()),
+        }
+    }
+    if errors.is_empty() { Ok(found) } else { Err(DiagnosisProblem::Invalid(errors)) }
+}
+
+/// Runs by id, in the order of the ids.
+///
+/// # Errors
+/// An empty list, ids of no run of the rig.
+fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, DiagnosisProblem> {
+    if ids.is_empty() || ids.len() > MAX_RUNS {
+        let limit = format!("1 to {MAX_RUNS} runs");
+        return Err(DiagnosisProblem::Invalid(vec![FieldError::new(pointer, limit)]));
+    }
+    let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
+    let mut errors = Vec::new();
+    let mut runs = Vec::with_capacity(ids.len());
+    for (i, id) in ids.iter().enumerate() {
+        match rows.get(id) {
+            Some(run) => runs.push((*run).clone()),
+            None => {
+                errors.push(FieldError::new(format!("{pointer}/{i}"), format!("a run of the rig, not {id}")));
+            }
+        }
+    }
+    if errors.is_empty() { Ok(runs) } else { Err(DiagnosisProblem::Invalid(errors)) }
+}
+
+/// Runs that match, each measurement once, by id; what is left open is as in a fit: noise of the
+/// training split.
+///
+/// # Errors
+/// Kinds and splits that do not exist.
+fn matching(all: &[Run], filter: &RunFilter, pointer: &str) -> Result<Vec<Run>, DiagnosisProblem> {
+    let mut errors = Vec::new();
+    for (i, kind) in filter.kinds.iter().flatten().enumerate() {
+        if !RunKind::ALL.iter().any(|known| known.as_str() == kind) {
+            let limit = "noise, service, sine, sweep or other";
+            errors.push(FieldError::new(format!("{pointer}/kinds/{i}"), limit));
+        }
+    }
+    let split = filter.split.as_deref().unwrap_or(Split::Training.as_str());
+    if !Split::ALL.iter().any(|known| known.as_str() == split) {
+        errors.push(FieldError::new(format!("{pointer}/split"), "training, validation or test"));
+    }
+    if !errors.is_empty() {
+        return Err(DiagnosisProblem::Invalid(errors));
+    }
+    let kind_fits = |run: &Run| match &filter.kinds {
+        Some(kinds) => kinds.is_empty() || kinds.iter().any(|kind| kind == run.kind.as_str()),
+        None => run.kind == RunKind::Noise,
+    };
+    Ok(all
+        .iter()
+        .filter(|run| run.duplicate_of.is_none() && run.split.as_str() == split && kind_fits(run))
+        .filter(|run| filter.tags.iter().all(|tag| run.tags.contains(tag)))
+        .cloned()
+        .collect())
+}
