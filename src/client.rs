@@ -108,6 +108,15 @@ impl Client {
         json(request.query(query).header(CONTENT_TYPE, content_type).body(file).send().await?).await
     }
 
+    /// Imports a model from a safetensors file.
+    ///
+    /// # Errors
+    /// [`ClientError::Problem`] when the file is refused.
+    pub async fn import(&self, rig: &str, weights: Vec<u8>) -> Result<Value, ClientError> {
+        let request = self.http.post(self.url(&format!("/v1/rigs/{rig}/models")));
+        json(request.header(CONTENT_TYPE, "application/octet-stream").body(weights).send().await?).await
+    }
+
     /// Asks for a fit and answers the job's id.
     ///
     /// # Errors

@@ -76,6 +76,9 @@ struct Cases {
     /// Cases in flight.
     #[arg(long, default_value_t = 2)]
     in_flight: usize,
+    /// Fit an FRF to the baseline runs instead of importing the sim that comes with a case.
+    #[arg(long)]
+    fit_sims: bool,
     /// Log of the final runs.
     #[arg(long, default_value = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/blind_check/final_runs.jsonl"))]
     log: PathBuf,
@@ -156,7 +159,12 @@ fn generate(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
 
 fn diagnose(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
     let began = Instant::now();
-    diagnose::run(dir, cases.service.as_deref(), cases.in_flight)?;
+    diagnose::run(&diagnose::How {
+        dir: dir.to_owned(),
+        service: cases.service.clone(),
+        in_flight: cases.in_flight,
+        fit_sims: cases.fit_sims,
+    })?;
     took(dir, "diagnose_s", began)
 }
 

@@ -16,19 +16,31 @@ use session::Session;
 mod lab;
 pub mod session;
 
+/// What is asked for.
+pub struct How {
+    /// Directory of the cases.
+    pub dir: PathBuf,
+    /// A running service, else one is started.
+    pub service: Option<String>,
+    /// Cases at a time.
+    pub in_flight: usize,
+    /// Fit an FRF to the baseline runs instead of importing the sim.
+    pub fit_sims: bool,
+}
+
 /// Writes `reports/<id>.json` for every case that has none yet.
 ///
 /// # Errors
 /// No cases, or a service that cannot be started; what goes wrong in a case stands in its report.
-pub fn run(dir: &Path, service: Option<&str>, in_flight: usize) -> Result<(), AnyError> {
+pub fn run(how: &How) -> Result<(), AnyError> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
-        let own = match service {
+        let own = match how.service {
             Some(_) => None,
             None => Some(LocalService::start(([127, 0, 0, 1], 0).into(), None).await?),
         };
-        let url = own.as_ref().map(LocalService::url).or(service.map(String::from)).ok_or("no service")?;
-        all(dir, &Client::new(&url)?, in_flight).await?;
+        let url = own.as_ref().map(LocalService::url).or(how.service.clone()).ok_or("no service")?;
+        all(how, &Client::new(&url)?).await?;
         if let Some(own) = own {
             own.stop().await?;
         }
@@ -36,7 +48,8 @@ pub fn run(dir: &Path, service: Option<&str>, in_flight: usize) -> Result<(), An
     })
 }
 
-async fn all(dir: &Path, client: &Client, in_flight: usize) -> Result<(), AnyError> {
+async fn all(how: &How, client: &Client) -> Result<(), AnyError> {
+    let dir = &how.dir;
     let reports = dir.join("reports");
     fs::create_dir_all(&reports)?;
     let mut folders: Vec<PathBuf> =
@@ -56,11 +69,11 @@ async fn all(dir: &Path, client: &Client, in_flight: usize) -> Result<(), AnyErr
     let bar = ProgressBar::new((together.len() + alone.len()) as u64).with_style(style);
     bar.set_prefix("diagnose");
     bar.tick();
-    for (list, width) in [(together, in_flight.max(1)), (alone, 1)] {
+    for (list, width) in [(together, how.in_flight.max(1)), (alone, 1)] {
         let cases = list.into_iter().map(|(folder, about, report)| {
             let bar = &bar;
             async move {
-                let answer = answer(dir, client, &folder, &about).await;
+                let answer = answer(how, client, &folder, &about).await;
                 bar.inc(1);
                 fs::write(report, answer.to_string())
             }
@@ -75,8 +88,8 @@ async fn all(dir: &Path, client: &Client, in_flight: usize) -> Result<(), AnyErr
 }
 
 /// What the service says of one case: its report and what was made of it, or why there is none.
-async fn answer(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Value {
-    let found = ask(dir, client, folder, about).await;
+async fn answer(how: &How, client: &Client, folder: &Path, about: &Value) -> Value {
+    let found = ask(how, client, folder, about).await;
     let rig = about["rig"]["id"].as_str().unwrap_or_default();
     let deleted = client.delete(&format!("/v1/rigs/{rig}")).await;
     match (found, deleted) {
@@ -86,7 +99,7 @@ async fn answer(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Va
     }
 }
 
-async fn ask(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Result<Value, AnyError> {
+async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result<Value, AnyError> {
     let mut session = Session::open(client, &about["rig"]).await?;
     for run in about["runs"].as_array().into_iter().flatten() {
         let word = |key: &str| run[key].as_str().ok_or_else(|| format!("a run without {key}"));
@@ -97,7 +110,10 @@ async fn ask(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Resul
         let runs = about["runs"].as_array().into_iter().flatten();
         runs.filter(|r| r["baseline"] == baseline).filter_map(|r| r["name"].as_str()).collect()
     };
-    let model = session.fit(&about["fit"], &names(true)).await?;
+    let model = match about["sim"].as_str() {
+        Some(file) if !how.fit_sims => session.import(fs::read(folder.join(file))?).await?,
+        _ => session.fit(&json!({"kind": "frf"}), &names(true)).await?,
+    };
     let mut request = about["diagnosis"].clone();
     request["model"] = model.into();
     request["baseline_runs"] = session.ids(&names(true))?;
@@ -128,7 +144,8 @@ async fn ask(dir: &Path, client: &Client, folder: &Path, about: &Value) -> Resul
         }
     }
     if about["next_experiment"] == true {
-        answer["next"] = lab::further(dir, folder, about, &mut session, &request, &answer["report"]).await?;
+        answer["next"] =
+            lab::further(&how.dir, folder, about, &mut session, &request, &answer["report"]).await?;
     }
     Ok(answer)
 }

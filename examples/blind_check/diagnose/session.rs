@@ -47,6 +47,12 @@ impl<'a> Session<'a> {
         names.iter().map(id).map(|id| id.map(Value::from)).collect()
     }
 
+    /// Brings a sim from elsewhere, as safetensors, and answers its version.
+    pub async fn import(&self, weights: Vec<u8>) -> Result<u64, AnyError> {
+        let model = self.client.import(&self.rig, weights).await?;
+        Ok(model["version"].as_u64().ok_or(ClientError::Missing("version"))?)
+    }
+
     /// Fits a sim to runs and answers its version.
     pub async fn fit(&self, request: &Value, runs: &[&str]) -> Result<u64, AnyError> {
         let mut request = request.clone();

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::drives::{self, Wish};
 use super::effects::Named;
 use super::flaw::{Flaw, Placed};
-use super::retune::Retune;
+use super::retune::{Moves, retuned};
 use super::rig::{COARSE, FINE, RATE, Rig, Span, rms};
 use super::suites::Suite;
 
@@ -38,6 +38,7 @@ pub struct Record {
 /// A case with all that is known of it.
 pub struct Case {
     pub suite: Suite,
+    pub axes: usize,
     rig: Rig,
     pub named: Vec<Named>,
     pub placed: Vec<Placed>,
@@ -125,7 +126,7 @@ impl Case {
                 return None;
             }
         }
-        Some(Self { suite, rig, named, placed, noise, gap, high_hz, low, long, half, rng })
+        Some(Self { suite, axes, rig, named, placed, noise, gap, high_hz, low, long, half, rng })
     }
 
     /// The baseline run: with the flaw only where the sim was fitted on the rig that has it.
@@ -146,6 +147,20 @@ impl Case {
         let repeats = if order.len() == 4 { vec![vec![0, 3], vec![1, 2]] } else { vec![vec![0, 1]] };
         let runs = order.into_iter().map(|(d, k)| self.record(d, &flaws, times(k), STARTS_S[k])).collect();
         (runs, repeats)
+    }
+
+    /// The sim: the rig without the flaw, or one fitted to what the rig with the flaw does on the baseline
+    /// run; and the mean of each response beside it.
+    pub fn sim(&self) -> (Rig, Vec<f64>) {
+        let n_responses = if self.axes == 1 { 1 } else { 2 * self.axes };
+        if self.suite != Suite::InSitu {
+            return (self.rig.clone(), vec![0.0; n_responses]);
+        }
+        let drives = first(&self.low, SHORT_S);
+        let span = Span { drives: &drives, time: [0.0, 0.0], steps: COARSE };
+        let low = self.rig.respond(span, &self.placed);
+        let (sim, mean) = retuned(&self.rig, &drives, &low[0]);
+        (sim, vec![mean; n_responses])
     }
 
     /// Drives at full and half level as fresh as on another day, and what the rig does without noise.
@@ -209,23 +224,26 @@ struct GapMeasure<'a> {
     low: &'a [Vec<f64>],
     long: &'a [Vec<f64>],
     linear: Vec<Vec<f64>>,
-    /// Where the sim is fitted on the rig with the flaw.
-    retune: Option<Retune>,
+    /// Where the sim is fitted on the rig with the flaw: how it moves on `low` and on `long`.
+    moves: Option<[Moves; 2]>,
 }
 
 impl<'a> GapMeasure<'a> {
     fn new(suite: Suite, rig: &'a Rig, low: &'a [Vec<f64>], long: &'a [Vec<f64>]) -> Self {
         let span = Span { drives: long, time: times(3), steps: COARSE };
-        let retune = (suite == Suite::InSitu).then(|| Retune::new(rig, low, long));
-        Self { rig, low, long, linear: rig.respond(span, &[]), retune }
+        let moves = (suite == Suite::InSitu).then(|| [low, long].map(|drives| Moves::new(rig, drives)));
+        Self { rig, low, long, linear: rig.respond(span, &[]), moves }
     }
 
     /// The largest over the responses.
     fn gap(&self, flaws: &[Placed]) -> f64 {
         let respond = |drives, time| self.rig.respond(Span { drives, time, steps: COARSE }, flaws);
         let with = respond(self.long, times(3));
-        let retuned = self.retune.as_ref().map(|r| vec![r.sim(&respond(self.low, [0.0, 0.0])[0])]);
-        let sim = retuned.as_ref().unwrap_or(&self.linear);
+        let fitted = self
+            .moves
+            .as_ref()
+            .map(|[low, long]| vec![long.response(&low.fit(&respond(self.low, [0.0, 0.0])[0]))]);
+        let sim = fitted.as_ref().unwrap_or(&self.linear);
         let of = |(y, sim): (&Vec<f64>, &Vec<f64>)| {
             let left: Vec<f64> = y.iter().zip(sim).map(|(a, b)| a - b).collect();
             let gap = rms(&left) / rms(y);
@@ -278,11 +296,17 @@ mod tests {
 
     #[test]
     fn a_sim_fitted_on_the_rig_has_taken_in_what_is_linear() {
-        let case = Case::draw(Suite::InSitu, 0, 7).unwrap();
+        let mut case = Case::draw(Suite::InSitu, 0, 7).unwrap();
         let measure = GapMeasure::new(Suite::InSitu, &case.rig, &case.low, &case.long);
         let gain = Placed { flaw: Flaw::Gain, strength: 0.2, axis: 0, sensor: 0 };
         assert!(measure.gap(&[gain]) < 0.01, "{}", measure.gap(&[gain]));
         let outside = GapMeasure::new(Suite::Catalogue, &case.rig, &case.low, &case.long);
         assert!(outside.gap(&[gain]) > 0.1);
+        case.placed = vec![gain];
+        let (sim, _) = case.sim();
+        let span = Span { drives: &case.low, time: [0.0, 0.0], steps: COARSE };
+        let expected = case.rig.respond(span, &[gain]);
+        let left: Vec<f64> = sim.respond(span, &[])[0].iter().zip(&expected[0]).map(|(a, b)| a - b).collect();
+        assert!(rms(&left) < 2e-3 * rms(&expected[0]), "{}", rms(&left) / rms(&expected[0]));
     }
 }

@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::case::{Case, Record};
 use super::effects::{FAMILIES, struck};
 use super::rig::RATE;
+use super::sim;
 use super::suites::Suite;
 
 /// When the programme began; the baseline run is from the day before.
@@ -45,7 +46,7 @@ pub fn axis_name(axis: usize) -> &'static str {
 ///
 /// # Errors
 /// Files that cannot be written.
-pub fn write(case: &mut Case, id: &str, axes: usize, folder: &Path, truth: &Path) -> io::Result<()> {
+pub fn write(case: &mut Case, id: &str, folder: &Path, truth: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
     let began: jiff::Timestamp = BEGAN.parse().map_err(io::Error::other)?;
     let mut runs = Vec::new();
@@ -63,10 +64,16 @@ pub fn write(case: &mut Case, id: &str, axes: usize, folder: &Path, truth: &Path
     for (i, record) in records.iter().enumerate() {
         add(format!("run-{i}"), record, false)?;
     }
-    let channels = channels(axes);
+    let channels = channels(case.axes);
+    let n_drives = case.peaks().len();
+    let names = |channels: &[Value]| -> Vec<String> {
+        channels.iter().filter_map(|c| c["name"].as_str()).map(String::from).collect()
+    };
+    let (sim, mean) = case.sim();
+    let sim = sim::safetensors(&sim, &names(&channels[..n_drives]), &names(&channels[n_drives..]), &mean)?;
+    fs::write(folder.join("sim.safetensors"), sim)?;
     let mut checks = Vec::new();
     if case.suite.is_checked() {
-        let n_drives = case.peaks().len();
         let mut responses = Vec::new();
         for (i, record) in case.checks().iter().enumerate() {
             let file = format!("check-{i}.json");
@@ -76,13 +83,14 @@ pub fn write(case: &mut Case, id: &str, axes: usize, folder: &Path, truth: &Path
         }
         fs::write(truth.join(format!("{id}.json")), Value::from(responses).to_string())?;
     }
-    let names = |group: &Vec<usize>| -> Vec<String> { group.iter().map(|i| format!("run-{i}")).collect() };
+    let run_names =
+        |group: &Vec<usize>| -> Vec<String> { group.iter().map(|i| format!("run-{i}")).collect() };
     let about = json!({
         "id": id,
         "rig": {"id": format!("case-{id}"), "name": format!("Case {id}"), "sample_rate_hz": RATE, "channels": channels},
         "runs": runs,
-        "repeats": repeats.iter().map(names).collect::<Vec<_>>(),
-        "fit": {"kind": "frf"},
+        "repeats": repeats.iter().map(run_names).collect::<Vec<_>>(),
+        "sim": "sim.safetensors",
         "diagnosis": request(case, &channels),
         "check": checks,
         "next_experiment": case.suite == Suite::NextExperiment,

@@ -27,6 +27,7 @@ mod flaw;
 mod force;
 mod retune;
 mod rig;
+mod sim;
 mod suites;
 
 /// Which cases are made.
@@ -73,7 +74,7 @@ pub fn generate(plan: &Plan) -> Result<(), AnyError> {
             let seed = plan.seeds.of(plan.round, suite.number(), index as u64);
             let mut case = Case::draw(suite, index, seed)?;
             let folder = plan.dir.join("cases").join(&id);
-            files::write(&mut case, &id, suite.axes(index), &folder, &truth).map_err(|e| e.to_string())?;
+            files::write(&mut case, &id, &folder, &truth).map_err(|e| e.to_string())?;
             bar.inc(1);
             Ok(label(&case, &id, index, seed))
         })
@@ -106,7 +107,7 @@ fn label(case: &Case, id: &str, index: usize, seed: u64) -> Value {
         })
         .collect();
     json!({"id": id, "suite": case.suite.name(), "index": index, "seed": seed, "effects": effects,
-           "gap": case.gap, "noise": case.noise, "axes": case.suite.axes(index)})
+           "gap": case.gap, "noise": case.noise, "axes": case.axes})
 }
 
 /// Runs the rig of a case once more and answers the recording as an NPY file: the lab's part in a next

@@ -1,45 +1,62 @@
-//! What a sim fitted on the rig itself leaves of a flaw: its linear numbers follow the low-level run.
+//! The sim that was fitted on the rig itself: its linear numbers follow the low-level run, flaw and all.
 
 use super::rig::{COARSE, Rig, Span};
 
-/// A linear rig and how its responses move with each of its numbers, on a low-level run and on a
-/// stretch of the programme.
-pub struct Retune {
-    linear: [Vec<f64>; 2],
-    /// `[number][sample]` of either run.
-    moves: [Vec<Vec<f64>>; 2],
+/// Rounds of the fit, and the most that a round moves a number, percent.
+const ROUNDS: usize = 3;
+const STEP: f64 = 30.0;
+
+/// A rig whose linear numbers are fitted to the first response `low` to `drives`, and that response's
+/// mean beside it.
+pub fn retuned(rig: &Rig, drives: &[Vec<f64>], low: &[f64]) -> (Rig, f64) {
+    let mut found = (rig.clone(), 0.0);
+    for _ in 0..ROUNDS {
+        let moves = Moves::new(&found.0, drives);
+        let weights = moves.fit(low);
+        let (mean, percent) = weights.split_last().expect("the mean is always among them");
+        let percent: Vec<f64> = percent.iter().map(|p| p.clamp(-STEP, STEP)).collect();
+        found = (found.0.moved(&percent), *mean);
+    }
+    found
 }
 
-impl Retune {
-    /// For the first response on `low` and on `long`, drives `[drive][sample]`.
-    pub fn new(rig: &Rig, low: &[Vec<f64>], long: &[Vec<f64>]) -> Self {
-        let first = |rig: &Rig, drives: &[Vec<f64>]| {
-            rig.respond(Span { drives, time: [0.0, 0.0], steps: COARSE }, &[]).swap_remove(0)
-        };
-        let linear = [first(rig, low), first(rig, long)];
-        let varied = rig.varied();
-        let moves = [low, long].map(|drives| {
-            let base = first(rig, drives);
-            let mut moves: Vec<Vec<f64>> = varied
-                .iter()
-                .map(|other| first(other, drives).iter().zip(&base).map(|(a, b)| a - b).collect())
-                .collect();
-            moves.push(vec![1.0; base.len()]);
-            moves
-        });
-        Self { linear, moves }
+/// How the first response of a linear rig moves with each of its numbers, and with a mean.
+pub struct Moves {
+    linear: Vec<f64>,
+    /// `[number][sample]`, per percent; the mean last.
+    columns: Vec<Vec<f64>>,
+}
+
+impl Moves {
+    /// On drives `[drive][sample]`.
+    pub fn new(rig: &Rig, drives: &[Vec<f64>]) -> Self {
+        let first =
+            |rig: &Rig| rig.respond(Span { drives, time: [0.0, 0.0], steps: COARSE }, &[]).swap_remove(0);
+        let linear = first(rig);
+        let n = rig.numbers();
+        let mut columns: Vec<Vec<f64>> = (0..n)
+            .map(|i| {
+                let one: Vec<f64> = (0..n).map(|j| if i == j { 1.0 } else { 0.0 }).collect();
+                first(&rig.moved(&one)).iter().zip(&linear).map(|(a, b)| a - b).collect()
+            })
+            .collect();
+        columns.push(vec![1.0; linear.len()]);
+        Self { linear, columns }
     }
 
-    /// The sim's response on the long run, after its numbers were moved to fit `low`, the response
-    /// there with the flaw.
-    pub fn sim(&self, low: &[f64]) -> Vec<f64> {
-        let target: Vec<f64> = low.iter().zip(&self.linear[0]).map(|(a, b)| a - b).collect();
-        let weights = least_squares(&self.moves[0], &target);
-        let mut sim = self.linear[1].clone();
-        for (column, w) in self.moves[1].iter().zip(weights) {
-            sim.iter_mut().zip(column).for_each(|(s, c)| *s += w * c);
+    /// Percent of each number, and the mean, with which a response is met best.
+    pub fn fit(&self, response: &[f64]) -> Vec<f64> {
+        let target: Vec<f64> = response.iter().zip(&self.linear).map(|(a, b)| a - b).collect();
+        least_squares(&self.columns, &target)
+    }
+
+    /// The response with the numbers moved so.
+    pub fn response(&self, percent: &[f64]) -> Vec<f64> {
+        let mut out = self.linear.clone();
+        for (column, p) in self.columns.iter().zip(percent) {
+            out.iter_mut().zip(column).for_each(|(o, c)| *o += p * c);
         }
-        sim
+        out
     }
 }
 

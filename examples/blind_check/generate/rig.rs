@@ -67,28 +67,28 @@ impl Rig {
         high
     }
 
-    /// The rig with each of its linear numbers changed a little, one at a time.
-    pub fn varied(&self) -> Vec<Self> {
-        const BY: f64 = 1.01;
-        let mut out = Vec::new();
-        let mut add = |a: usize, change: &dyn Fn(&mut Axis)| {
-            let mut rig = self.clone();
-            change(&mut rig.axes[a]);
-            out.push(rig);
-        };
-        for (a, axis) in self.axes.iter().enumerate() {
+    /// Number of linear numbers that a fit may move.
+    pub fn numbers(&self) -> usize {
+        let of = |axis: &Axis| 2 * axis.masses + axis.coupling.len() + usize::from(axis.lag_hz.is_some());
+        self.axes.iter().map(of).sum()
+    }
+
+    /// The rig with each of its linear numbers moved by so many percent.
+    pub fn moved(&self, percent: &[f64]) -> Self {
+        let mut rig = self.clone();
+        let mut shares = percent.iter().map(|p| 0.01 * p);
+        let mut next = || shares.next().unwrap_or(0.0);
+        for axis in &mut rig.axes {
             for i in 0..axis.masses {
-                add(a, &|axis| axis.stiffness[i] *= BY);
-                add(a, &|axis| axis.damping[i] *= BY);
+                axis.stiffness[i] *= 1.0 + next();
+                axis.damping[i] *= 1.0 + next();
             }
-            for d in 0..axis.coupling.len() {
-                add(a, &|axis| axis.coupling[d] += BY - 1.0);
+            for coupling in &mut axis.coupling {
+                *coupling += next();
             }
-            if axis.lag_hz.is_some() {
-                add(a, &|axis| axis.lag_hz = axis.lag_hz.map(|hz| hz * BY));
-            }
+            axis.lag_hz = axis.lag_hz.map(|hz| hz * (1.0 + next()));
         }
-        out
+        rig
     }
 
     /// Responses `[response][sample]` in units of the linear rig's: the displacement of each axis, and of
