@@ -46,13 +46,9 @@ fn respond(drives: &[Vec<f64>], effect: Option<(usize, Force)>, clip: [f64; 3]) 
     let along = |p: [f64; 3], d: [f64; 3], h: f64| -> [f64; 3] { std::array::from_fn(|i| p[i] + h * d[i]) };
     let (mut x, mut v) = ([0.0; 3], [0.0; 3]);
     let mut out = vec![Vec::new(); 6];
-    let clipped: Vec<Vec<f64>> = drives
-        .iter()
-        .zip(clip)
-        .map(|(drive, clip)| drive.iter().map(|u| u.clamp(-clip, clip)).collect())
-        .collect();
-    for k in 0..clipped[0].len() {
-        let u: [f64; 3] = std::array::from_fn(|a| clipped[a][k]);
+    let command = |k: usize| -> [f64; 3] { std::array::from_fn(|a| drives[a][k].clamp(-clip[a], clip[a])) };
+    for k in 0..drives[0].len() {
+        let u = command(k);
         let f = held(&x, &v);
         for (out, y) in out.iter_mut().zip(x.into_iter().chain(f.map(|f| 1e-3 * f))) {
             out.push(y);
