@@ -8,7 +8,7 @@ use futures::stream::{self, StreamExt};
 use indicatif::{ProgressBar, ProgressStyle};
 use rigcast::client::Client;
 use rigcast::demo::LocalService;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::AnyError;
 use session::Session;
@@ -94,7 +94,10 @@ async fn answer(how: &How, client: &Client, folder: &Path, about: &Value) -> Val
     let deleted = client.delete(&format!("/v1/rigs/{rig}")).await;
     match (found, deleted) {
         (Ok(answer), Ok(())) => answer,
-        (Ok(answer), Err(e)) => json!({"report": answer["report"], "error": format!("rig not deleted: {e}")}),
+        (Ok(mut answer), Err(e)) => {
+            answer["error"] = format!("rig not deleted: {e}").into();
+            answer
+        }
         (Err(e), _) => json!({"report": null, "error": e.to_string()}),
     }
 }
@@ -130,22 +133,43 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
         .into();
     let (href, report) = session.diagnose(&request).await?;
     let mut answer = json!({"report": report});
-    let checks = about["check"].as_array().map_or(&[][..], Vec::as_slice);
-    let kind = answer["report"]["verdict"]["kind"].as_str();
-    if !checks.is_empty() && matches!(kind, Some("identified" | "partial")) {
-        let adopted = session.adopt(&href).await?;
-        for (name, version) in [("sim", model), ("adopted", adopted)] {
-            let mut responses = Vec::new();
-            for file in checks.iter().filter_map(Value::as_str) {
-                let drive = serde_json::from_slice(&fs::read(folder.join(file))?)?;
-                responses.push(session.predict(version, &drive).await?);
-            }
-            answer["check"][name] = responses.into();
-        }
+    // What follows may fail without a word against the report.
+    match check(&session, folder, about, &answer["report"], model, &href).await {
+        Ok(found) => answer["check"] = found,
+        Err(e) => answer["error"] = format!("check: {e}").into(),
     }
     if about["next_experiment"] == true {
-        answer["next"] =
-            lab::further(&how.dir, folder, about, &mut session, &request, &answer["report"]).await?;
+        match lab::further(&how.dir, folder, about, &mut session, &request, &answer["report"]).await {
+            Ok(found) => answer["next"] = found,
+            Err(e) => answer["error"] = format!("next experiment: {e}").into(),
+        }
     }
     Ok(answer)
+}
+
+/// What the sim, and the sim with the blamed effect adopted, say of fresh drives.
+async fn check(
+    session: &Session<'_>,
+    folder: &Path,
+    about: &Value,
+    report: &Value,
+    model: u64,
+    href: &str,
+) -> Result<Value, AnyError> {
+    let checks = about["check"].as_array().map_or(&[][..], Vec::as_slice);
+    let kind = report["verdict"]["kind"].as_str();
+    if checks.is_empty() || !matches!(kind, Some("identified" | "partial")) {
+        return Ok(Value::Null);
+    }
+    let adopted = session.adopt(href).await?;
+    let mut found = Map::new();
+    for (name, version) in [("sim", model), ("adopted", adopted)] {
+        let mut responses = Vec::new();
+        for file in checks.iter().filter_map(Value::as_str) {
+            let drive = serde_json::from_slice(&fs::read(folder.join(file))?)?;
+            responses.push(session.predict(version, &drive).await?);
+        }
+        found.insert(name.into(), responses.into());
+    }
+    Ok(found.into())
 }
