@@ -41,6 +41,7 @@ mod score;
 mod spline;
 mod split;
 mod start;
+mod tangent;
 #[cfg(test)]
 mod tests;
 mod views;
