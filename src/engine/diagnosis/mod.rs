@@ -29,6 +29,7 @@ mod levmar;
 mod linear;
 mod locate;
 mod modes;
+mod naming;
 mod next;
 mod noise;
 mod output_map;
