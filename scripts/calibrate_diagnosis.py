@@ -31,7 +31,12 @@ def logit(p):
 
 
 def logistic(x):
-    return 1.0 / (1.0 + math.exp(-x))
+    return 1.0 / (1.0 + math.exp(-min(max(x, -40.0), 40.0)))
+
+
+def cost(cases, a, b):
+    logs = (math.log(logistic((a + b * logit(p)) * (1 if right else -1))) for p, right in cases)
+    return 0.5 * PRIOR * (a * a + (b - 1.0) ** 2) - sum(logs)
 
 
 def fit(cases):
@@ -49,7 +54,12 @@ def fit(cases):
             hab += w * x
             hbb += w * x * x
         det = haa * hbb - hab * hab
-        a, b = a - (hbb * ga - hab * gb) / det, b - (haa * gb - hab * ga) / det
+        da, db = (hbb * ga - hab * gb) / det, (haa * gb - hab * ga) / det
+        # Halved until it pays: far from the optimum a whole step may overshoot.
+        now = cost(cases, a, b)
+        while cost(cases, a - da, b - db) > now and abs(da) + abs(db) > 1e-9:
+            da, db = 0.5 * da, 0.5 * db
+        a, b = a - da, b - db
     return a, b
 
 
