@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Half range, in units of its RMS, of the inner signal of a sandwich.
 const INNER_RANGE: f64 = 4.5;
 /// Knots of a sandwich's nonlinearity.
-const INNER_KNOTS: usize = 9;
+pub(super) const INNER_KNOTS: usize = 9;
 
 /// The signal that a law calls other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -40,7 +40,8 @@ pub(super) struct Part {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Candidate {
     pub parts: Vec<Part>,
-    /// Feedback of the response and new paths of all drives, with all zeros and poles free.
+    /// Feedback of the response, new paths of all drives and a new working point, with all zeros and
+    /// poles free.
     pub retune: bool,
 }
 
@@ -160,10 +161,18 @@ impl Candidate {
         own + self.retuned(problem)
     }
 
-    /// Parameters of the retune: feedback, then per drive its path and its direct part.
+    /// Whether the retune moves the working point: where an even law acts, the response's mean moves
+    /// with its level. A linear change has none to move.
+    pub(super) fn working_point(&self) -> bool {
+        self.retune && self.parts.iter().any(|part| part.effect != Effect::LinearChange)
+    }
+
+    /// Parameters of the retune: feedback, then per drive its path and its direct part, then the
+    /// working point.
     pub fn retuned(&self, problem: &Plant) -> usize {
         let order = problem.core.modes.order();
-        if self.retune { order + problem.drive_peak.len() * (order + 1) } else { 0 }
+        let linear = order + problem.drive_peak.len() * (order + 1);
+        if self.retune { linear + usize::from(self.working_point()) } else { 0 }
     }
 
     /// Response to a stretch's drives, `sim(u) + [augmented(u) - core(u)]`, from rest; never sees a
@@ -259,6 +268,10 @@ impl Candidate {
                 let mut y = modes.filter(path, &moved);
                 y.iter_mut().zip(&moved).for_each(|(y, u)| *y += direct * u);
                 run.add(stretch, &y);
+            }
+            if self.working_point() {
+                let offset = take(1)[0] * problem.scales.y;
+                run.add(stretch, &vec![offset; stretch.core.len()]);
             }
         }
         run

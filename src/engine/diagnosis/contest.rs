@@ -67,7 +67,7 @@ pub(super) fn contest(
             let share = done.load(Ordering::Relaxed) as f64 / tasks.len() as f64;
             report(watch, &candidate.parts[0].effect.name(), 0.1 + 0.5 * share)?;
             let problem = &prepared.problems[*r];
-            let fitted = fit(problem, regression, candidate, &[], Effort { rounds: 15 });
+            let fitted = fit(problem, regression, candidate, &[], Effort { rounds: 40 });
             done.fetch_add(1, Ordering::Relaxed);
             Ok(fitted.and_then(|f| score(*r, problem, f, overview.chi2_select[*r], rate)))
         })

@@ -1,10 +1,9 @@
 //! From scores to a verdict: parsimony, probabilities, abstention.
 
 use super::effect::{Effect, Tier};
-use super::score::{Scored, may_be_equal};
+use super::score::{EQUAL, Scored, may_be_equal};
 
-/// Numbers of the decision, set by hand after a look at some hundred blind rigs; no fit has calibrated
-/// the probabilities that come of them.
+/// Numbers of the decision, set by hand on some two hundred blind rigs.
 struct Calibration {
     /// Smallest remaining share that is told apart,
     floor: f64,
@@ -15,28 +14,56 @@ struct Calibration {
     /// Charge of each shape number beyond the first, so that a law that contains another does not
     /// win by a hair.
     shape: f64,
+    /// Charge of a free shape that nothing needs.
+    needless: f64,
+    /// Charge of a force that works nowhere as one at the response's own place would.
+    passive: f64,
+    /// Charge of the less usual of two names for one law.
+    unusual: f64,
     /// Sharpness of the probabilities over charged logarithms.
     sharpness: f64,
-    /// Logistic of "the catalogue holds it" over the logarithm of the best remaining share:
-    /// midpoint and slope.
-    held: [f64; 2],
+    /// What the right law may leave: in noise floors, and as a share of the gap (its other equation and
+    /// the core's error grow with it): [`PARTIAL`], up to which a name is the whole answer.
+    leaves: [f64; 2],
+    /// Slope of the logistic of "the catalogue holds it" over the logarithm of what is left in units
+    /// of what the right law leaves.
+    slope: f64,
 }
 
 const CALIBRATION: Calibration = Calibration {
     floor: 0.0003,
     core: 0.08,
-    charge: [0.0, 0.5, 0.6, 1.2],
+    charge: [0.0, 0.5, 0.8, 1.4],
     shape: 0.25,
+    needless: 3.0,
+    passive: 1.0,
+    unusual: 0.7,
     sharpness: 3.0,
-    held: [0.10, 1.6],
+    leaves: [0.4, PARTIAL],
+    slope: 2.5,
 };
 
+/// What is stated of a probability `p`: `1 / (1 + exp(-(a + b logit p)))`, `[a, b]` for each kind of
+/// ruling. `[0, 1]` states `p` as it is; `scripts/calibrate_diagnosis.py` fits others to blind cases.
+struct Stated {
+    named: [f64; 2],
+    family: [f64; 2],
+    set: [f64; 2],
+    none: [f64; 2],
+}
+
+const STATED: Stated = Stated { named: [0.0, 1.0], family: [0.0, 1.0], set: [0.0, 1.0], none: [0.0, 1.0] };
+
 /// Above this share left the catalogue does not hold the effect.
-pub(super) const ABSTAIN: f64 = 0.10;
-/// Above this share left a named effect is only part of the answer.
-pub(super) const PARTIAL: f64 = 0.02;
-/// Effects whose remaining shares differ by less are one set.
-const EQUAL: f64 = 0.02;
+const ABSTAIN: f64 = 0.10;
+/// Above this share left a named effect is only part of the answer,
+const PARTIAL: f64 = 0.02;
+/// and above this mean square, 1.2 times the RMS of the noise.
+const NOISE_LEFT: f64 = 1.44;
+/// Share of what the winner leaves, below which a free shape that nothing needs speaks against it.
+const PLAINER: f64 = 0.5;
+/// Probability of an effect that may not be named.
+const UNNAMED: f64 = 0.1;
 /// Below this probability of the effect only the family, or nothing, is stated.
 const SURE: f64 = 0.5;
 
@@ -63,25 +90,46 @@ impl Scored {
     pub fn effect(&self) -> Effect {
         self.fitted.candidate.parts[0].effect
     }
+
+    /// Whether it may not be named however well it fits: it is no more than a linear change or a map
+    /// of the drive, or it is friction that drives the rig.
+    fn unnamed(&self) -> bool {
+        self.needless || self.passivity < 0.0
+    }
 }
 
-/// Spread of a remaining share that noise alone gives, for so many rows.
-fn spread(chi2_none: f64, rows: f64) -> f64 {
-    (2.0 / rows.max(1.0)).sqrt() / (chi2_none - 1.0).max(1e-6)
+/// Spread of chi2 that noise alone gives, for so many rows.
+fn spread(rows: f64) -> f64 {
+    (2.0 / rows.max(1.0)).sqrt()
+}
+
+/// Probability that what leaves so much is right, or that nothing of the catalogue is.
+fn held(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
+    let c = &CALIBRATION;
+    let gap = (chi2_none - 1.0).max(1e-6);
+    let left = (remaining * gap - 1.5 * spread(rows)).max(0.0);
+    let units = left / (c.leaves[0] + c.leaves[1] * gap);
+    1.0 / (1.0 + units.max(0.02).powf(c.slope))
 }
 
 /// Ranks candidates of one response, the most believable first.
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
-    let floor = c.floor + c.core / (chi2_none - 1.0).max(0.1) + 1.5 * spread(chi2_none, rows);
-    let charge = |scored: &Scored| match scored.effect().tier() {
-        Tier::Scalar => c.charge[0],
-        Tier::Linear => c.charge[1],
-        Tier::Law => {
-            let shapes = scored.fitted.candidate.parts[0].shapes();
-            c.charge[2] + c.shape * shapes.saturating_sub(1) as f64
-        }
-        Tier::Free => c.charge[3],
+    let gap = (chi2_none - 1.0).max(0.1);
+    let floor = c.floor + (c.core + 1.5 * spread(rows)) / gap;
+    let charge = |scored: &Scored| {
+        let of_tier = match scored.effect().tier() {
+            Tier::Scalar => c.charge[0],
+            Tier::Linear => c.charge[1],
+            Tier::Law => {
+                let shapes = scored.fitted.candidate.parts[0].shapes();
+                c.charge[2] + c.shape * shapes.saturating_sub(1) as f64
+            }
+            Tier::Free => c.charge[3],
+        };
+        let needless = if scored.needless { c.needless } else { 0.0 };
+        let unusual = if scored.unusual { c.unusual } else { 0.0 };
+        of_tier + needless + unusual + c.passive * (1.0 - scored.passivity)
     };
     let mut ranked: Vec<Ranked> = scored
         .into_iter()
@@ -92,21 +140,44 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64) -> Vec<Ranked
         })
         .collect();
     ranked.sort_by(|a, b| a.charged.total_cmp(&b.charged));
-    let Some(best) = ranked.first().map(|r| r.charged) else { return ranked };
-    let least = ranked.iter().map(|r| r.scored.remaining).fold(f64::INFINITY, f64::min);
-    let held = 1.0 / (1.0 + (c.held[1] * ((least + floor) / c.held[0]).ln()).exp());
-    let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - best)).exp()).sum();
+    let Some(least) = ranked.first().map(|r| r.charged) else { return ranked };
+    // What a straightened free shape closes and the winner does not, is linear and not the winner's.
+    let plainer = ranked.iter().any(|r| {
+        r.scored.needless && r.scored.remaining + floor < PLAINER * (ranked[0].scored.remaining + floor)
+    });
+    let best = &ranked[0].scored;
+    let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows) };
+    let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
-        r.probability = held * (-c.sharpness * (r.charged - best)).exp() / total;
+        r.probability = held * (-c.sharpness * (r.charged - least)).exp() / total;
     }
     ranked
 }
 
+impl Ruling {
+    /// Its probability as blind cases have borne it out.
+    fn stated(self, p: f64) -> f64 {
+        let [a, b] = match self {
+            Self::Identified | Self::Partial => STATED.named,
+            Self::FamilyOnly => STATED.family,
+            Self::NotDistinguishable => STATED.set,
+            Self::NoneOfCatalogue => STATED.none,
+        };
+        let p = p.clamp(1e-3, 1.0 - 1e-3);
+        1.0 / (1.0 + (-(a + b * (p / (1.0 - p)).ln())).exp())
+    }
+}
+
 /// The ruling, its probability, and the effects that these runs cannot tell apart.
 pub(super) fn rule(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f64, Vec<Effect>) {
+    let (ruling, p, set) = ruling(ranked, chi2_none, rows, seed);
+    (ruling, ruling.stated(p), set)
+}
+
+fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f64, Vec<Effect>) {
     let Some(best) = ranked.first() else { return (Ruling::NoneOfCatalogue, 1.0, Vec::new()) };
-    let margin = 1.5 * spread(chi2_none, rows);
-    let left = best.scored.remaining - margin;
+    let margin = 1.5 * spread(rows);
+    let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
     for other in &ranked[1..] {
         let effect = other.scored.effect();
@@ -120,14 +191,15 @@ pub(super) fn rule(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (
         }
     }
     let held: f64 = ranked.iter().map(|r| r.probability).sum();
-    if left > ABSTAIN {
+    if left > ABSTAIN || held < SURE || best.scored.unnamed() {
         return (Ruling::NoneOfCatalogue, 1.0 - held, set);
     }
     let of_effect: f64 = ranked.iter().filter(|r| r.scored.effect() == set[0]).map(|r| r.probability).sum();
     let of_family: f64 =
         ranked.iter().filter(|r| r.scored.effect().family() == set[0].family()).map(|r| r.probability).sum();
-    if of_effect >= SURE * held {
-        (if left > PARTIAL { Ruling::Partial } else { Ruling::Identified }, of_effect, set)
+    if of_effect >= SURE * held && !set[0].nameless() {
+        let all = left <= PARTIAL && best.scored.chi2 - margin <= NOISE_LEFT;
+        (if all { Ruling::Identified } else { Ruling::Partial }, of_effect, set)
     } else if of_family >= 0.8 * held {
         (Ruling::FamilyOnly, of_family, set)
     } else {

@@ -53,6 +53,17 @@ pub(super) fn line(residuals: &[&[f64]], rate_hz: f64) -> Option<Line> {
         .then(|| Line { frequency_hz: peak as f64 * rate_hz / n as f64, share })
 }
 
+/// Whether a line stands out of the differences of repeats too: what the drive causes is the same in
+/// both, a narrow resonance included. True without repeats, `[first, second]` each.
+pub(super) fn undriven(found: Line, repeats: &[[&[f64]; 2]], rate_hz: f64) -> bool {
+    repeats.is_empty()
+        || repeats.iter().any(|[a, b]| {
+            let difference: Vec<f64> = a.iter().zip(*b).map(|(a, b)| a - b).collect();
+            line(&[&difference], rate_hz)
+                .is_some_and(|line| (line.frequency_hz - found.frequency_hz).abs() < 1.0)
+        })
+}
+
 /// Power of the noise over that before, if it is raised.
 pub(super) fn raised(now: &Ar, before: &Ar) -> Option<f64> {
     let ratio = now.mean_power([0.0, 0.5]) / before.mean_power([0.0, 0.5]);
@@ -100,6 +111,10 @@ mod tests {
             .collect();
         assert!((line(&[&hum], 512.0).unwrap().frequency_hz - 50.0).abs() < 0.15);
         assert!(line(&[&clean], 512.0).is_none());
+        let found = line(&[&hum], 512.0).unwrap();
+        let driven: Vec<f64> = hum.iter().zip(noise(5000, 7)).map(|(h, e)| h + 0.1 * e).collect();
+        assert!(undriven(found, &[[&hum, &clean]], 512.0));
+        assert!(!undriven(found, &[[&hum, &driven]], 512.0));
         // A resonance is no line.
         let modes = super::super::modes::Modes::of_values(&[
             realfft::num_complex::Complex64::from_polar(0.995, 0.2),

@@ -179,6 +179,11 @@ impl Effect {
         }
     }
 
+    /// Whether the effect is its family's free shape, which says no more than the family.
+    pub(super) fn nameless(self) -> bool {
+        matches!(self, Self::FreeStiffness | Self::FreeHysteresis | Self::FreeDamping | Self::FreeDriveMap)
+    }
+
     /// Whether the effect is one of the drive's: its axis is that of the drive.
     pub fn on_drive(self) -> bool {
         matches!(

@@ -8,6 +8,8 @@ use super::start::{Regression, Start};
 
 /// Starts that are followed to their end.
 const FOLLOWED: usize = 2;
+/// Jacobians of a fit that only makes a start.
+const PLAIN_ROUNDS: usize = 10;
 
 /// A fitted candidate.
 #[derive(Debug, Clone)]
@@ -35,8 +37,15 @@ pub(super) fn fit(
     known: &[f64],
     effort: Effort,
 ) -> Option<Fitted> {
+    let mut starts = regression.starts(candidate, known);
+    starts.truncate(FOLLOWED);
+    if let Some(stiff) = starts.first().and_then(|s| without_retune(problem, regression, candidate, known, s))
+    {
+        starts.insert(1, stiff);
+        starts.truncate(FOLLOWED);
+    }
     let mut best: Option<Fitted> = None;
-    for start in regression.starts(candidate, known).iter().take(FOLLOWED) {
+    for start in &starts {
         let Some(found) = improve(problem, candidate, start, effort) else { continue };
         if best.as_ref().is_none_or(|b| found.chi2_fit < b.chi2_fit) {
             best = Some(found);
@@ -65,10 +74,39 @@ pub(super) fn improve(
         (p, dot(&left, &left))
     } else {
         let limits = Limits { rounds: effort.rounds, still: 1e-3, enough: 0.9 * rows };
-        let found = minimise(residual, &p, &start.scale, limits)?;
+        let derivatives = |p: &[f64]| candidate.jacobian(problem, p, &start.scale);
+        let found = minimise(residual, derivatives, &p, &start.scale, limits)?;
         (found.p, found.cost)
     };
     Some(Fitted { candidate: candidate.clone(), p, scale: start.scale.clone(), chi2_fit: cost / rows })
+}
+
+/// The candidate fitted with the linear part as it is: what noise in a measured response does to the
+/// regression of a retune, it cannot do here. `like` gives the retune's scales.
+fn without_retune(
+    problem: &Problem,
+    regression: &Regression<'_>,
+    candidate: &Candidate,
+    known: &[f64],
+    like: &Start,
+) -> Option<Start> {
+    let retuned = candidate.retuned(problem);
+    let plain = Candidate { retune: false, ..candidate.clone() };
+    if retuned == 0 || plain.parameters(problem) == known.len() {
+        return None;
+    }
+    let residual = |p: &[f64]| plain.residual_rows(problem, &problem.fit, p);
+    let start = regression.starts(&plain, known).into_iter().next()?;
+    let p = steady(&start, &residual)?;
+    let derivatives = |p: &[f64]| plain.jacobian(problem, p, &start.scale);
+    let limits = Limits { rounds: PLAIN_ROUNDS, still: 1e-2, enough: 0.0 };
+    let found = minimise(residual, derivatives, &p, &start.scale, limits)?;
+    let (mut p, mut scale) = (found.p, start.scale);
+    p.resize(like.p.len(), 0.0);
+    scale.extend(&like.scale[scale.len()..]);
+    // Shrinking would take away what the fit has found.
+    let linear = vec![false; p.len()];
+    Some(Start { p, scale, cost: found.cost, linear })
 }
 
 /// The start with its linear parameters shrunk until its free run is finite and best.

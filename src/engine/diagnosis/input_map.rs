@@ -75,13 +75,16 @@ impl InputMap {
             Self::Gain => drive.iter().map(|u| p[0] * u).collect(),
             Self::Delay => (0..drive.len()).map(|k| delayed(drive, k as f64 - p[0]) - drive[k]).collect(),
             Self::ExtraPole => {
-                let share = 1.0 - (-p[0].exp()).exp();
+                // Exact for a drive that is straight between samples; a quick pole changes nothing.
+                let corner = p[0].exp();
+                let kept = (-corner).exp();
+                let mean = -(-corner).exp_m1() / corner;
                 let mut w = drive[0];
                 let mut before = drive[0];
                 drive
                     .iter()
                     .map(|&u| {
-                        w += share * (0.5 * (u + before) - w);
+                        w = kept * w + (1.0 - mean) * u + (mean - kept) * before;
                         before = u;
                         w - u
                     })
@@ -169,5 +172,7 @@ mod tests {
         let step: Vec<f64> = (0..200).map(|k| f64::from(u8::from(k > 10))).collect();
         let change = InputMap::ExtraPole.change(&[0.1_f64.ln()], &step);
         assert!(change[20] < -0.3 && change[199].abs() < 1e-6);
+        let quick = InputMap::ExtraPole.change(&[50.0_f64.ln()], &step);
+        assert!(quick.iter().all(|d| d.abs() < 0.03));
     }
 }

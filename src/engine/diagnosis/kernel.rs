@@ -50,12 +50,24 @@ pub(super) fn run(
     scales: Scales,
     clock: Clock,
 ) -> Option<Vec<f64>> {
+    trace(modes, forces, ext, scales, clock).map(|run| run.0)
+}
+
+/// The same with the next samples, about the working point, that the forces saw.
+pub(super) fn trace(
+    modes: &Modes,
+    forces: &[Force<'_>],
+    ext: &[f64],
+    scales: Scales,
+    clock: Clock,
+) -> Option<(Vec<f64>, Vec<f64>)> {
     let n = modes.order();
     let mut x = vec![0.0; n];
     let mut memories: Vec<Memory> = vec![Memory::default(); forces.len()];
     let reach: Vec<f64> = forces.iter().map(|f| modes.read(f.path)).collect();
     let mut values = vec![0.0; forces.len()];
     let mut out = Vec::with_capacity(ext.len());
+    let mut guesses = Vec::with_capacity(ext.len());
     let (per_y, per_dy) = (1.0 / scales.y, 1.0 / scales.dy);
     let limit = RUNAWAY * scales.y;
     let mut before = ext.first()? - scales.y_mean;
@@ -82,6 +94,9 @@ pub(super) fn run(
         };
         let mut next = y + (y - before);
         for pass in 0..2 {
+            if pass == 1 {
+                guesses.push(next);
+            }
             let mut predicted = free;
             for (q, force) in forces.iter().enumerate() {
                 let mut memory = memories[q];
@@ -101,7 +116,7 @@ pub(super) fn run(
         }
         before = y;
     }
-    Some(out)
+    Some((out, guesses))
 }
 
 /// Values of a law along a given response, midway between samples: what a regression uses.

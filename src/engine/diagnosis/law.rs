@@ -29,6 +29,23 @@ pub(super) type Memory = [f64; 6];
 /// RMS: from pre-sliding to the whole stroke.
 const STOPS: [f64; 6] = [0.03, 0.1, 0.3, 0.7, 1.3, 2.2];
 
+// Beyond these a law is a straight line over the whole stroke and names nothing that a linear change
+// does not.
+/// Largest bend of a cubic spring: it is a line where the response is above its inverse.
+const BEND: f64 = 1.0;
+/// Narrowest gap of a bump stop: less is a stiffer spring.
+const NARROWEST: f64 = 0.1;
+/// Widest clearance: noise hardly leaves more.
+const WIDEST: f64 = 2.5;
+/// Largest logarithm of the velocity below which dry friction does not slide.
+const SLIDES: f64 = -0.5;
+/// Largest logarithm of a yield displacement.
+const YIELDS: f64 = 0.7;
+/// Largest excess of breakaway over sliding friction: dry pairs have at most about three.
+const BREAKAWAY: f64 = 3.0;
+/// Furthest start of a drift from that of the first run, in programmes.
+const EARLIEST: f64 = 1.0;
+
 /// A law `phi`; its shape numbers are handed in with every call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Law {
@@ -94,6 +111,15 @@ impl Law {
         order + usize::from(matches!(self, Self::Carried(_)))
     }
 
+    /// Number of hidden states.
+    pub fn memories(&self) -> usize {
+        match self {
+            Self::BoucWen => 1,
+            Self::FreeHysteresis => STOPS.len(),
+            _ => 0,
+        }
+    }
+
     /// Whether the law needs the response: then the free run is a loop.
     pub fn closed(&self) -> bool {
         !matches!(self, Self::Other | Self::OtherSquare | Self::Carried(_))
@@ -109,19 +135,29 @@ impl Law {
     pub fn at(&self, shape: &[f64], i: Instant, memory: &mut Memory) -> f64 {
         match self {
             Self::Linear => i.y,
-            Self::Cubic => i.y * i.y * i.y / (1.0 + shape[0] * shape[0] * i.y * i.y),
+            Self::Cubic => {
+                let bend = shape[0].clamp(-BEND, BEND);
+                i.y * i.y * i.y / (1.0 + bend * bend * i.y * i.y)
+            }
             Self::Quadratic => i.y * i.y,
-            Self::BumpStop => i.y - i.y.clamp(-shape[0].abs(), shape[0].abs()),
-            Self::OneSided(side) => side * (side * i.y - shape[0]).max(0.0),
-            Self::Clearance => i.y.clamp(-shape[0].abs(), shape[0].abs()),
+            Self::BumpStop => {
+                let gap = shape[0].abs().max(NARROWEST);
+                i.y - i.y.clamp(-gap, gap)
+            }
+            Self::OneSided(side) => side * (side * i.y - shape[0].max(0.0)).max(0.0),
+            Self::Clearance => {
+                let gap = shape[0].abs().min(WIDEST);
+                i.y.clamp(-gap, gap)
+            }
             Self::FreeStiffness(spline) => spline.at(shape, i.y),
-            Self::Coulomb => (i.v / shape[0].exp()).tanh(),
+            Self::Coulomb => (i.v / shape[0].min(SLIDES).exp()).tanh(),
             Self::Stribeck => {
                 let x = i.v / shape[2].exp();
-                (i.v / shape[0].exp()).tanh() * (1.0 + shape[1] * (-x * x).exp())
+                let peak = shape[1].clamp(0.0, BREAKAWAY);
+                (i.v / shape[0].min(SLIDES).exp()).tanh() * (1.0 + peak * (-x * x).exp())
             }
             Self::BoucWen => {
-                let (limit, sharpness) = (shape[0].exp(), shape[1].clamp(-1.0, 2.5).exp());
+                let (limit, sharpness) = (shape[0].min(YIELDS).exp(), shape[1].clamp(-1.0, 2.5).exp());
                 let z = memory[0];
                 let slope = |z: f64| {
                     if i.dy * z > 0.0 { 1.0 - (z.abs() / limit).min(1.0).powf(sharpness) } else { 1.0 }
@@ -142,7 +178,7 @@ impl Law {
             }
             Self::QuadraticDamping => i.v * i.v.abs(),
             Self::FreeDamping(spline) => spline.at(shape, i.v),
-            Self::StiffnessDrift => (i.t + shape[0]) * i.y,
+            Self::StiffnessDrift => (i.t + shape[0].clamp(-EARLIEST, EARLIEST)) * i.y,
             Self::Valve => {
                 let pressure = 1.0 - shape[0] * i.y.copysign(i.y * i.aux);
                 i.aux * (pressure.max(0.0).sqrt() - 1.0)

@@ -35,6 +35,7 @@ mod levmar;
 mod linear;
 mod locate;
 mod modes;
+mod naming;
 mod next;
 mod noise;
 mod output_map;
@@ -49,6 +50,7 @@ mod second;
 mod spline;
 mod split;
 mod start;
+mod tangent;
 #[cfg(test)]
 pub(crate) mod tests;
 mod verdict;

@@ -55,6 +55,12 @@ impl Pole {
             Self::Pair(p) => p.norm(),
         }
     }
+
+    /// Samples until it has fallen to `share`.
+    pub(super) fn ring_down(self, share: f64) -> usize {
+        let r = self.radius();
+        if r < 1e-6 { 1 } else { (share.ln() / r.ln()).ceil().max(1.0) as usize }
+    }
 }
 
 /// Poles of one linear system, each inside the unit circle.
@@ -102,15 +108,14 @@ impl Modes {
         self.poles.iter().map(|p| if matches!(p, Pole::Real(_)) { 1 } else { 2 }).sum()
     }
 
-    /// Largest radius of a pole, 0 without any.
-    pub fn radius(&self) -> f64 {
-        self.poles.iter().map(|p| p.radius()).fold(0.0, f64::max)
-    }
-
     /// Samples until the slowest mode has fallen to `share`.
     pub(super) fn ring_down(&self, share: f64) -> usize {
-        let r = self.radius();
-        if r < 1e-6 { 1 } else { (share.ln() / r.ln()).ceil().max(1.0) as usize }
+        self.poles.iter().map(|pole| pole.ring_down(share)).max().unwrap_or(1)
+    }
+
+    /// The poles that pass.
+    pub(super) fn only(&self, keep: impl Fn(&Pole) -> bool) -> Self {
+        Self { poles: self.poles.iter().copied().filter(keep).collect() }
     }
 
     /// `x <- A x`.
@@ -201,6 +206,27 @@ impl Modes {
             .collect()
     }
 
+    /// Transfer function for input vector `e` at `frequency`, cycles a sample.
+    pub(super) fn transfer(&self, e: &[f64], frequency: f64) -> Complex64 {
+        let z = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency);
+        let mut at = 0;
+        let mut sum = Complex64::default();
+        for pole in &self.poles {
+            match *pole {
+                Pole::Real(p) => {
+                    sum += e[at] / (z - p);
+                    at += 1;
+                }
+                Pole::Pair(p) => {
+                    let e = Complex64::new(e[at], e[at + 1]);
+                    sum += 0.5 * (e / (z - p) + e.conj() / (z - p.conj()));
+                    at += 2;
+                }
+            }
+        }
+        sum
+    }
+
     /// `A` as a full matrix, `[row][column]`.
     pub(super) fn matrix(&self) -> Vec<Vec<f64>> {
         let n = self.order();
@@ -287,11 +313,25 @@ mod tests {
     }
 
     #[test]
+    fn the_transfer_function_is_that_of_the_filter() {
+        let (modes, e, f) = (modes(), [0.3, -0.8, 1.4], 0.03);
+        let gain = modes.transfer(&e, f);
+        let w = std::f64::consts::TAU * f;
+        let input: Vec<f64> = (0..2000).map(|k| (w * f64::from(k)).cos()).collect();
+        let y = modes.filter(&e, &input);
+        for (k, y) in y.iter().enumerate().skip(1500) {
+            let expected = (gain * Complex64::from_polar(1.0, w * k as f64)).re;
+            assert!((y - expected).abs() < 1e-9, "sample {k}");
+        }
+    }
+
+    #[test]
     fn poles_outside_the_circle_are_reflected_and_feedback_moves_them() {
         let modes = Modes::of_values(&[Complex64::new(2.0, 0.0)]);
         assert_eq!(modes.poles(), [Pole::Real(0.5)]);
         assert_eq!(modes.fed_back(&[0.3]), [vec![0.8]]);
         assert_eq!(modes.ring_down(0.25), 2);
+        assert_eq!(modes.only(|p| p.ring_down(0.25) < 2).order(), 0);
     }
 
     #[test]

@@ -60,7 +60,14 @@ impl Overview {
             let errors = gaps(problem, &problem.fit);
             let scored: Vec<&[f64]> = errors.iter().zip(&problem.fit).map(|(e, s)| &e[s.lead..]).collect();
             let level = rms(&scored.concat());
-            if let Some(line) = disturbance::line(&scored, rate) {
+            let twins: Vec<[&[f64]; 2]> = (0..scored.len())
+                .filter_map(|i| {
+                    let j = (i + 1..scored.len()).find(|&j| problem.fit[j].group == problem.fit[i].group)?;
+                    Some([scored[i], scored[j]])
+                })
+                .collect();
+            let line = disturbance::line(&scored, rate);
+            if let Some(line) = line.filter(|line| disturbance::undriven(*line, &twins, rate)) {
                 this.line = this.line.or(Some((r, line)));
             }
             let raised = disturbance::raised(&prepared.noises[r].ar, &prepared.baseline_noise[r]);

@@ -5,12 +5,16 @@ use rand_chacha::ChaCha8Rng;
 
 use super::echo::Echo;
 use super::fitting::Fitted;
+use super::naming::{open_sandwich, passivity, straightened, unusual};
 use super::problem::{Problem, Stretch};
 
 /// Draws of the block bootstrap.
 const DRAWS: usize = 400;
 /// Length of a block: longer than the memory of most rigs, short enough that there are many.
 const BLOCK_S: f64 = 0.5;
+
+/// Remaining shares that differ by less are equal.
+pub(super) const EQUAL: f64 = 0.02;
 
 /// A fitted candidate with its score on the select stretches.
 #[derive(Debug, Clone)]
@@ -28,6 +32,12 @@ pub(super) struct Scored {
     pub remaining: f64,
     /// Squared rows per block of the select stretches.
     pub blocks: Vec<f64>,
+    /// A free shape that does as well straightened, or a sandwich with nothing before its middle.
+    pub needless: bool,
+    /// How far its force works as one at the response's own place does, -1 to 1.
+    pub passivity: f64,
+    /// A law that has two names where the linear part is free too, and that fits the other better.
+    pub unusual: bool,
 }
 
 /// Sums of squares in noise floors over blocks of time, and the rows that they stand for.
@@ -66,14 +76,23 @@ pub(super) fn score(
     let residuals: Vec<Vec<f64>> =
         problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
+    let left = remaining(chi2, chi2_none);
+    let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
+    let needless = straight.is_some_and(|straight| straight - left < EQUAL)
+        || open_sandwich(problem, &fitted.candidate, &fitted.p);
+    let passivity = passivity(problem, &fitted, &predictions);
+    let unusual = unusual(problem, &fitted, &predictions);
     Some(Scored {
         problem: index,
         fitted,
         echoes: Vec::new(),
         host_chi2: chi2,
         chi2,
-        remaining: remaining(chi2, chi2_none),
+        remaining: left,
         blocks,
+        needless,
+        passivity,
+        unusual,
     })
 }
 

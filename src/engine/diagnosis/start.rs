@@ -49,6 +49,8 @@ impl<'a> Regression<'a> {
                 this.retune.extend(this.basis_columns(|i| moved(&problem.fit[i])));
                 this.retune.push(problem.rows(&problem.fit, moved));
             }
+            // The working point, last: a linear change goes without.
+            this.retune.push(problem.rows(&problem.fit, |s| vec![problem.scales.y; s.measured.len()]));
         }
         this
     }
@@ -63,6 +65,11 @@ impl<'a> Regression<'a> {
             }
         }
         columns
+    }
+
+    /// Columns of the retune that a candidate has.
+    fn retune_of(&self, candidate: &Candidate) -> Vec<&[f64]> {
+        self.retune.iter().take(candidate.retuned(self.problem)).map(Vec::as_slice).collect()
     }
 
     fn path_columns(
@@ -167,12 +174,12 @@ impl<'a> Regression<'a> {
         }
         start.nonlinear(&guess.output, 0.1);
         if candidate.retune {
-            start.linear(self.retune.len());
+            start.linear(candidate.retuned(self.problem));
         }
         let target = self.target(candidate, &start.p)?;
         let mut all: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
         if candidate.retune {
-            all.extend(self.retune.iter().map(Vec::as_slice));
+            all.extend(self.retune_of(candidate));
         }
         Some(start.solve(&all, &target))
     }
@@ -199,7 +206,7 @@ impl<'a> Regression<'a> {
         let mut zero = known.to_vec();
         zero.resize(candidate.parameters(self.problem), 0.0);
         let target = self.target(candidate, &zero)?;
-        let retune: Vec<&[f64]> = self.retune.iter().map(Vec::as_slice).collect();
+        let retune = self.retune_of(candidate);
         let tried =
             first.into_iter().map(|shape| alternate(&blocks, &retune, candidate.retune, shape, &target));
         let best = tried.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
@@ -208,7 +215,7 @@ impl<'a> Regression<'a> {
         start.nonlinear(&best.shape, 0.3 * size);
         start.linear(order);
         if candidate.retune {
-            start.linear(self.retune.len());
+            start.linear(candidate.retuned(self.problem));
         }
         let path: Vec<Vec<f64>> = combine(&blocks, &best.shape);
         let mut all: Vec<&[f64]> = path.iter().map(Vec::as_slice).collect();
@@ -234,7 +241,7 @@ impl<'a> Regression<'a> {
         let mut zero = known.to_vec();
         zero.resize(candidate.parameters(problem), 0.0);
         let Some(target) = self.target(candidate, &zero) else { return Vec::new() };
-        let retune: Vec<&[f64]> = self.retune.iter().map(Vec::as_slice).collect();
+        let retune = self.retune_of(candidate);
         let mut starts = Vec::new();
         for (path, direct) in paths {
             let inner: Vec<Vec<f64>> =
@@ -265,7 +272,7 @@ impl<'a> Regression<'a> {
             start.nonlinear(&knots, 0.1 * size);
             start.linear(order);
             if candidate.retune {
-                start.linear(self.retune.len());
+                start.linear(candidate.retuned(self.problem));
             }
             let columns =
                 self.basis_columns(|i| inner[i].iter().map(|s| spline.at(&knots, s / level)).collect());

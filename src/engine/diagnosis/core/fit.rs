@@ -180,31 +180,30 @@ impl Centred {
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
-                let linear = refine(&all, relocate(&all, order, band));
+                let linear = fitted(&all, order, band);
                 (all.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map_or(Ar::white(1.0), |first| first.1);
 
-        let fitted = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
+        let early = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
         let held_out = self.part(1.0 - HELD_OUT, 1.0, band, &noise);
         let scores: Vec<(usize, f64)> = ORDERS
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
-                let model = refine(&fitted, relocate(&fitted, order, band));
+                let model = fitted(&early, order, band);
                 let of = |parts: &[Part<'_>]| parts.iter().map(|s| s.error(&model)).sum::<f64>();
                 let (left, share) =
-                    if linear { (of(&fitted) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
+                    if linear { (of(&early) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
                 let parameters = (drives * (order + 1) + order) as f64;
-                // A mode that rings for longer than it was watched is noise with a name.
-                let endless = fitted.iter().all(|s| model.modes.ring_down(0.05) > s.response.len());
+                let endless = lasting(&early, &model.modes).is_some();
                 (order, if endless { f64::INFINITY } else { left + share * CHARGE * parameters })
             })
             .collect();
         let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);
         let all = self.part(0.0, 1.0, band, &noise);
-        let linear = refine(&all, relocate(&all, order, band));
+        let linear = fitted(&all, order, band);
         let noise = self.noise(&linear);
         (linear, noise)
     }
@@ -291,6 +290,24 @@ impl Linear {
         }
         left
     }
+}
+
+/// A model of at most this order: relocated, freed of endless modes, refined.
+fn fitted(parts: &[Part<'_>], order: usize, band: [f64; 2]) -> Linear {
+    let mut linear = relocate(parts, order, band);
+    if let Some(modes) = lasting(parts, &linear.modes) {
+        let target = rows(parts, |part| vec![part.response.to_vec()]).remove(0);
+        linear = paths(parts, &modes, &target);
+    }
+    refine(parts, linear)
+}
+
+/// The modes without those that ring for longer than they were watched, which are noise with a name;
+/// `None` where there are none such.
+fn lasting(parts: &[Part<'_>], modes: &Modes) -> Option<Modes> {
+    let longest = parts.iter().map(|part| part.response.len()).max().unwrap_or(0);
+    let kept = modes.only(|pole| pole.ring_down(0.05) <= longest);
+    (kept.order() < modes.order()).then_some(kept)
 }
 
 /// Poles by Steiglitz and McBride's iteration, then the paths with those poles; of all rounds the

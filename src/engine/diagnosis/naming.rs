@@ -1,0 +1,164 @@
+//! Fits that should not be told by the name of their effect, however well they close the gap: a free
+//! shape that does as well as a straight line is a linear change, a sandwich whose first linear part
+//! passes the drive as it is, is a map of that drive, and friction that drives the rig is no friction.
+
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex64;
+
+use super::candidate::{Candidate, INNER_KNOTS, Part, inner_signal, inner_spline};
+use super::effect::Family;
+use super::fitting::Fitted;
+use super::input_map::InputMap;
+use super::kernel;
+use super::law::Law;
+use super::linear::{dot, mean};
+use super::problem::{Problem, Stretch};
+use super::rows::fast_len;
+use super::spline::Spline;
+
+/// Squared correlation with the drive above which the inner signal of a sandwich is the drive.
+const IS_DRIVE: f64 = 0.98;
+
+/// Free function of a part: its spline and where its knots stand in the parameters.
+fn free_function(part: &Part, order: usize) -> Option<(Spline, usize)> {
+    if part.sandwich {
+        return Some((inner_spline(), order + 1));
+    }
+    match (&part.input, part.forces.first()) {
+        (Some(InputMap::Free(spline)), _)
+        | (None, Some(Law::FreeStiffness(spline) | Law::FreeDamping(spline))) => Some((spline.clone(), 0)),
+        _ => None,
+    }
+}
+
+/// Mean square in noise floors, on the select stretches, with the free function straightened;
+/// `None` for effects without one, or where the straightened run runs away.
+pub(super) fn straightened(problem: &Problem, fitted: &Fitted) -> Option<f64> {
+    let part = fitted.candidate.parts.first()?;
+    let (spline, at) = free_function(part, problem.core.modes.order())?;
+    let places = spline.places();
+    // Weights of the knots: how often the argument comes near them.
+    let weights: Vec<f64> = match &part.input {
+        Some(_) => {
+            let peak = problem.drive_peak[part.drive];
+            let power: Vec<f64> = problem
+                .fit
+                .iter()
+                .flat_map(|s| s.drives[part.drive].iter().map(|u| (u / peak) * (u / peak)))
+                .collect();
+            let variance = mean(&power).max(1e-6);
+            places.iter().map(|x| (-0.5 * x * x / variance).exp()).collect()
+        }
+        None => places.iter().map(|x| (-0.5 * x * x).exp()).collect(),
+    };
+    let values = &fitted.p[at..at + spline.knots()];
+    let total: f64 = weights.iter().sum();
+    let centre = dot(&weights, values) / total;
+    let middle = dot(&weights, &places) / total;
+    let (mut product, mut square) = (0.0, 0.0);
+    for ((x, y), w) in places.iter().zip(values).zip(&weights) {
+        product += w * (x - middle) * (y - centre);
+        square += w * (x - middle) * (x - middle);
+    }
+    let slope = product / square;
+    let mut p = fitted.p.clone();
+    for (value, x) in p[at..].iter_mut().zip(&places) {
+        *value = centre + slope * (x - middle);
+    }
+    let predictions = fitted.candidate.predictions(problem, &problem.select, &p)?;
+    Some(problem.chi2(&problem.select, &predictions))
+}
+
+/// Whether the candidate is a sandwich whose inner signal is no other than its drive.
+pub(super) fn open_sandwich(problem: &Problem, candidate: &Candidate, p: &[f64]) -> bool {
+    let order = problem.core.modes.order();
+    let Some(part) = candidate.parts.first().filter(|part| part.sandwich) else { return false };
+    let (path, direct) = (&p[..order], p[order]);
+    debug_assert!(p.len() >= order + 1 + INNER_KNOTS);
+    let (mut uu, mut ss, mut us) = (0.0, 0.0, 0.0);
+    for stretch in &problem.select {
+        let inner = scored(stretch, inner_signal(problem, stretch, part.drive, path, direct));
+        let drive = scored(stretch, stretch.drives[part.drive].clone());
+        uu += dot(&drive, &drive);
+        ss += dot(&inner, &inner);
+        us += dot(&inner, &drive);
+    }
+    us * us > IS_DRIVE * uu * ss
+}
+
+/// How far the force of a law of the response works as a force at the response's own place does, from
+/// -1 to 1; 1 for other effects.
+///
+/// There the velocity that a force causes has a share in phase with it at every frequency (a passive
+/// rig returns no work), and dry friction and damping take work out. A law with a path that turns its
+/// phase stands for another effect: damping told as stiffness, or friction that drives.
+pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> f64 {
+    let part = &fitted.candidate.parts[0];
+    let family = part.effect.family();
+    let loses = matches!(family, Family::FrictionHysteresis | Family::Damping);
+    let [law] = part.forces.as_slice() else { return 1.0 };
+    if !(loses || family == Family::Stiffness) {
+        return 1.0;
+    }
+    let modes = &problem.core.modes;
+    let (shape, rest) = fitted.p.split_at(law.shapes());
+    let path = &rest[..modes.order()];
+    let (mut sum, mut size, mut taken) = (0.0, 0.0, 0.0);
+    for (stretch, prediction) in problem.select.iter().zip(predictions) {
+        let force = kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock);
+        let force = &force[stretch.lead..];
+        let moves = prediction[stretch.lead..].windows(2).map(|w| w[1] - w[0]);
+        taken += force.iter().zip(moves).map(|(f, dy)| f * dy).sum::<f64>();
+        let (n, lines) = power_lines(force);
+        for (line, power) in lines.iter().enumerate() {
+            let f = line as f64 / n as f64;
+            let z = Complex64::from_polar(1.0, std::f64::consts::TAU * f);
+            // From a force midway between two samples to the change between them.
+            let in_phase = ((z - 1.0) * modes.transfer(path, f)).re * power;
+            sum += in_phase;
+            size += in_phase.abs();
+        }
+    }
+    let share = if size > 0.0 { sum / size } else { 0.0 };
+    if loses { -share * taken.signum() } else { share.abs() }
+}
+
+/// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one
+/// law: what is a stop to a soft rig is a clearance to a stiff one. A stop is then what the response
+/// meets less than half of the time, a clearance what it stays in for less.
+pub(super) fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
+    let part = &fitted.candidate.parts[0];
+    if !fitted.candidate.retune || !matches!(part.forces.as_slice(), [Law::BumpStop | Law::Clearance]) {
+        return false;
+    }
+    let gap = fitted.p[0].abs() * problem.scales.y;
+    let (mut inside, mut all) = (0, 0);
+    for (stretch, prediction) in problem.select.iter().zip(predictions) {
+        let scored = &prediction[stretch.lead..];
+        inside += scored.iter().filter(|y| (*y - problem.scales.y_mean).abs() < gap).count();
+        all += scored.len();
+    }
+    (2 * inside > all) == (part.forces[0] == Law::Clearance)
+}
+
+/// Power of the lines of a signal below a quarter of the sample rate, and the length that they are of.
+fn power_lines(x: &[f64]) -> (usize, Vec<f64>) {
+    let n = fast_len(x.len());
+    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let mut input: Vec<f64> = x[..n]
+        .iter()
+        .enumerate()
+        .map(|(i, x)| x * (1.0 - (std::f64::consts::TAU * (i as f64 + 0.5) / n as f64).cos()))
+        .collect();
+    let mut lines = fft.make_output_vec();
+    fft.process(&mut input, &mut lines).expect("buffers are the plan's own");
+    (n, lines[..n / 4].iter().map(|z| z.norm_sqr()).collect())
+}
+
+/// The scored part of a signal about its mean.
+fn scored(stretch: &Stretch, mut signal: Vec<f64>) -> Vec<f64> {
+    let mut part = signal.split_off(stretch.lead);
+    let centre = mean(&part);
+    part.iter_mut().for_each(|x| *x -= centre);
+    part
+}
