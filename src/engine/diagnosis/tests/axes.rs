@@ -152,7 +152,10 @@ fn the_axis_with_the_effect_is_named_and_the_forces_follow_its_motion() {
 #[test]
 fn the_effect_is_simulated_at_every_response_that_feels_it() {
     let found = diagnose(&request(Some((0, hardening)), NO_CLIP, few()), &unwatched).unwrap();
-    assert_eq!(found.report.verdict.kind, VerdictKind::Identified, "{:?}", found.report.verdict);
+    // A hyperbolic sine is no law of the catalogue, which may say no more than its family.
+    let verdict = &found.report.verdict;
+    assert!(matches!(verdict.kind, VerdictKind::Identified | VerdictKind::FamilyOnly), "{verdict:?}");
+    assert_eq!((verdict.family, verdict.axis.as_deref()), (Some(Family::Stiffness), Some("x")));
     let drive = drives(10.0, 0.9, 9);
     let truth = respond(&drive, Some((0, hardening)), NO_CLIP);
     let linear = respond(&drive, None, NO_CLIP);
