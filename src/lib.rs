@@ -1,6 +1,6 @@
 //! Rigcast: FRF, LSTM and hybrid models of fatigue test rigs behind an HTTP contract.
 //!
-//! Dependencies point one way: `engine <- domain <- formats, storage <- compute, models <- jobs
+//! Dependencies point one way: `engine <- domain <- formats, storage, ui <- compute, models <- jobs
 //! <- http <- app`. `tests/layout.rs` reads the imports and holds it.
 
 pub mod app;
@@ -16,3 +16,4 @@ pub mod jobs;
 pub mod models;
 pub mod storage;
 pub mod telemetry;
+pub mod ui;

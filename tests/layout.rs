@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 const LAYERS: &[&[&str]] = &[
     &["engine", "telemetry"],
     &["domain"],
-    &["formats", "storage"],
+    &["formats", "storage", "ui"],
     &["compute"],
     &["models"],
     &["jobs"],
-    &["http", "ui"],
+    &["http"],
     &["config", "client", "app", "demo"],
 ];
 
@@ -26,6 +26,10 @@ const FOREIGN: &[(&str, &[&str])] = &[
     ("domain", &["sqlx", "axum", "tokio", "object_store", "tower", "hyper", "reqwest"]),
     ("formats", &["sqlx", "axum", "tokio", "object_store", "tower", "hyper", "reqwest"]),
     ("storage", &["axum", "tower", "hyper", "reqwest"]),
+    (
+        "ui",
+        &["sqlx", "axum", "tokio", "object_store", "jiff", "uuid", "futures", "tower", "hyper", "reqwest"],
+    ),
     ("models", &["sqlx", "axum", "object_store", "tower", "hyper", "reqwest"]),
     ("jobs", &["sqlx", "axum", "object_store", "tower", "hyper", "reqwest"]),
     ("http", &["sqlx", "object_store", "reqwest"]),

@@ -13,6 +13,7 @@ pub mod quality;
 pub mod rig;
 pub mod run;
 
+pub use crate::engine::Quantity;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
 pub use fit_check::FitChannels;
 pub use ids::{DiagnosisId, JobId, RigId, RunId, new_id};
@@ -22,7 +23,7 @@ pub use model_name::ModelName;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};
-pub use rig::{Channel, FitPolicy, Quantity, Rig, RigDraft, Role};
+pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
 pub use run::{InsertedRun, Run, RunKind, RunMeta, RunPatch, Split};
 
 /// Where the time comes from; `app` passes the one real clock in, tests pass their own.

@@ -10,6 +10,7 @@ use super::fits::FitRequest;
 use super::ids::RigId;
 use super::problem::FieldError;
 use super::run::RunKind;
+use crate::engine::Quantity;
 
 /// Most channels of a rig.
 pub const MAX_CHANNELS: usize = 128;
@@ -31,19 +32,6 @@ pub enum Role {
     Drive,
     /// Measured signal.
     Response,
-}
-
-/// Physical quantity of a channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "the words say it")]
-pub enum Quantity {
-    Displacement,
-    Velocity,
-    Acceleration,
-    Force,
-    #[default]
-    Other,
 }
 
 /// One channel of a rig.

@@ -10,6 +10,7 @@ pub mod lstm;
 pub mod metrics;
 pub mod model;
 pub mod progress;
+pub mod quantity;
 pub mod resample;
 pub mod signal;
 pub mod simd;
@@ -19,4 +20,5 @@ pub mod windowing;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
+pub use quantity::Quantity;
 pub use signal::{Signal, first_not_finite};

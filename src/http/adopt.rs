@@ -87,7 +87,7 @@ async fn diagnosed(http: &Shared, rig: &RigId, diagnosis: &StoredDiagnosis) -> A
 }
 
 /// Refuses verdicts that blame nothing that could be added.
-fn allowed(kind: VerdictKind) -> Answer<()> {
+pub(super) fn allowed(kind: VerdictKind) -> Answer<()> {
     match kind {
         VerdictKind::Identified
         | VerdictKind::Partial

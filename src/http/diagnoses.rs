@@ -1,7 +1,7 @@
 //! Diagnoses: checked while the client waits, done as jobs, shown as reports.
 
 use axum::extract::State;
-use axum::http::header::LOCATION;
+use axum::http::header::{CONTENT_TYPE, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use jiff::Timestamp;
@@ -12,14 +12,15 @@ use super::lists::page;
 use super::params::{NoParams, Params};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, negotiate};
+use super::{Shared, adopt, negotiate};
 use crate::compute::Class;
 use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::{DiagnosisId, DiagnosisRequest, JobId, RigId, StoredDiagnosis};
+use crate::domain::{DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, StoredDiagnosis};
 use crate::engine::diagnosis::Report;
+use crate::ui::diagnosis::{self as ui, Heading, Simulation};
 
-/// Representations of a report.
-const OFFERS: &[&str] = &[json::MEDIA_TYPE];
+/// Media type of the page for people.
+const HTML: &str = "text/html";
 
 /// A report with what the engine does not know of it.
 #[derive(Debug, Serialize)]
@@ -63,8 +64,14 @@ pub async fn show(
     headers: HeaderMap,
 ) -> Answer {
     let diagnosis = find(&http, &rig, id).await?;
-    negotiate::choose(&headers, OFFERS)?;
+    let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, HTML])?;
     let findings = http.store.findings(&diagnosis).await?;
+    if media_type == HTML {
+        let heading = heading(&http, &diagnosis, &findings.report).await?;
+        let draw = move || ui::page(&heading, &findings.report, &findings.views);
+        let html = http.off_thread(Class::Predict, draw).await?;
+        return Ok(([(CONTENT_TYPE, "text/html; charset=utf-8")], html).into_response());
+    }
     let bytes = http
         .off_thread(Class::Predict, move || {
             let StoredDiagnosis { summary, request, elapsed_s, .. } = &diagnosis;
@@ -81,6 +88,31 @@ pub async fn show(
         })
         .await?;
     Ok(json::respond(bytes.map_err(Problem::internal)?))
+}
+
+/// What stands over the page.
+async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) -> Answer<Heading> {
+    let DiagnosisSummary { id, rig, created_at, model, verdict, .. } = &diagnosis.summary;
+    let row = http.store.rig(rig).await?.ok_or_else(|| no_rig(rig.as_str()))?;
+    let model = match model {
+        None => Simulation::Outside,
+        Some(model) => {
+            let kept = http.store.model(rig, model.version).await?;
+            let kind = kept.map_or("deleted", |model| model.kind.as_str());
+            Simulation::Version { version: model.version.into(), kind: kind.into() }
+        }
+    };
+    let best = report.hypotheses.first().is_some_and(|best| best.stable_over_envelope);
+    let adoptable = best && model != Simulation::Outside && adopt::allowed(verdict.kind).is_ok();
+    Ok(Heading {
+        rig: rig.to_string(),
+        rig_name: row.name,
+        diagnosis: id.to_string(),
+        when: created_at.strftime("%Y-%m-%d %H:%M UTC").to_string(),
+        model,
+        elapsed_s: diagnosis.elapsed_s,
+        adopt: adoptable.then(|| format!("POST /v1/rigs/{rig}/diagnoses/{id}/adopt")),
+    })
 }
 
 /// The diagnosis of this id.

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde_json::json;
 
-use crate::support::{Contract, SAFETENSORS, TestApp, bench, gain_weights, noise_csv};
+use crate::support::{Contract, SAFETENSORS, TestApp, bench, gain_weights, noise, noise_csv};
 
 #[tokio::test]
 async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
@@ -50,6 +50,8 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.post_json("/v1/rigs/bench/predict", &request).await.expect(200);
     app.post_json("/v1/damage", &json!({"predicted": target, "target": target})).await.expect(200);
 
+    diagnose(&app).await;
+
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", "*");
     put.json(&json!({"version": null})).send().await.expect(200);
     app.delete(&model).await.expect(204);
@@ -63,4 +65,28 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
 
     let all: BTreeSet<String> = Contract::get().operations().into_iter().map(|(_, _, id)| id).collect();
     assert_eq!(app.succeeded(), all);
+}
+
+/// The bench gains a third while its model stays: a diagnosis, its report, and what comes of it.
+async fn diagnose(app: &TestApp) {
+    let mut runs = Vec::new();
+    for seed in [5, 6] {
+        let mut csv = String::from("u,y\n");
+        for (u, e) in noise(3000, 4).iter().zip(noise(3000, seed)) {
+            csv.push_str(&format!("{u},{}\n", 2.7 * u + 0.01 * e));
+        }
+        runs.push(app.run("kind=service", &csv).await["id"].clone());
+    }
+    let request = json!({
+        "mode": "external", "model": 1, "runs": runs, "repeats": [runs], "catalogue": ["gain", "sensor_gain", "cubic_stiffness"],
+    });
+    let diagnoses = "/v1/rigs/bench/diagnoses";
+    let job = app.post_json(diagnoses, &request).await.expect(202).json();
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    app.get(diagnoses).await.expect(200);
+    let report = job["result"]["href"].as_str().unwrap_or_else(|| panic!("a report: {job}"));
+    for accept in ["application/json", "text/html"] {
+        app.call("GET", report).header("accept", accept).send().await.expect(200);
+    }
+    app.post_json(&format!("{report}/adopt"), &json!({})).await.expect(201);
 }

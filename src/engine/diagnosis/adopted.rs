@@ -33,20 +33,25 @@ impl Augmented {
     }
 
     fn checked(&self, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
-        within("response", self.response, responses)?;
-        if self.plant.response != self.response {
-            return Err("two responses".into());
-        }
-        plant(&self.plant, drives, responses, sample_rate_hz)?;
         numbers("time", &[self.time])?;
-        candidate(&self.candidate, &self.plant)?;
-        // Only now: a file's knots could have made the sum of their numbers overflow.
-        count("parameters", self.p.len(), self.candidate.parameters(&self.plant))?;
-        numbers("parameters", &self.p)
+        let Some(host) = self.members.first() else { return Err("members: none".into()) };
+        within("members", self.members.len(), responses + 1)?;
+        let laws = host.candidate.parts.iter().map(|p| p.forces.len() + usize::from(p.sandwich)).sum();
+        for (i, member) in self.members.iter().enumerate() {
+            plant(&member.plant, drives, responses, sample_rate_hz)?;
+            // What the host does is carried to the others; nothing is carried to the host.
+            let carried = if i == 0 { 0 } else { laws };
+            candidate(&member.candidate, &member.plant, carried)?;
+            // Only now: a file's knots could have made the sum of their numbers overflow.
+            count("parameters", member.p.len(), member.candidate.parameters(&member.plant))?;
+            numbers("parameters", &member.p)?;
+        }
+        Ok(())
     }
 }
 
 fn plant(plant: &Plant, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
+    within("response", plant.response, responses)?;
     core(&plant.core, drives, sample_rate_hz)?;
     let scales = &plant.scales;
     numbers("scales", &[scales.y_mean])?;
@@ -83,14 +88,14 @@ fn core(core: &Core, drives: usize, sample_rate_hz: f64) -> Checked {
     numbers("core.response_mean", &[core.response_mean])
 }
 
-fn candidate(candidate: &Candidate, plant: &Plant) -> Checked {
+fn candidate(candidate: &Candidate, plant: &Plant, carried: usize) -> Checked {
     if candidate.parts.is_empty() || candidate.parts.len() > MAX_PARTS {
         return Err(format!("1 to {MAX_PARTS} parts"));
     }
-    candidate.parts.iter().try_for_each(|p| part(p, plant))
+    candidate.parts.iter().try_for_each(|p| part(p, plant, carried))
 }
 
-fn part(part: &Part, plant: &Plant) -> Checked {
+fn part(part: &Part, plant: &Plant, carried: usize) -> Checked {
     within("drive of a part", part.drive, plant.drive_peak.len())?;
     let scaled = [plant.drive_peak[part.drive]];
     if part.input.is_some() || part.sandwich {
@@ -114,6 +119,7 @@ fn part(part: &Part, plant: &Plant) -> Checked {
     part.forces.iter().try_for_each(|law| match law {
         Law::FreeStiffness(shape) | Law::FreeDamping(shape) => spline(shape),
         Law::OneSided(side) => numbers("side", &[*side]),
+        Law::Carried(law) => within("carried law", *law, carried),
         _ => Ok(()),
     })
 }

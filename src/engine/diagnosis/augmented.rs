@@ -1,5 +1,7 @@
 //! The sim with the effect in it: `sim(u) + [augmented(u) - core(u)]`.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use super::candidate::Candidate;
@@ -11,25 +13,33 @@ use crate::engine::{EngineError, Signal};
 /// Beyond this many times the core's own RMS an augmented free run is not bounded.
 const BOUND: f64 = 20.0;
 
-/// An effect on one response, ready to be simulated on any drive.
+/// An effect ready to be simulated on any drive: at its host, and at the other responses that feel
+/// what it does there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Augmented {
-    /// Index of the response.
-    pub response: usize,
-    pub(super) plant: Plant,
-    pub(super) candidate: Candidate,
-    pub(super) p: Vec<f64>,
+    /// The host first.
+    pub(super) members: Vec<Member>,
     /// Time of the programme at which laws that drift are evaluated: that of the last run.
     pub(super) time: f64,
 }
 
+/// One response with the effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Member {
+    pub plant: Plant,
+    pub candidate: Candidate,
+    pub p: Vec<f64>,
+}
+
 impl Augmented {
-    /// The sim's response with the effect, `[response, sample]`; other responses stay the sim's.
+    /// The sim's responses with the effect, `[response, sample]`; what does not feel it stays the
+    /// sim's.
     ///
     /// # Errors
     /// Another number of drives or responses, another length, a free run that runs away.
     pub fn apply(&self, drive: &Signal, simulated: &Signal) -> Result<Signal, EngineError> {
-        let (drives, responses) = (self.plant.drive_peak.len(), self.plant.other_scale.len());
+        let plant = &self.members[0].plant;
+        let (drives, responses) = (plant.drive_peak.len(), plant.other_scale.len());
         if drive.n_channels() != drives {
             let found = drive.n_channels();
             return Err(EngineError::ChannelCount { what: "drive", expected: drives, found });
@@ -47,25 +57,42 @@ impl Augmented {
                 found,
             });
         }
-        let predicted = self.run(drive.channels().to_vec(), simulated.channels().to_vec()).ok_or(
-            EngineError::NonFiniteResult { what: "augmented response", channel: self.response, sample: 0 },
-        )?;
+        let runaway =
+            EngineError::NonFiniteResult { what: "augmented response", channel: plant.response, sample: 0 };
+        let predicted = self.run(drive.channels().to_vec(), simulated.channels().to_vec()).ok_or(runaway)?;
         let mut channels = simulated.channels().to_vec();
-        channels[self.response] = predicted;
+        for (member, predicted) in self.members.iter().zip(predicted) {
+            channels[member.plant.response] = predicted;
+        }
         Signal::new(drive.sample_rate_hz(), channels)
     }
 
-    fn run(&self, drives: Vec<Vec<f64>>, simulated: Vec<Vec<f64>>) -> Option<Vec<f64>> {
-        let core = self.plant.core.simulate(&drives);
-        let clock = Clock { start: self.time, step: 0.0 };
-        let course = Course { drives: drives.into(), simulated: simulated.into(), core, clock };
-        self.candidate.predict(&self.plant, &course, &self.p)
+    /// Responses of the members, in their order; `None` if the effect's free run runs away.
+    fn run(&self, drives: Vec<Vec<f64>>, simulated: Vec<Vec<f64>>) -> Option<Vec<Vec<f64>>> {
+        let host = self.members.first()?;
+        let mut course = Course {
+            core: host.plant.core.simulate(&drives).into(),
+            drives: drives.into(),
+            simulated: simulated.into(),
+            clock: Clock { start: self.time, step: 0.0 },
+            carried: Arc::default(),
+        };
+        let mut out = vec![host.candidate.predict(&host.plant, &course, &host.p)?];
+        if self.members.len() > 1 {
+            course.carried = host.candidate.carry(&host.plant, &course, &host.p)?.into();
+        }
+        for member in &self.members[1..] {
+            course.core = member.plant.core.simulate(&course.drives).into();
+            out.push(member.candidate.predict(&member.plant, &course, &member.p)?);
+        }
+        Some(out)
     }
 
     /// Whether the free run stays bounded for `drives`, `[drive][sample]`, scaled so that each
     /// reaches its limit, and comes to rest after them.
     pub fn bounded(&self, drives: &[Vec<f64>], limit: &[f64]) -> bool {
-        let core: &Core = &self.plant.core;
+        let host = &self.members[0];
+        let core: &Core = &host.plant.core;
         let rest = core.modes.ring_down(1e-2).min(4 * drives[0].len());
         let scaled: Vec<Vec<f64>> = drives
             .iter()
@@ -79,11 +106,12 @@ impl Augmented {
             })
             .collect();
         let linear = core.simulate(&scaled);
-        let simulated = vec![linear.clone(); self.plant.other_scale.len()];
-        let Some(y) = self.run(scaled, simulated) else { return false };
+        let simulated = vec![linear.clone(); host.plant.other_scale.len()];
+        let Some(responses) = self.run(scaled, simulated) else { return false };
+        let y = &responses[0];
         let about =
             |y: &[f64]| super::linear::rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>());
-        let (all, reference) = (about(&y), about(&linear));
+        let (all, reference) = (about(y), about(&linear));
         let end = &y[y.len() - 100..];
         let swing = end.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y))
             - end.iter().fold(f64::INFINITY, |m, y| m.min(*y));

@@ -47,6 +47,35 @@ pub(super) struct Candidate {
 /// A law that needs the response, its shape, its path and the signal that it calls other.
 type Loop<'a> = (&'a Law, &'a [f64], &'a [f64], Vec<f64>);
 
+/// A candidate with its parameters handed out, on one stretch.
+#[derive(Default)]
+struct Unfolded<'a> {
+    /// The core's free run with all that does not depend on the response; without any, the core's.
+    ext: Option<Vec<f64>>,
+    closed: Vec<Loop<'a>>,
+    /// Values of the laws that do not need the response.
+    open: Vec<Vec<f64>>,
+    outputs: Vec<(OutputMap, &'a [f64])>,
+}
+
+impl Unfolded<'_> {
+    fn add(&mut self, stretch: &Course, y: &[f64]) {
+        let ext = self.ext.get_or_insert_with(|| stretch.core.to_vec());
+        ext.iter_mut().zip(y).for_each(|(e, y)| *e += y);
+    }
+
+    /// Free run of the augmented core.
+    fn free(&self, problem: &Plant, stretch: &Course) -> Option<Vec<f64>> {
+        let ext = self.ext.as_deref().unwrap_or(&stretch.core);
+        if self.closed.is_empty() {
+            return Some(ext.to_vec());
+        }
+        let forces: Vec<Force<'_>> =
+            self.closed.iter().map(|(law, shape, path, other)| Force { law, shape, path, other }).collect();
+        kernel::run(&problem.core.modes, &forces, ext, problem.scales, stretch.clock)
+    }
+}
+
 /// The free function between the two linear parts of a sandwich.
 pub(super) fn inner_spline() -> Spline {
     Spline::new(-INNER_RANGE, INNER_RANGE, INNER_KNOTS)
@@ -83,6 +112,14 @@ impl Part {
         Self::bare(Effect::LinearChange)
     }
 
+    /// The same effect as another response sees it: drives are mapped alike, forces arrive by a path
+    /// of its own. `None` where the effect is the first response's sensor's.
+    pub fn echo(&self, laws_before: usize) -> Option<Self> {
+        let carried = self.forces.len() + usize::from(self.sandwich);
+        let forces = (laws_before..laws_before + carried).map(Law::Carried).collect();
+        (self.output.is_none()).then(|| Self { forces, sandwich: false, other: None, ..self.clone() })
+    }
+
     /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
     pub fn shapes(&self) -> usize {
         let laws: usize = self.forces.iter().map(Law::shapes).sum();
@@ -93,7 +130,7 @@ impl Part {
     }
 
     pub(super) fn parameters(&self, order: usize) -> usize {
-        let forces: usize = self.forces.iter().map(|law| law.shapes() + order).sum();
+        let forces: usize = self.forces.iter().map(|law| law.shapes() + law.path(order)).sum();
         let sandwich = if self.sandwich { 2 * order + 1 + INNER_KNOTS } else { 0 };
         self.input.as_ref().map_or(0, InputMap::parameters)
             + forces
@@ -136,15 +173,40 @@ impl Candidate {
     /// sandwich's (first path, direct part, knot values, second path), those of the output map;
     /// then the retune's.
     pub fn predict(&self, problem: &Plant, stretch: &Course, p: &[f64]) -> Option<Vec<f64>> {
+        let run = self.unfold(problem, stretch, p);
+        let y = run.free(problem, stretch)?;
+        let simulated = &stretch.simulated[problem.response];
+        let mut out: Vec<f64> =
+            simulated.iter().zip(y.iter().zip(stretch.core.iter())).map(|(s, (y, c))| s + y - c).collect();
+        let (mean, scale) = (problem.scales.y_mean, problem.scales.y);
+        for (map, p) in run.outputs {
+            out.iter_mut().for_each(|y| *y = (*y - mean) / scale);
+            map.apply(p, &mut out, |k| stretch.clock.start + stretch.clock.step * k as f64);
+            out.iter_mut().for_each(|y| *y = *y * scale + mean);
+        }
+        out.iter().all(|y| y.is_finite()).then_some(out)
+    }
+
+    /// What the laws of the parts do along the free run, midway to the next sample, `[law][sample]`
+    /// in the order of the parts: what other responses are fed with. `None` if it runs away.
+    pub fn carry(&self, problem: &Plant, stretch: &Course, p: &[f64]) -> Option<Vec<Vec<f64>>> {
+        let run = self.unfold(problem, stretch, p);
+        let y = run.free(problem, stretch)?;
+        let along = |l: &Loop<'_>| kernel::along(l.0, l.1, &y, &l.3, problem.scales, stretch.clock);
+        let closed: Vec<Vec<f64>> = run.closed.iter().filter(|l| *l.0 != Law::Linear).map(along).collect();
+        let mut closed = closed.into_iter();
+        let mut open = run.open.into_iter();
+        let laws = self
+            .parts
+            .iter()
+            .flat_map(|part| part.forces.iter().map(Law::closed).chain(part.sandwich.then_some(false)));
+        laws.map(|is_closed| if is_closed { closed.next() } else { open.next() }).collect()
+    }
+
+    fn unfold<'a>(&'a self, problem: &Plant, stretch: &Course, p: &'a [f64]) -> Unfolded<'a> {
         let core = &problem.core;
         let (modes, order) = (&core.modes, core.modes.order());
-        let mut ext: Option<Vec<f64>> = None;
-        let mut add = |y: &[f64]| {
-            let ext = ext.get_or_insert_with(|| stretch.core.clone());
-            ext.iter_mut().zip(y).for_each(|(e, y)| *e += y);
-        };
-        let mut closed: Vec<Loop<'_>> = Vec::new();
-        let mut outputs: Vec<(OutputMap, &[f64])> = Vec::new();
+        let mut run = Unfolded::default();
         let mut rest = p;
         let mut take = |n: usize| {
             let (now, later) = rest.split_at(n);
@@ -157,17 +219,24 @@ impl Candidate {
                 let peak = problem.drive_peak[part.drive];
                 let drive: Vec<f64> = stretch.drives[part.drive].iter().map(|u| u / peak).collect();
                 let change: Vec<f64> = map.change(p, &drive).iter().map(|d| d * peak).collect();
-                add(&core.path(part.drive, &change));
+                run.add(stretch, &core.path(part.drive, &change));
             }
             for law in &part.forces {
-                let (shape, path) = (take(law.shapes()), take(order));
+                let (shape, path) = (take(law.shapes()), take(law.path(order)));
+                if let Law::Carried(k) = law {
+                    let carried = &stretch.carried[*k];
+                    run.add(stretch, &modes.filter(&path[..order], carried));
+                    run.add(stretch, &at_samples(carried).map(|x| path[order] * x).collect::<Vec<f64>>());
+                    continue;
+                }
                 let other = problem.other(stretch, part.other);
                 if law.closed() {
-                    closed.push((law, shape, path, other));
+                    run.closed.push((law, shape, path, other));
                 } else {
                     let values =
                         kernel::along(law, shape, &stretch.core, &other, problem.scales, stretch.clock);
-                    add(&modes.filter(path, &values));
+                    run.add(stretch, &modes.filter(path, &values));
+                    run.open.push(values);
                 }
             }
             if part.sandwich {
@@ -175,39 +244,24 @@ impl Candidate {
                 let inner = inner_signal(problem, stretch, part.drive, first, direct[0]);
                 let spline = inner_spline();
                 let values: Vec<f64> = inner.iter().map(|s| spline.at(knots, *s)).collect();
-                add(&modes.filter(second, &values));
+                run.add(stretch, &modes.filter(second, &values));
+                run.open.push(values);
             }
             if let Some(map) = part.output {
-                outputs.push((map, take(map.parameters())));
+                run.outputs.push((map, take(map.parameters())));
             }
         }
         if self.retune {
-            closed.push((&Law::Linear, &[], take(order), Vec::new()));
+            run.closed.push((&Law::Linear, &[], take(order), Vec::new()));
             for (d, drive) in stretch.drives.iter().enumerate() {
                 let (path, direct) = (take(order), take(1)[0]);
                 let moved: Vec<f64> = drive.iter().map(|u| u - core.drive_mean[d]).collect();
                 let mut y = modes.filter(path, &moved);
                 y.iter_mut().zip(&moved).for_each(|(y, u)| *y += direct * u);
-                add(&y);
+                run.add(stretch, &y);
             }
         }
-        let ext = ext.as_deref().unwrap_or(&stretch.core);
-        let simulated = &stretch.simulated[problem.response];
-        let mut out: Vec<f64> = if closed.is_empty() {
-            simulated.iter().zip(ext.iter().zip(&stretch.core)).map(|(s, (e, c))| s + e - c).collect()
-        } else {
-            let forces: Vec<Force<'_>> =
-                closed.iter().map(|(law, shape, path, other)| Force { law, shape, path, other }).collect();
-            let y = kernel::run(modes, &forces, ext, problem.scales, stretch.clock)?;
-            simulated.iter().zip(y.iter().zip(&stretch.core)).map(|(s, (y, c))| s + y - c).collect()
-        };
-        let (mean, scale) = (problem.scales.y_mean, problem.scales.y);
-        for (map, p) in outputs {
-            out.iter_mut().for_each(|y| *y = (*y - mean) / scale);
-            map.apply(p, &mut out, |k| stretch.clock.start + stretch.clock.step * k as f64);
-            out.iter_mut().for_each(|y| *y = *y * scale + mean);
-        }
-        out.iter().all(|y| y.is_finite()).then_some(out)
+        run
     }
 
     /// Predictions of several stretches, `[stretch][sample]`.
@@ -224,6 +278,11 @@ impl Candidate {
         }
         rows.iter().all(|r| r.is_finite()).then_some(rows)
     }
+}
+
+/// Values midway to the next sample as values at the samples.
+pub(super) fn at_samples(mid: &[f64]) -> impl Iterator<Item = f64> {
+    (0..mid.len()).map(|k| 0.5 * (mid[k.saturating_sub(1)] + mid[k]))
 }
 
 /// First linear part of a sandwich: the drive, in units of its peak, through its path.

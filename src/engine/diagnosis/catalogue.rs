@@ -2,9 +2,9 @@
 
 use super::candidate::{Candidate, Other, Part};
 use super::effect::Effect;
+use super::hosts::reach;
 use super::input_map::InputMap;
 use super::law::Law;
-use super::linear::rms;
 use super::output_map::OutputMap;
 use super::problem::Problem;
 use super::spline::Spline;
@@ -109,13 +109,8 @@ impl Candidate {
 }
 
 /// Drive that moves the response most, through the core, in the fit stretches.
-fn own_drive(problem: &Problem) -> Option<usize> {
-    let stretch = problem.fit.first()?;
-    let share = |d: usize| {
-        let mean = problem.core.drive_mean[d];
-        let moved: Vec<f64> = stretch.drives[d].iter().map(|u| u - mean).collect();
-        rms(&problem.core.path(d, &moved))
-    };
+pub(super) fn own_drive(problem: &Problem) -> Option<usize> {
+    let share = |d: usize| reach(problem, d);
     (0..problem.drive_peak.len()).max_by(|&a, &b| share(a).total_cmp(&share(b)))
 }
 

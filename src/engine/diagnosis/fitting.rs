@@ -35,21 +35,11 @@ pub(super) fn fit(
     known: &[f64],
     effort: Effort,
 ) -> Option<Fitted> {
-    let rows = problem.fit.iter().map(|s| s.rows.len()).sum::<usize>() as f64;
-    let residual = |p: &[f64]| candidate.residual_rows(problem, &problem.fit, p);
     let mut best: Option<Fitted> = None;
     for start in regression.starts(candidate, known).iter().take(FOLLOWED) {
-        let Some(p) = steady(start, &residual) else { continue };
-        let limits = Limits { rounds: effort.rounds, still: 1e-3, enough: 0.9 * rows };
-        let Some(found) = minimise(residual, &p, &start.scale, limits) else { continue };
-        let chi2_fit = found.cost / rows;
-        if best.as_ref().is_none_or(|b| chi2_fit < b.chi2_fit) {
-            best = Some(Fitted {
-                candidate: candidate.clone(),
-                p: found.p,
-                scale: start.scale.clone(),
-                chi2_fit,
-            });
+        let Some(found) = improve(problem, candidate, start, effort) else { continue };
+        if best.as_ref().is_none_or(|b| found.chi2_fit < b.chi2_fit) {
+            best = Some(found);
         }
         // Nothing left: another start cannot be better.
         if best.as_ref().is_some_and(|b| b.chi2_fit < 1.1) {
@@ -57,6 +47,28 @@ pub(super) fn fit(
         }
     }
     best
+}
+
+/// Improves one start; with no rounds the start itself is the answer. `None` if its free run does not
+/// stay finite.
+pub(super) fn improve(
+    problem: &Problem,
+    candidate: &Candidate,
+    start: &Start,
+    effort: Effort,
+) -> Option<Fitted> {
+    let rows = problem.fit.iter().map(|s| s.rows.len()).sum::<usize>() as f64;
+    let residual = |p: &[f64]| candidate.residual_rows(problem, &problem.fit, p);
+    let p = steady(start, &residual)?;
+    let (p, cost) = if effort.rounds == 0 {
+        let left = residual(&p)?;
+        (p, dot(&left, &left))
+    } else {
+        let limits = Limits { rounds: effort.rounds, still: 1e-3, enough: 0.9 * rows };
+        let found = minimise(residual, &p, &start.scale, limits)?;
+        (found.p, found.cost)
+    };
+    Some(Fitted { candidate: candidate.clone(), p, scale: start.scale.clone(), chi2_fit: cost / rows })
 }
 
 /// The start with its linear parameters shrunk until its free run is finite and best.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::effect::Effect;
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Quantity, Signal};
 
 /// A channel as the report names it.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +14,8 @@ pub struct Channel {
     pub axis: Option<String>,
     /// Its unit.
     pub unit: String,
+    /// What it measures: stiffness and friction act on displacements.
+    pub quantity: Quantity,
 }
 
 /// One measurement.

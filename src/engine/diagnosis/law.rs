@@ -68,6 +68,9 @@ pub(super) enum Law {
     OtherSquare,
     /// `y` times the other signal
     OtherTimesY,
+    /// A law of an effect at another response, as its free run has it; the index counts the effect's
+    /// laws
+    Carried(usize),
 }
 
 impl Law {
@@ -75,7 +78,7 @@ impl Law {
     pub fn shapes(&self) -> usize {
         match self {
             Self::Linear | Self::Quadratic | Self::QuadraticDamping => 0,
-            Self::Other | Self::OtherSquare | Self::OtherTimesY => 0,
+            Self::Other | Self::OtherSquare | Self::OtherTimesY | Self::Carried(_) => 0,
             Self::Cubic | Self::BumpStop | Self::OneSided(_) | Self::Clearance => 1,
             Self::Coulomb | Self::StiffnessDrift | Self::Valve => 1,
             Self::BoucWen => 2,
@@ -85,9 +88,15 @@ impl Law {
         }
     }
 
+    /// Numbers of the law's path into a core of `order` states. What is carried from elsewhere may
+    /// reach a response at once, as a spring's force does: one more, for that.
+    pub fn path(&self, order: usize) -> usize {
+        order + usize::from(matches!(self, Self::Carried(_)))
+    }
+
     /// Whether the law needs the response: then the free run is a loop.
     pub fn closed(&self) -> bool {
-        !matches!(self, Self::Other | Self::OtherSquare)
+        !matches!(self, Self::Other | Self::OtherSquare | Self::Carried(_))
     }
 
     /// Whether the law is a weighted sum of its shape numbers.
@@ -138,7 +147,7 @@ impl Law {
                 let pressure = 1.0 - shape[0] * i.y.copysign(i.y * i.aux);
                 i.aux * (pressure.max(0.0).sqrt() - 1.0)
             }
-            Self::Other => i.aux,
+            Self::Other | Self::Carried(_) => i.aux,
             Self::OtherSquare => i.aux * i.aux,
             Self::OtherTimesY => i.aux * i.y,
         }

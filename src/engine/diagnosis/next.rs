@@ -9,35 +9,72 @@ use std::sync::Arc;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
 
 use super::ar::Ar;
+use super::decide::Ranked;
+use super::effect::Tier;
 use super::fitting::Fitted;
+use super::input::Input;
 use super::kernel::Clock;
 use super::levmar::quotients;
 use super::linear::{dot, least_squares};
+use super::prepare::Prepared;
 use super::problem::{Course, Problem, Stretch};
-use super::report::NextDrive;
+use super::report::{NextDrive, NextExperiment};
 use super::rows::Rows;
 
 /// Length of a proposed run.
 const LENGTH_S: f64 = 12.0;
 /// Mean square in noise floors below which a run separates nothing.
-pub(super) const SEPARATED: f64 = 0.3;
+const SEPARATED: f64 = 0.3;
 
 /// A drive of the menu with its samples, `[drive][sample]`.
-pub(super) struct Proposal {
-    pub drive: NextDrive,
-    pub samples: Vec<Vec<f64>>,
+struct Proposal {
+    drive: NextDrive,
+    samples: Vec<Vec<f64>>,
+}
+
+/// The run that tells the leader from its strongest rival best, if there is a rival.
+pub(super) fn next_experiment(
+    input: &Input,
+    prepared: &Prepared,
+    ranked: &[Ranked],
+) -> Option<NextExperiment> {
+    let leader = ranked.first()?;
+    let problem = &prepared.problems[leader.scored.problem];
+    let effect = leader.scored.effect();
+    // What is more flexible than the leader can follow it anywhere: no run tells them apart.
+    let rival = ranked.iter().find(|r| {
+        r.scored.problem == leader.scored.problem
+            && r.scored.effect() != effect
+            && r.scored.effect().tier() <= effect.tier().max(Tier::Law)
+    })?;
+    let noise = &prepared.noises[problem.response].ar;
+    let limit = input.drive_limit.clone().unwrap_or_else(|| problem.drive_peak.clone());
+    let menu = menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed);
+    let separated: Vec<Option<f64>> = menu
+        .par_iter()
+        .map(|proposal| {
+            let (a, b) = (&leader.scored.fitted, &rival.scored.fitted);
+            separation(problem, a, b, proposal, noise, prepared.band)
+        })
+        .collect();
+    let (best, proposal) = separated
+        .into_iter()
+        .zip(menu)
+        .filter_map(|(s, p)| Some((s?, p)))
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(NextExperiment {
+        drive: proposal.drive,
+        separates: vec![effect, rival.scored.effect()],
+        expected_separation: best,
+        inseparable_in_envelope: best < SEPARATED,
+    })
 }
 
 /// The menu inside the limits of each drive (largest magnitude).
-pub(super) fn menu(
-    problem: &Problem,
-    limit: &[f64],
-    band: [f64; 2],
-    rate_hz: f64,
-    seed: u64,
-) -> Vec<Proposal> {
+fn menu(problem: &Problem, limit: &[f64], band: [f64; 2], rate_hz: f64, seed: u64) -> Vec<Proposal> {
     let n = (LENGTH_S * rate_hz) as usize;
     let t = |k: usize| k as f64 / rate_hz;
     let tau = std::f64::consts::TAU;
@@ -102,7 +139,7 @@ fn band_noise(n: usize, edge: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 
 /// Mean square difference in noise floors, on the proposed run, between the leader and a rival that
 /// has re-adapted to all runs; `None` where either runs away.
-pub(super) fn separation(
+fn separation(
     problem: &Problem,
     leader: &Fitted,
     rival: &Fitted,
@@ -152,14 +189,15 @@ fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -
         run: 0,
         from: 0,
         group: 0,
-        measured: vec![0.0; n],
+        measured: Arc::new(vec![0.0; n]),
         lead,
-        rows: Rows::new(n - lead, band, noise),
+        rows: Arc::new(Rows::new(n - lead, band, noise)),
         course: Course {
             drives: Arc::new(proposal.samples.clone()),
             simulated: Arc::new(simulated),
-            core,
+            core: Arc::new(core),
             clock: Clock { start: end, step: 0.0 },
+            carried: Arc::default(),
         },
     }
 }

@@ -52,12 +52,14 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         .into_par_iter()
         .map(|r| fit_core(input, &baseline, r, band))
         .collect::<Result<_, _>>()?;
-    let simulated = simulate_all(input, &fitted);
+    // One lead-in for all: an effect at one response is carried to the others sample by sample.
+    let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
+    let cut = Cut { input, pieces: &pieces, simulated: simulate_all(input, &fitted), band, memory };
     let mut problems = Vec::new();
     let mut noises = Vec::new();
     let mut from_repeats = true;
     for (r, fit) in fitted.iter().enumerate() {
-        let noise = repeats(input, &pieces, &simulated, &fit.core, r, band);
+        let noise = cut.repeats(&fit.core, r);
         from_repeats &= noise.is_some();
         // A rig that changed between its repeats leaves more in their difference than the regression
         // can take out: the noise before the change is then the better floor, where it is lower.
@@ -67,7 +69,7 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
             if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
         });
         let noise = noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 });
-        problems.push(problem(input, &pieces, &simulated, &fit.core, r, band, &noise)?);
+        problems.push(cut.problem(&fit.core, r, &noise)?);
         noises.push(noise);
     }
     let baseline_noise = fitted.into_iter().map(|f| f.noise).collect();
@@ -110,136 +112,155 @@ fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
         .collect()
 }
 
-fn repeats(
-    input: &Input,
-    pieces: &[Piece],
-    simulated: &[Arc<Vec<Vec<f64>>>],
-    core: &Core,
-    response: usize,
+/// A request cut into its stretches.
+struct Cut<'a> {
+    input: &'a Input,
+    pieces: &'a [Piece],
+    /// `[run][response][sample]`
+    simulated: Vec<Arc<Vec<Vec<f64>>>>,
     band: [f64; 2],
-) -> Option<Noise> {
-    let mut pairs = Vec::new();
-    for (i, a) in pieces.iter().enumerate() {
-        let Some(b) = pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
-        let range = a.from..a.to.min(b.to);
-        let (ya, yb) =
-            (input.runs[a.run].response.channel(response), input.runs[b.run].response.channel(response));
-        let lead = if a.from == 0 { core.settling(range.len()) } else { 0 };
-        pairs.push(Pair {
-            difference: ya[range.clone()].iter().zip(&yb[range.clone()]).map(|(a, b)| a - b).collect(),
-            drives: input.runs[a.run].drive.channels().iter().map(|d| &d[range.clone()]).collect(),
-            simulated: &simulated[a.run][response][range],
-            lead,
-        });
-    }
-    noise::from_repeats(&pairs, core, band)
+    /// Samples that the slowest core remembers.
+    memory: usize,
 }
 
-fn problem(
-    input: &Input,
-    pieces: &[Piece],
-    simulated: &[Arc<Vec<Vec<f64>>>],
-    core: &Core,
-    response: usize,
-    band: [f64; 2],
-    noise: &Noise,
-) -> Result<Problem, EngineError> {
-    let rate = input.sample_rate_hz();
-    let begin = input.runs.iter().map(|r| r.started_s).fold(f64::INFINITY, f64::min);
-    let end = input.runs.iter().map(|r| r.started_s + r.drive.duration_s()).fold(f64::NEG_INFINITY, f64::max);
-    let span = (end - begin).max(1e-9);
-    let mut sets: [Vec<Stretch>; 3] = Default::default();
-    for piece in pieces {
-        let run = &input.runs[piece.run];
+impl Cut<'_> {
+    /// Samples at the start of a run that its unknown state before may still colour.
+    fn lead(&self, samples: usize) -> usize {
+        self.memory.min(samples / 5)
+    }
+
+    fn repeats(&self, core: &Core, response: usize) -> Option<Noise> {
+        let mut pairs = Vec::new();
+        for (i, a) in self.pieces.iter().enumerate() {
+            let Some(b) = self.pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
+            let range = a.from..a.to.min(b.to);
+            let (run_a, run_b) = (&self.input.runs[a.run], &self.input.runs[b.run]);
+            let (ya, yb) = (run_a.response.channel(response), run_b.response.channel(response));
+            pairs.push(Pair {
+                difference: ya[range.clone()].iter().zip(&yb[range.clone()]).map(|(a, b)| a - b).collect(),
+                drives: run_a.drive.channels().iter().map(|d| &d[range.clone()]).collect(),
+                simulated: &self.simulated[a.run][response][range.clone()],
+                lead: if a.from == 0 { self.lead(range.len()) } else { 0 },
+            });
+        }
+        noise::from_repeats(&pairs, core, self.band)
+    }
+
+    /// A piece of a run as a stretch of one response.
+    fn stretch(
+        &self,
+        piece: &Piece,
+        core: &Core,
+        response: usize,
+        noise: &Noise,
+    ) -> Result<Stretch, EngineError> {
+        let (rate, runs) = (self.input.sample_rate_hz(), &self.input.runs);
+        let begin = runs.iter().map(|r| r.started_s).fold(f64::INFINITY, f64::min);
+        let end = runs.iter().map(|r| r.started_s + r.drive.duration_s()).fold(f64::NEG_INFINITY, f64::max);
+        let span = (end - begin).max(1e-9);
+        let run = &runs[piece.run];
         // A piece inside a run is simulated from before its start; at a run's start there is no before.
-        let start = piece.from.saturating_sub(core.settling(usize::MAX));
-        let lead = if piece.from > 0 { piece.from - start } else { core.settling(piece.to) };
+        let start = piece.from.saturating_sub(self.memory);
+        let lead = if piece.from > 0 { piece.from - start } else { self.lead(piece.to) };
         let scored = piece.to - start - lead;
         if scored < 64 {
             return Err(EngineError::TooShort { what: "run of the diagnosis", needed: 64, found: scored });
         }
-        let drives: Vec<Vec<f64>> =
-            run.drive.channels().iter().map(|d| d[start..piece.to].to_vec()).collect();
-        let stretch = Stretch {
+        let cut = |signal: &[Vec<f64>]| -> Vec<Vec<f64>> {
+            signal.iter().map(|x| x[start..piece.to].to_vec()).collect()
+        };
+        let drives = cut(run.drive.channels());
+        Ok(Stretch {
             run: piece.run,
             from: start,
             group: piece.group,
-            measured: run.response.channel(response)[start..piece.to].to_vec(),
+            measured: Arc::new(run.response.channel(response)[start..piece.to].to_vec()),
             lead,
-            rows: Rows::new(scored, band, &noise.ar),
+            rows: Arc::new(Rows::new(scored, self.band, &noise.ar)),
             course: Course {
-                simulated: Arc::new(
-                    simulated[piece.run].iter().map(|y| y[start..piece.to].to_vec()).collect(),
-                ),
-                core: core.simulate(&drives),
+                simulated: Arc::new(cut(&self.simulated[piece.run])),
+                core: Arc::new(core.simulate(&drives)),
                 clock: Clock {
                     start: (run.started_s - begin + start as f64 / rate) / span,
                     step: 1.0 / (rate * span),
                 },
+                carried: Arc::default(),
                 drives: Arc::new(drives),
             },
-        };
-        match piece.role {
-            Role::Fit => sets[0].push(stretch),
-            Role::Select => sets[1].push(stretch),
-            Role::Test => sets[2].push(stretch),
-        }
-    }
-    let [fit, select, test] = sets;
-    let n_drives = input.drives.len();
-    let drive = |d: usize| -> Vec<f64> { fit.iter().flat_map(|s| s.drives[d].iter().copied()).collect() };
-    let mut drive_peak = Vec::new();
-    let mut drive_quantiles = Vec::new();
-    let mut drive_slope = Vec::new();
-    for d in 0..n_drives {
-        let samples = drive(d);
-        let peak = samples.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
-        let mut sorted: Vec<f64> = samples.iter().map(|u| u.abs() / peak.max(1e-300)).collect();
-        sorted.sort_by(f64::total_cmp);
-        let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize].max(1e-6);
-        drive_quantiles.push([at(0.3), at(0.6), at(0.8), at(0.95)]);
-        let change: f64 = samples.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
-        drive_slope.push((change / (samples.len().max(2) - 1) as f64 / peak.max(1e-300)).max(1e-9));
-        drive_peak.push(peak);
-    }
-    if drive_peak.iter().all(|&p| p == 0.0) {
-        return Err(EngineError::DeadChannel { what: "drives of the fit runs", channel: 0 });
-    }
-    let y_mean = core.response_mean;
-    let measured: Vec<f64> = fit.iter().flat_map(|s| s.measured.iter().map(|y| y - y_mean)).collect();
-    let change: Vec<f64> = fit
-        .iter()
-        .flat_map(|s| {
-            let smooth = super::problem::smooth(&s.measured, band[1]);
-            smooth.windows(2).map(|w| w[1] - w[0]).collect::<Vec<f64>>()
         })
-        .collect();
-    let (y, dy) = (rms(&measured), rms(&change));
-    if !(y > 0.0 && dy > 0.0) {
-        return Err(EngineError::DeadChannel { what: "response of the fit runs", channel: response });
     }
-    let mut other_mean = Vec::new();
-    let mut other_scale = Vec::new();
-    for r in 0..input.responses.len() {
-        let samples: Vec<f64> = fit.iter().flat_map(|s| s.simulated[r].iter().copied()).collect();
-        let centre = mean(&samples);
-        other_mean.push(centre);
-        other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
+
+    fn problem(&self, core: &Core, response: usize, noise: &Noise) -> Result<Problem, EngineError> {
+        let stretches = |role: Role| -> Result<Vec<Stretch>, EngineError> {
+            let pieces = self.pieces.iter().filter(|p| p.role == role);
+            pieces.map(|piece| self.stretch(piece, core, response, noise)).collect()
+        };
+        let (fit, select, test) = (stretches(Role::Fit)?, stretches(Role::Select)?, stretches(Role::Test)?);
+        let drives = Drives::of(&fit);
+        if drives.peak.iter().all(|&p| p == 0.0) {
+            return Err(EngineError::DeadChannel { what: "drives of the fit runs", channel: 0 });
+        }
+        let y_mean = core.response_mean;
+        let measured: Vec<f64> = fit.iter().flat_map(|s| s.measured.iter().map(|y| y - y_mean)).collect();
+        let change: Vec<f64> = fit
+            .iter()
+            .flat_map(|s| {
+                let smooth = super::problem::smooth(&s.measured, self.band[1]);
+                smooth.windows(2).map(|w| w[1] - w[0]).collect::<Vec<f64>>()
+            })
+            .collect();
+        let (y, dy) = (rms(&measured), rms(&change));
+        if !(y > 0.0 && dy > 0.0) {
+            return Err(EngineError::DeadChannel { what: "response of the fit runs", channel: response });
+        }
+        let mut other_mean = Vec::new();
+        let mut other_scale = Vec::new();
+        for r in 0..self.input.responses.len() {
+            let samples: Vec<f64> = fit.iter().flat_map(|s| s.simulated[r].iter().copied()).collect();
+            let centre = mean(&samples);
+            other_mean.push(centre);
+            other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
+        }
+        Ok(Problem {
+            plant: Plant {
+                response,
+                core: core.clone(),
+                scales: Scales { y_mean, y, dy },
+                other_scale,
+                other_mean,
+                drive_peak: drives.peak,
+            },
+            drive_quantiles: drives.quantiles,
+            drive_slope: drives.slope,
+            band_end: self.band[1],
+            fit,
+            select,
+            test,
+        })
     }
-    Ok(Problem {
-        plant: Plant {
-            response,
-            core: core.clone(),
-            scales: Scales { y_mean, y, dy },
-            other_scale,
-            other_mean,
-            drive_peak,
-        },
-        drive_quantiles,
-        drive_slope,
-        band_end: band[1],
-        fit,
-        select,
-        test,
-    })
+}
+
+/// Levels of each drive over the fit stretches.
+struct Drives {
+    peak: Vec<f64>,
+    quantiles: Vec<[f64; 4]>,
+    slope: Vec<f64>,
+}
+
+impl Drives {
+    fn of(fit: &[Stretch]) -> Self {
+        let mut out = Self { peak: Vec::new(), quantiles: Vec::new(), slope: Vec::new() };
+        for d in 0..fit[0].drives.len() {
+            let samples: Vec<f64> = fit.iter().flat_map(|s| s.drives[d].iter().copied()).collect();
+            let peak = samples.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
+            let mut sorted: Vec<f64> = samples.iter().map(|u| u.abs() / peak.max(1e-300)).collect();
+            sorted.sort_by(f64::total_cmp);
+            let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize].max(1e-6);
+            out.quantiles.push([at(0.3), at(0.6), at(0.8), at(0.95)]);
+            let change: f64 = samples.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
+            out.slope.push((change / (samples.len().max(2) - 1) as f64 / peak.max(1e-300)).max(1e-9));
+            out.peak.push(peak);
+        }
+        out
+    }
 }

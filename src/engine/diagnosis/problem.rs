@@ -12,18 +12,24 @@ use super::linear::dot;
 use super::rows::Rows;
 
 /// What a free run needs of a stretch of time.
+#[derive(Clone)]
 pub(super) struct Course {
     /// `[drive][sample]`, as commanded.
     pub drives: Arc<Vec<Vec<f64>>>,
     /// What the sim says of each response, `[response][sample]`.
     pub simulated: Arc<Vec<Vec<f64>>>,
     /// Free run of the core.
-    pub core: Vec<f64>,
+    pub core: Arc<Vec<f64>>,
     /// Time of the run in units of the programme.
     pub clock: Clock,
+    /// What the laws of an effect at another response do, midway to the next sample,
+    /// `[law][sample]`; empty while no effect is carried here.
+    pub carried: Arc<Vec<Vec<f64>>>,
 }
 
-/// A stretch of a run that is simulated from its start and scored after its lead-in.
+/// A stretch of a run that is simulated from its start and scored after its lead-in. Clones share
+/// its signals.
+#[derive(Clone)]
 pub(super) struct Stretch {
     /// Which of the request's runs it is cut from.
     pub run: usize,
@@ -34,11 +40,11 @@ pub(super) struct Stretch {
     /// Drives and sim.
     pub course: Course,
     /// The response as measured.
-    pub measured: Vec<f64>,
+    pub measured: Arc<Vec<f64>>,
     /// Samples that are simulated and not scored.
     pub lead: usize,
     /// Its rows.
-    pub rows: Rows,
+    pub rows: Arc<Rows>,
 }
 
 impl Deref for Stretch {
@@ -66,7 +72,9 @@ pub(super) struct Plant {
     pub drive_peak: Vec<f64>,
 }
 
-/// One response with its core and its stretches.
+/// One response with its core and its stretches. Those of all responses of a request are the same
+/// stretches of time, in the same order.
+#[derive(Clone)]
 pub(super) struct Problem {
     pub plant: Plant,
     /// Quantiles of `|u|` of each drive at 30, 60, 80 and 95 %, in units of the peak.

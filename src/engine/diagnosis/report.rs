@@ -192,6 +192,20 @@ pub struct HeldOut {
     pub closure_ci90: [f64; 2],
     /// `1 - (after^2 - noise^2)+ / (before^2 - noise^2)`, RMS in band.
     pub closure_rms: f64,
+    /// Damage that the sim predicts over that measured, slope 5; none where nothing was damaged.
+    pub damage_ratio_before: Option<f64>,
+    /// The same with the effect.
+    pub damage_ratio_after: Option<f64>,
+}
+
+/// How far the gap of one response closes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChannelHeldOut {
+    /// Response.
+    pub channel: String,
+    /// On unseen runs.
+    #[serde(flatten)]
+    pub held_out: HeldOut,
 }
 
 /// One effect with what it explains.
@@ -203,7 +217,7 @@ pub struct Hypothesis {
     pub family: Family,
     /// Axis of the effect.
     pub axis: Option<String>,
-    /// Response.
+    /// Response on which it closes most.
     pub channel: String,
     /// That it is the one, 0..1.
     pub probability: f64,
@@ -211,8 +225,10 @@ pub struct Hypothesis {
     pub remaining_share: f64,
     /// Its numbers.
     pub parameters: Vec<Parameter>,
-    /// On unseen runs.
+    /// On unseen runs, at that response.
     pub held_out: HeldOut,
+    /// On unseen runs at every response at which it acts, the one whose motion it acts on first.
+    pub responses: Vec<ChannelHeldOut>,
     /// Whether its free run stays bounded over the allowed drives.
     pub stable_over_envelope: bool,
 }
@@ -224,7 +240,11 @@ pub struct SecondEffect {
     pub effect: Effect,
     /// Its family.
     pub family: Family,
-    /// Mean square in noise floors that both leave of the select runs.
+    /// Axis of the effect.
+    pub axis: Option<String>,
+    /// Response at which it was found: where the first effect leaves most.
+    pub channel: String,
+    /// Mean square in noise floors that both leave of the select runs, at that response.
     pub chi2: f64,
     /// Closure of both on the test runs.
     pub closure: f64,

@@ -3,6 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::echo::Echo;
 use super::fitting::Fitted;
 use super::problem::{Problem, Stretch};
 
@@ -17,7 +18,11 @@ pub(super) struct Scored {
     /// Index of the problem, and so of the response.
     pub problem: usize,
     pub fitted: Fitted,
-    /// Mean square in noise floors on the select stretches.
+    /// The same effect at the other responses.
+    pub echoes: Vec<Echo>,
+    /// Mean square in noise floors on the select stretches of the response itself.
+    pub host_chi2: f64,
+    /// The same over all responses with a gap.
     pub chi2: f64,
     /// Share of the gap that remains, `(chi2 - 1)+ / (chi2_none - 1)`.
     pub remaining: f64,
@@ -61,7 +66,15 @@ pub(super) fn score(
     let residuals: Vec<Vec<f64>> =
         problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
-    Some(Scored { problem: index, fitted, chi2, remaining: remaining(chi2, chi2_none), blocks })
+    Some(Scored {
+        problem: index,
+        fitted,
+        echoes: Vec::new(),
+        host_chi2: chi2,
+        chi2,
+        remaining: remaining(chi2, chi2_none),
+        blocks,
+    })
 }
 
 /// `(chi2 - 1)+ / (chi2_none - 1)`; 1 where there was no gap.

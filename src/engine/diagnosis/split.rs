@@ -10,6 +10,10 @@ const SAME_DRIVE: f64 = 1e-3;
 /// From this many different drives on, whole runs get roles; below, each run is cut in time.
 const ENOUGH_GROUPS: usize = 8;
 
+/// Most samples, of all pieces together, that are fitted to; half as many are chosen on and tested on.
+/// More would cost minutes and change no verdict.
+const FITTED: usize = 120_000;
+
 /// A stretch of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Piece {
@@ -60,6 +64,7 @@ pub(super) fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, roles[run]));
             }
         }
+        trim(&mut pieces);
         return Split { pieces, warnings };
     }
     if groups.len() >= ENOUGH_GROUPS {
@@ -83,7 +88,23 @@ pub(super) fn split(input: &Input) -> Split {
             }
         }
     }
+    trim(&mut pieces);
     Split { pieces, warnings }
+}
+
+/// Cuts the end off pieces of a role that has too many samples; what is kept starts where it did, so
+/// that repeats stay repeats.
+fn trim(pieces: &mut [Piece]) {
+    for (role, most) in [(Role::Fit, FITTED), (Role::Select, FITTED / 2), (Role::Test, FITTED / 2)] {
+        let mut of_role: Vec<&mut Piece> = pieces.iter_mut().filter(|p| p.role == role).collect();
+        let total: usize = of_role.iter().map(|p| p.to - p.from).sum();
+        if total > most {
+            for piece in &mut of_role {
+                piece.to =
+                    piece.from + ((piece.to - piece.from) as f64 * most as f64 / total as f64) as usize;
+            }
+        }
+    }
 }
 
 fn whole(input: &Input, run: usize, group: usize, role: Role) -> Piece {

@@ -4,7 +4,7 @@
 //! sum_n E_n basis_n(phi(y, v)) + ...`. Shapes come from a short list; free shapes by alternating
 //! between shape and path. The free run then starts near where it should end.
 
-use super::candidate::{Candidate, Part, inner_signal, inner_spline};
+use super::candidate::{Candidate, Part, at_samples, inner_signal, inner_spline};
 use super::kernel;
 use super::law::Law;
 use super::linear::{dot, least_squares, norm, rms};
@@ -72,6 +72,11 @@ impl<'a> Regression<'a> {
         other: Option<super::candidate::Other>,
     ) -> Vec<Vec<f64>> {
         let problem = self.problem;
+        if let Law::Carried(k) = law {
+            let mut columns = self.basis_columns(|i| problem.fit[i].carried[*k].clone());
+            columns.push(problem.rows(&problem.fit, |s| at_samples(&s.carried[*k]).collect()));
+            return columns;
+        }
         self.basis_columns(|i| {
             let stretch = &problem.fit[i];
             let other = problem.other(stretch, other);
@@ -93,6 +98,14 @@ impl<'a> Regression<'a> {
         };
         starts.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         starts
+    }
+
+    /// The start of an echo (see [`Part::echo`]): its input map as `map` has it, its paths by least
+    /// squares.
+    pub fn echo(&self, candidate: &Candidate, map: &[f64]) -> Option<Start> {
+        let part = candidate.parts.last()?;
+        let shapes = vec![Vec::new(); part.forces.len()];
+        self.regress(candidate, part, &[], &Guess { input: map.to_vec(), shapes, ..Guess::default() })
     }
 
     /// Nonlinear parameters to try: of the input map, of each force, of the output map.
@@ -149,7 +162,7 @@ impl<'a> Regression<'a> {
         start.nonlinear(&guess.input, map_scale(part));
         for (law, shape) in part.forces.iter().zip(&guess.shapes) {
             start.nonlinear(shape, 0.3);
-            start.linear(order);
+            start.linear(law.path(order));
             columns.extend(self.path_columns(law, shape, part.other));
         }
         start.nonlinear(&guess.output, 0.1);

@@ -117,8 +117,12 @@ async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>
         runs.push(runner.compute.run(Class::Fit, simulate).await??);
         step(control, "simulating runs", (baseline.len() + runs.len()) as f64 / steps)?;
     }
-    let channel =
-        |c: &Channel| diagnosis::Channel { name: c.name.clone(), axis: c.axis.clone(), unit: c.unit.clone() };
+    let channel = |c: &Channel| diagnosis::Channel {
+        name: c.name.clone(),
+        axis: c.axis.clone(),
+        unit: c.unit.clone(),
+        quantity: c.quantity,
+    };
     Ok(Input {
         drives: plan.drives.iter().map(channel).collect(),
         responses: plan.responses.iter().map(channel).collect(),

@@ -131,13 +131,13 @@ async fn what_cannot_be_adopted_is_refused_with_a_code_of_its_own() {
 
     // A spring that softens, tried far beyond the runs: it lets go.
     let mut soft = Vec::new();
-    let u = drive(16.0, 0.5, 51);
+    let u = drive(16.0, 0.2, 51);
     for seed in [61, 62] {
         soft.push(
             upload_csv(
                 &lab.app,
                 "kind=other",
-                &csv(&[("drive", &u), ("disp", &measure(&u, -0.3 * CUBIC, seed))]),
+                &csv(&[("drive", &u), ("disp", &measure(&u, -0.15 * CUBIC, seed))]),
             )
             .await,
         );

@@ -35,6 +35,13 @@ async fn a_stiffening_spring_is_named_with_where_and_how_far_it_closes() {
 
     let asked = |accept: &'static str| lab.app.call("GET", &href).header("accept", accept).send();
     asked("text/csv").await.problem(406, "accept.not_acceptable");
+    let page = asked("text/html").await.expect(200);
+    assert!(page.header("content-type").starts_with("text/html"));
+    assert!(
+        page.text().contains("Mass") && page.text().contains(&format!("{href}/adopt")),
+        "{}",
+        page.text()
+    );
     assert_eq!(
         asked("application/json").await.expect(200).json(),
         report,

@@ -14,6 +14,7 @@ use realfft::num_complex::Complex64;
 use super::super::ar::Ar;
 use super::super::linear::{dot, eigenvalues, least_squares, mean};
 use super::super::modes::Modes;
+use super::super::problem::smooth;
 use super::super::rows::Rows;
 use super::Core;
 use super::refine::refine;
@@ -30,6 +31,8 @@ const ROUNDS: usize = 8;
 const CHARGE: f64 = 4.0;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
+/// Samples in all on which the order and its poles are searched: more cost time and tell no more.
+const SEARCHED: usize = 60_000;
 /// Share of a stretch that its unknown past may colour.
 const SETTLING: f64 = 0.1;
 
@@ -62,8 +65,7 @@ pub(in super::super) fn fit(
     let drives = stretches[0].drives.len();
     let centred = Centred::new(stretches);
     let white = Ar::white(1.0);
-    let all = centred.part(0.0, 1.0, band, &white);
-    let rows: usize = all.iter().map(|s| s.rows.len()).sum();
+    let rows: usize = centred.part(0.0, 1.0, band, &white).iter().map(|s| s.rows.len()).sum();
     let affordable = rows / (4 * (drives + 1));
     if affordable < 2 {
         let samples: usize = stretches.iter().map(|s| s.response.len()).sum();
@@ -74,39 +76,19 @@ pub(in super::super) fn fit(
             found: samples,
         });
     }
-    // The first noise is taken from a model that is rather too rich than too poor: what a poor one
-    // leaves at a resonance would pass for noise there and hide that it is poor.
-    let noise = FIRST_ORDERS
-        .par_iter()
-        .filter(|&&order| order <= affordable)
-        .map(|&order| {
-            let linear = refine(&all, relocate(&all, order, band));
-            (all.iter().map(|s| s.error(&linear)).sum::<f64>(), centred.noise(&linear))
-        })
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map_or(white, |first| first.1);
-
-    let fitted = centred.part(0.0, 1.0 - HELD_OUT, band, &noise);
-    let held_out = centred.part(1.0 - HELD_OUT, 1.0, band, &noise);
-    let scores: Vec<(usize, f64)> = ORDERS
-        .par_iter()
-        .filter(|&&order| order <= affordable)
-        .map(|&order| {
-            let model = refine(&fitted, relocate(&fitted, order, band));
-            let of = |parts: &[Part<'_>]| parts.iter().map(|s| s.error(&model)).sum::<f64>();
-            let (left, share) =
-                if linear { (of(&fitted) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
-            let parameters = (drives * (order + 1) + order) as f64;
-            // A mode that rings for longer than it was watched is noise with a name.
-            let endless = fitted.iter().all(|s| model.modes.ring_down(0.05) > s.response.len());
-            (order, if endless { f64::INFINITY } else { left + share * CHARGE * parameters })
-        })
-        .collect();
-    let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);
-    let all = centred.part(0.0, 1.0, band, &noise);
-    let linear = refine(&all, relocate(&all, order, band));
-    let noise = centred.noise(&linear);
-    let Linear { modes, input, direct } = linear;
+    let (fitted, noise) = match thin(stretches, band) {
+        None => centred.choose(band, affordable, linear),
+        Some((thinned, step)) => {
+            let few = thinned.iter().map(|t| Stretch {
+                drives: t.drives.iter().map(Vec::as_slice).collect(),
+                response: &t.response,
+            });
+            let slow = band.map(|f| f * step as f64);
+            let (found, _) = Centred::new(&few.collect::<Vec<_>>()).choose(slow, affordable, linear);
+            centred.fit_at(&found.modes.faster(step), band)
+        }
+    };
+    let Linear { modes, input, direct } = fitted;
     let core = Core {
         sample_rate_hz,
         modes,
@@ -116,6 +98,37 @@ pub(in super::super) fn fit(
         response_mean: centred.response_mean,
     };
     Ok(CoreFit { core, noise })
+}
+
+/// A stretch at a lower rate.
+struct Thinned {
+    drives: Vec<Vec<f64>>,
+    response: Vec<f64>,
+}
+
+/// Stretches with fewer samples, on which an order and its poles can be searched quickly, and how many
+/// samples one of theirs stands for; `None` where there are few as it is. What lies above the band is
+/// taken out first; its edge stays well below half the lower rate.
+fn thin(stretches: &[Stretch<'_>], band: [f64; 2]) -> Option<(Vec<Thinned>, usize)> {
+    let total: usize = stretches.iter().map(|s| s.response.len()).sum();
+    if total <= SEARCHED {
+        return None;
+    }
+    let step = total.div_ceil(SEARCHED).min((0.2 / band[1]) as usize).max(1);
+    // What is too much even then is left out at each stretch's end.
+    let share = (SEARCHED * step) as f64 / total as f64;
+    let thinned = stretches
+        .iter()
+        .map(|s| {
+            let kept = ((s.response.len() as f64 * share) as usize).min(s.response.len());
+            let slower = |x: &[f64]| -> Vec<f64> {
+                let below = if step > 1 { smooth(&x[..kept], band[1]) } else { x[..kept].to_vec() };
+                below.into_iter().step_by(step).collect()
+            };
+            Thinned { drives: s.drives.iter().map(|d| slower(d)).collect(), response: slower(s.response) }
+        })
+        .collect();
+    Some((thinned, step))
 }
 
 /// Poles and the path of each drive, about the working point.
@@ -155,6 +168,58 @@ impl Centred {
             drive_mean,
             response_mean,
         }
+    }
+
+    /// The best model of the best order up to `affordable`, and the noise that it leaves.
+    fn choose(&self, band: [f64; 2], affordable: usize, linear: bool) -> (Linear, Ar) {
+        let drives = self.drives[0].len();
+        let all = self.part(0.0, 1.0, band, &Ar::white(1.0));
+        // The first noise is taken from a model that is rather too rich than too poor: what a poor one
+        // leaves at a resonance would pass for noise there and hide that it is poor.
+        let noise = FIRST_ORDERS
+            .par_iter()
+            .filter(|&&order| order <= affordable)
+            .map(|&order| {
+                let linear = refine(&all, relocate(&all, order, band));
+                (all.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or(Ar::white(1.0), |first| first.1);
+
+        let fitted = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
+        let held_out = self.part(1.0 - HELD_OUT, 1.0, band, &noise);
+        let scores: Vec<(usize, f64)> = ORDERS
+            .par_iter()
+            .filter(|&&order| order <= affordable)
+            .map(|&order| {
+                let model = refine(&fitted, relocate(&fitted, order, band));
+                let of = |parts: &[Part<'_>]| parts.iter().map(|s| s.error(&model)).sum::<f64>();
+                let (left, share) =
+                    if linear { (of(&fitted) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
+                let parameters = (drives * (order + 1) + order) as f64;
+                // A mode that rings for longer than it was watched is noise with a name.
+                let endless = fitted.iter().all(|s| model.modes.ring_down(0.05) > s.response.len());
+                (order, if endless { f64::INFINITY } else { left + share * CHARGE * parameters })
+            })
+            .collect();
+        let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);
+        let all = self.part(0.0, 1.0, band, &noise);
+        let linear = refine(&all, relocate(&all, order, band));
+        let noise = self.noise(&linear);
+        (linear, noise)
+    }
+
+    /// The best model that has about these poles, and the noise that it leaves.
+    fn fit_at(&self, modes: &Modes, band: [f64; 2]) -> (Linear, Ar) {
+        let with = |parts: &[Part<'_>]| {
+            let target = rows(parts, |part| vec![part.response.to_vec()]).remove(0);
+            paths(parts, modes, &target)
+        };
+        let noise = self.noise(&with(&self.part(0.0, 1.0, band, &Ar::white(1.0))));
+        let all = self.part(0.0, 1.0, band, &noise);
+        let linear = refine(&all, with(&all));
+        let noise = self.noise(&linear);
+        (linear, noise)
     }
 
     /// A share of each stretch, with a lead-in before it that is simulated and not scored.

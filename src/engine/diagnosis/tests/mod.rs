@@ -1,6 +1,8 @@
 //! Whole diagnoses of small rigs, integrated by another method than the diagnosis uses.
 
+mod axes;
 mod bad_input;
 mod leaks;
-pub(in crate::engine) mod rig;
+pub(crate) mod rig;
 mod verdicts;
+mod views;

@@ -4,8 +4,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::engine::Signal;
 use crate::engine::diagnosis::{Channel, Effect, Input, Mode, Run};
+use crate::engine::{Quantity, Signal};
 
 pub const RATE: f64 = 256.0;
 const STEPS: usize = 10;
@@ -91,7 +91,7 @@ pub fn run(name: &str, drive: Vec<f64>, force: Force, noise: f64, seed: u64) -> 
 }
 
 fn channel(name: &str) -> Channel {
-    Channel { name: name.into(), axis: Some("x".into()), unit: "mm".into() }
+    Channel { name: name.into(), axis: Some("x".into()), unit: "mm".into(), quantity: Quantity::Displacement }
 }
 
 /// A catalogue that is quick to try.

@@ -1,0 +1,96 @@
+//! Candidates of every response with a gap, fitted, scored and ranked together.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::candidate::Candidate;
+use super::catalogue::{FreeRanges, parts};
+use super::decide::{Ranked, rank};
+use super::echo::Silence;
+use super::fitting::{Effort, fit};
+use super::hosts::Hosts;
+use super::input::{Input, Mode};
+use super::overview::Overview;
+use super::prepare::Prepared;
+use super::score::{Scored, score};
+use super::start::Regression;
+use crate::engine::EngineError;
+use crate::engine::progress::{Watch, report};
+
+/// Candidates of one host whose echoes at other responses are fitted.
+const ECHOED: usize = 8;
+
+/// The contest's outcome.
+pub(super) struct Outcome {
+    /// The most believable first.
+    pub ranked: Vec<Ranked>,
+    /// What is left without any effect, over all responses with a gap.
+    pub chi2_none: f64,
+    /// Rows that this is the mean square of.
+    pub rows: f64,
+}
+
+/// Fits every candidate at its host, carries the best to the other responses and ranks all.
+///
+/// # Errors
+/// [`EngineError::Cancelled`].
+pub(super) fn contest(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    watch: Watch<'_>,
+) -> Result<Outcome, EngineError> {
+    let in_situ = input.mode == Mode::InSitu;
+    let rate = input.sample_rate_hz();
+    let hosts = Hosts::of(input, prepared, overview);
+    let regressions: Vec<[Regression<'_>; 2]> = overview
+        .seen
+        .par_iter()
+        .map(|&r| [false, true].map(|retune| Regression::new(&prepared.problems[r], retune || in_situ)))
+        .collect();
+    let mut tasks = Vec::new();
+    for (&r, regressions) in overview.seen.iter().zip(&regressions) {
+        let problem = &prepared.problems[r];
+        let ranges = FreeRanges::of(problem, &regressions[0].smooth);
+        for part in parts(problem, &input.catalogue, in_situ, ranges) {
+            if hosts.seek(part.effect, part.drive, r) {
+                let candidate = Candidate::of(part, in_situ);
+                tasks.push((r, &regressions[usize::from(candidate.retune)], candidate));
+            }
+        }
+    }
+    let done = AtomicUsize::new(0);
+    let scored: Vec<Option<Scored>> = tasks
+        .par_iter()
+        .map(|(r, regression, candidate)| {
+            let share = done.load(Ordering::Relaxed) as f64 / tasks.len() as f64;
+            report(watch, &candidate.parts[0].effect.name(), 0.1 + 0.5 * share)?;
+            let problem = &prepared.problems[*r];
+            let fitted = fit(problem, regression, candidate, &[], Effort { rounds: 15 });
+            done.fetch_add(1, Ordering::Relaxed);
+            Ok(fitted.and_then(|f| score(*r, problem, f, overview.chi2_select[*r], rate)))
+        })
+        .collect::<Result<_, EngineError>>()?;
+    report(watch, "other responses", 0.6)?;
+    let silence = Silence::of(prepared, overview, rate);
+    let mut by_host: Vec<Vec<Scored>> = vec![Vec::new(); prepared.problems.len()];
+    for scored in scored.into_iter().flatten() {
+        by_host[scored.problem].push(scored);
+    }
+    let mut to_join = Vec::new();
+    for mut of_host in by_host {
+        of_host.sort_by(|a, b| a.remaining.total_cmp(&b.remaining));
+        to_join.extend(of_host.into_iter().enumerate().map(|(place, scored)| (scored, place < ECHOED)));
+    }
+    let joined: Vec<Scored> = to_join
+        .into_par_iter()
+        .map(|(scored, echoes)| silence.join(prepared, scored, rate, echoes))
+        .collect();
+    report(watch, "other responses", 0.8)?;
+    Ok(Outcome {
+        ranked: rank(joined, silence.chi2, silence.rows),
+        chi2_none: silence.chi2,
+        rows: silence.rows,
+    })
+}

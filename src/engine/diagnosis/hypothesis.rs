@@ -1,0 +1,84 @@
+//! One hypothesis of the report, and the sim with its effect in it.
+
+use super::augmented::{Augmented, Member};
+use super::candidate::Part;
+use super::decide::Ranked;
+use super::held_out::{Place, held_out_at};
+use super::input::Input;
+use super::linear::rms;
+use super::overview::Overview;
+use super::parameters;
+use super::prepare::Prepared;
+use super::problem::Stretch;
+use super::report::Hypothesis;
+use super::score::remaining;
+
+/// Of an effect's places the one on which it closes most, in noise floors.
+pub(super) fn closes_most(mut places: Vec<Place>, overview: &Overview) -> Place {
+    let at = closing(&places, overview);
+    places.swap_remove(at)
+}
+
+fn closing(places: &[Place], overview: &Overview) -> usize {
+    let closed = |place: &Place| {
+        let none = overview.chi2_select[place.problem.response];
+        (1.0 - remaining(place.chi2, none)).max(0.0) * none.ln().max(0.0)
+    };
+    // Of equals the first, which is the host.
+    let best = (0..places.len()).rev().max_by(|&a, &b| closed(&places[a]).total_cmp(&closed(&places[b])));
+    best.unwrap_or(0)
+}
+
+/// Axis of an effect: that of its drive, or that of the response whose signal it takes.
+pub(super) fn axis(input: &Input, response: usize, part: &Part) -> Option<String> {
+    if part.effect.on_drive() {
+        input.drives[part.drive].axis.clone()
+    } else {
+        input.responses[response].axis.clone()
+    }
+}
+
+/// A ranked candidate as the report has it; `None` where its free run of a test stretch runs away.
+pub(super) fn hypothesis(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    ranked: &Ranked,
+) -> Option<(Hypothesis, Augmented)> {
+    let effect = ranked.scored.effect();
+    let places = ranked.scored.places(prepared);
+    let responses = held_out_at(input, prepared, &places)?;
+    let at = closing(&places, overview);
+    let (host, fitted) = (&places[0].problem, &places[0].fitted);
+    let units: Vec<String> = input.drives.iter().map(|d| d.unit.clone()).collect();
+    let limit = input.drive_limit.clone().unwrap_or_else(|| host.drive_peak.clone());
+    let loudest = host.fit.iter().max_by(|a, b| {
+        let level = |s: &Stretch| s.drives.iter().map(|d| rms(d)).sum::<f64>();
+        level(a).total_cmp(&level(b))
+    });
+    let member = |place: &Place| Member {
+        plant: place.problem.plant.clone(),
+        candidate: place.fitted.candidate.clone(),
+        p: place.fitted.p.clone(),
+    };
+    let augmented = Augmented {
+        members: places.iter().map(member).collect(),
+        time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
+    };
+    let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
+    Some((
+        Hypothesis {
+            effect,
+            family: effect.family(),
+            axis: axis(input, host.response, &fitted.candidate.parts[0]),
+            channel: responses[at].channel.clone(),
+            probability: ranked.probability,
+            remaining_share: ranked.scored.remaining,
+            parameters: parameters::named(host, fitted, (&input.responses[host.response].unit, &units)),
+            held_out: responses[at].held_out.clone(),
+            responses,
+            stable_over_envelope,
+        },
+        augmented,
+    ))
+}

@@ -1,0 +1,179 @@
+//! Three axes with a stiff coupling, each with a displacement and a force: which axis has the effect?
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::rig::{RATE, few, noise_drive};
+use crate::engine::diagnosis::{Channel, Effect, Family, Input, Mode, Run, VerdictKind, diagnose};
+use crate::engine::progress::unwatched;
+use crate::engine::{Quantity, Signal};
+
+const STEPS: usize = 10;
+const STIFFNESS: [f64; 3] = [900.0, 1600.0, 2500.0];
+/// Stiffness between neighbouring axes.
+const COUPLING: f64 = 150.0;
+const NO_CLIP: [f64; 3] = [f64::INFINITY; 3];
+
+/// A force on one axis from its displacement and velocity.
+type Force = fn(f64, f64) -> f64;
+
+fn hardening(x: f64, _: f64) -> f64 {
+    800.0 * ((0.4 * x).sinh() - 0.4 * x)
+}
+
+fn friction(_: f64, v: f64) -> f64 {
+    90.0 * v / (v * v + 1.0).sqrt()
+}
+
+/// `[response][sample]`: displacements, then the forces that the springs and the effect take up.
+fn respond(drives: &[Vec<f64>], effect: Option<(usize, Force)>, clip: [f64; 3]) -> Vec<Vec<f64>> {
+    let force = |axis: usize, x: f64, v: f64| match effect {
+        Some((at, force)) if at == axis => force(x, v),
+        _ => 0.0,
+    };
+    let held = |x: &[f64; 3], v: &[f64; 3]| -> [f64; 3] {
+        std::array::from_fn(|a| STIFFNESS[a] * x[a] + 4.0 * v[a] + force(a, x[a], v[a]))
+    };
+    let slope = |x: [f64; 3], v: [f64; 3], u: [f64; 3]| -> [f64; 3] {
+        let held = held(&x, &v);
+        std::array::from_fn(|a| {
+            let (next, last) = ((a + 1) % 3, (a + 2) % 3);
+            STIFFNESS[a] * u[a] - held[a] + COUPLING * (x[next] + x[last] - 2.0 * x[a])
+        })
+    };
+    let h = 1.0 / (RATE * STEPS as f64);
+    let along = |p: [f64; 3], d: [f64; 3], h: f64| -> [f64; 3] { std::array::from_fn(|i| p[i] + h * d[i]) };
+    let (mut x, mut v) = ([0.0; 3], [0.0; 3]);
+    let mut out = vec![Vec::new(); 6];
+    for k in 0..drives[0].len() {
+        let u: [f64; 3] = std::array::from_fn(|a| drives[a][k].clamp(-clip[a], clip[a]));
+        let f = held(&x, &v);
+        for a in 0..3 {
+            out[a].push(x[a]);
+            out[3 + a].push(1e-3 * f[a]);
+        }
+        for _ in 0..STEPS {
+            let a1 = slope(x, v, u);
+            let (x2, v2) = (along(x, v, 0.5 * h), along(v, a1, 0.5 * h));
+            let a2 = slope(x2, v2, u);
+            let (x3, v3) = (along(x, v2, 0.5 * h), along(v, a2, 0.5 * h));
+            let a3 = slope(x3, v3, u);
+            let (x4, v4) = (along(x, v3, h), along(v, a3, h));
+            let a4 = slope(x4, v4, u);
+            x = std::array::from_fn(|i| x[i] + h / 6.0 * (v[i] + 2.0 * v2[i] + 2.0 * v3[i] + v4[i]));
+            v = std::array::from_fn(|i| v[i] + h / 6.0 * (a1[i] + 2.0 * a2[i] + 2.0 * a3[i] + a4[i]));
+        }
+    }
+    out
+}
+
+fn drives(seconds: f64, level: f64, seed: u64) -> Vec<Vec<f64>> {
+    (0..3).map(|a| noise_drive(seconds, level, 100 * seed + a)).collect()
+}
+
+fn run(name: &str, drives: &[Vec<f64>], response: Vec<Vec<f64>>, seed: u64) -> Run {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let noisy = response
+        .into_iter()
+        .map(|y| {
+            let sigma = 0.006 * (y.iter().map(|y| y * y).sum::<f64>() / y.len() as f64).sqrt();
+            y.iter()
+                .map(|y| {
+                    let e: f64 = StandardNormal.sample(&mut rng);
+                    y + sigma * e
+                })
+                .collect()
+        })
+        .collect();
+    Run {
+        name: name.into(),
+        drive: Signal::new(RATE, drives.to_vec()).unwrap(),
+        response: Signal::new(RATE, noisy).unwrap(),
+        simulated: None,
+        started_s: seed as f64 * 100.0,
+    }
+}
+
+fn request(effect: Option<(usize, Force)>, clip: [f64; 3], catalogue: Vec<Effect>) -> Input {
+    let channel = |name: &str, axis: &str, unit: &str, quantity| Channel {
+        name: format!("{name}_{axis}"),
+        axis: Some(axis.into()),
+        unit: unit.into(),
+        quantity,
+    };
+    let axes = ["x", "y", "z"];
+    let full = drives(16.0, 1.0, 1);
+    let half = drives(12.0, 0.5, 2);
+    let low = drives(40.0, 0.4, 3);
+    let measured =
+        |name: &str, drives: &[Vec<f64>], seed| run(name, drives, respond(drives, effect, clip), seed);
+    Input {
+        drives: axes.map(|a| channel("drive", a, "mm", Quantity::Displacement)).to_vec(),
+        responses: axes
+            .iter()
+            .map(|a| channel("disp", a, "mm", Quantity::Displacement))
+            .chain(axes.iter().map(|a| channel("force", a, "kN", Quantity::Force)))
+            .collect(),
+        baseline: vec![run("low", &low, respond(&low, None, NO_CLIP), 10)],
+        runs: vec![
+            measured("a", &full, 11),
+            measured("b", &half, 12),
+            measured("c", &half, 13),
+            measured("d", &full, 14),
+        ],
+        roles: None,
+        repeats: vec![vec![0, 3], vec![1, 2]],
+        mode: Mode::External,
+        catalogue,
+        material_gap: 0.01,
+        drive_limit: None,
+        seed: 5,
+    }
+}
+
+#[test]
+fn the_axis_with_the_effect_is_named_and_the_forces_follow_its_motion() {
+    for (axis, force, family) in
+        [(1, hardening as Force, Family::Stiffness), (2, friction, Family::FrictionHysteresis)]
+    {
+        let found = diagnose(&request(Some((axis, force)), NO_CLIP, few()), &unwatched).unwrap();
+        let verdict = &found.report.verdict;
+        assert_eq!(verdict.family, Some(family), "{verdict:?}");
+        assert_eq!(verdict.axis.as_deref(), Some(["x", "y", "z"][axis]), "{verdict:?}");
+        let best = &found.report.hypotheses[0];
+        let force = format!("force_{}", ["x", "y", "z"][axis]);
+        let at_force = best.responses.iter().find(|r| r.channel == force).unwrap();
+        assert!(at_force.held_out.closure > 0.9, "{at_force:?}");
+        assert!(at_force.held_out.damage_ratio_after.is_some());
+    }
+}
+
+#[test]
+fn the_effect_is_simulated_at_every_response_that_feels_it() {
+    let found = diagnose(&request(Some((0, hardening)), NO_CLIP, few()), &unwatched).unwrap();
+    assert_eq!(found.report.verdict.kind, VerdictKind::Identified, "{:?}", found.report.verdict);
+    let drive = drives(10.0, 0.9, 9);
+    let truth = respond(&drive, Some((0, hardening)), NO_CLIP);
+    let linear = respond(&drive, None, NO_CLIP);
+    let signal = |channels: &[Vec<f64>]| Signal::new(RATE, channels.to_vec()).unwrap();
+    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&linear)).unwrap();
+    for r in [0, 3] {
+        let error = |y: &[f64]| -> f64 { truth[r].iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
+        let (before, after) = (error(&linear[r]), error(predicted.channel(r)));
+        assert!(after < 0.1 * before, "response {r}: {before} {after}");
+    }
+}
+
+#[test]
+fn a_clipped_drive_is_named_by_its_axis() {
+    let mut catalogue = few();
+    catalogue.push(Effect::DriveSaturation);
+    let clip = [f64::INFINITY, 1.4, f64::INFINITY];
+    let found = diagnose(&request(None, clip, catalogue), &unwatched).unwrap();
+    let verdict = &found.report.verdict;
+    assert_eq!(verdict.effect, Some(Effect::DriveSaturation), "{verdict:?}");
+    assert_eq!(verdict.axis.as_deref(), Some("y"));
+    let limits: Vec<f64> = found.report.hypotheses[0].parameters.iter().map(|p| p.value.abs()).collect();
+    assert!(limits.iter().all(|l| (l - 1.4).abs() < 0.05), "{limits:?}");
+}

@@ -1,0 +1,69 @@
+//! From the contest's outcome to the stated verdict.
+
+use super::contest::Outcome;
+use super::decide::{Ruling, rule};
+use super::effect::Effect;
+use super::hypothesis::{axis, closes_most};
+use super::input::{Input, Mode};
+use super::overview::Overview;
+use super::prepare::Prepared;
+use super::report::{Verdict, VerdictKind};
+
+/// Rules on the outcome and says why.
+pub(super) fn judge(input: &Input, prepared: &Prepared, overview: &Overview, outcome: &Outcome) -> Verdict {
+    let ranked = &outcome.ranked;
+    let (ruling, probability, set) = rule(ranked, outcome.chi2_none, outcome.rows, input.seed);
+    let channel = match ranked.first() {
+        Some(best) => closes_most(best.scored.places(prepared), overview).problem.response,
+        None => overview.worst(),
+    };
+    let best = ranked.first();
+    let effect = best.map(|b| b.scored.effect());
+    let mut because = Vec::new();
+    if let Some(best) = best {
+        because.push(format!(
+            "{} leaves {:.1} % of the gap on the select runs ({:.2} noise floors squared of {:.1})",
+            best.scored.effect().name(),
+            100.0 * best.scored.remaining,
+            best.scored.chi2,
+            outcome.chi2_none
+        ));
+    }
+    if let Some(rival) = ranked.iter().find(|x| Some(x.scored.effect()) != effect) {
+        because.push(format!(
+            "next best {} leaves {:.1} %",
+            rival.scored.effect().name(),
+            100.0 * rival.scored.remaining
+        ));
+    }
+    let mut kind = match ruling {
+        Ruling::Identified => VerdictKind::Identified,
+        Ruling::Partial => VerdictKind::Partial,
+        Ruling::FamilyOnly => VerdictKind::FamilyOnly,
+        Ruling::NotDistinguishable => VerdictKind::NotDistinguishable,
+        Ruling::NoneOfCatalogue => VerdictKind::NoneOfCatalogue,
+    };
+    let blames = matches!(kind, VerdictKind::Identified | VerdictKind::Partial);
+    if blames && input.mode == Mode::InSitu && effect == Some(Effect::LinearChange) {
+        kind = VerdictKind::NoMaterialGap;
+        because.push("a linear retune of the sim closes the gap".into());
+    }
+    if kind == VerdictKind::Identified && !prepared.from_repeats {
+        kind = VerdictKind::Partial;
+        because.push("without repeats the noise floor is assumed".into());
+    }
+    let names_effect = matches!(kind, VerdictKind::Identified | VerdictKind::Partial);
+    let names_family = names_effect || kind == VerdictKind::FamilyOnly;
+    Verdict {
+        kind,
+        effect: effect.filter(|_| names_effect),
+        family: effect.filter(|_| names_family).map(Effect::family),
+        axis: best
+            .filter(|_| names_family)
+            .and_then(|b| axis(input, b.scored.problem, &b.scored.fitted.candidate.parts[0])),
+        channel: Some(input.responses[channel].name.clone()),
+        probability: probability.clamp(0.0, 1.0),
+        equivalence_set: set,
+        because,
+    }
+}

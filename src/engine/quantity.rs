@@ -1,0 +1,16 @@
+//! What a channel measures.
+
+use serde::{Deserialize, Serialize};
+
+/// Physical quantity of a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "the words say it")]
+pub enum Quantity {
+    Displacement,
+    Velocity,
+    Acceleration,
+    Force,
+    #[default]
+    Other,
+}

@@ -1,0 +1,148 @@
+//! The page of a diagnosis: one sentence, and below it what it rests on, for someone who knows rigs.
+
+mod after;
+mod force;
+mod how_far;
+mod labels;
+mod location;
+mod sentence;
+#[cfg(test)]
+mod tests;
+mod which;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::engine::diagnosis::{Report, VerdictKind, Views};
+
+/// What stands over a diagnosis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Heading {
+    /// Id of the rig.
+    pub rig: String,
+    /// Its name.
+    pub rig_name: String,
+    /// Id of the diagnosis.
+    pub diagnosis: String,
+    /// When it was asked for, as people read it.
+    pub when: String,
+    /// What was compared with the rig.
+    pub model: Simulation,
+    /// How long it took.
+    pub elapsed_s: f64,
+    /// The call that makes a model version with the effect, where there is one to make.
+    pub adopt: Option<String>,
+}
+
+/// What was compared with the rig.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Simulation {
+    /// A model version of the service.
+    Version {
+        /// Its number.
+        version: u64,
+        /// `frf`, `lstm`, `hybrid1`, `hybrid2`, ...
+        kind: String,
+    },
+    /// A simulation that the client uploaded.
+    Outside,
+}
+
+/// The page as HTML, complete in itself: no scripts, no other files.
+pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
+    let title = format!("Diagnosis of {}", of.rig_name);
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) }
+                style { (PreEscaped(include_str!("style.css"))) }
+            }
+            body {
+                main {
+                    (header(of, report))
+                    (location::section(report, views))
+                    (which::section(report))
+                    (how_far::section(report, views))
+                    (force::section(report, views))
+                    (after::remaining(report))
+                    (after::next(report))
+                    (adopt(of, report))
+                    (after::method(of, report, views))
+                }
+            }
+        }
+    }
+    .into_string()
+}
+
+fn header(of: &Heading, report: &Report) -> Markup {
+    let kind = report.verdict.kind;
+    let tone = match kind {
+        VerdictKind::Identified | VerdictKind::NoiseOrUnmeasuredDisturbance => "found",
+        VerdictKind::NoMaterialGap => "quiet",
+        _ => "open",
+    };
+    html! {
+        header {
+            p.over { "Model against rig" }
+            h1 { (of.rig_name) }
+            p.soft {
+                (of.rig) " · "
+                (match &of.model {
+                    Simulation::Version { version, kind } => format!("model version {version} ({kind})"),
+                    Simulation::Outside => "outside simulation".into(),
+                })
+                " · " (of.when)
+            }
+        }
+        section class=(format!("verdict {tone}")) {
+            p.label { (kind_in_words(kind)) }
+            p.answer { (sentence::verdict(report)) }
+            @if matches!(kind, VerdictKind::FamilyOnly | VerdictKind::NotDistinguishable) {
+                @if let Some(next) = sentence::next(report) { p { (next) } }
+            }
+        }
+    }
+}
+
+fn kind_in_words(kind: VerdictKind) -> &'static str {
+    match kind {
+        VerdictKind::Identified => "Effect identified",
+        VerdictKind::Partial => "Effect identified in part",
+        VerdictKind::FamilyOnly => "Kind of effect known",
+        VerdictKind::NotDistinguishable => "Several effects possible",
+        VerdictKind::NoneOfCatalogue => "Cause not known",
+        VerdictKind::NoiseOrUnmeasuredDisturbance => "Noise or disturbance",
+        VerdictKind::NoMaterialGap => "No gap that matters",
+    }
+}
+
+fn adopt(of: &Heading, report: &Report) -> Markup {
+    // What runs away within the allowed drives is not taken over.
+    let steady = sentence::best(report).is_some_and(|b| b.stable_over_envelope);
+    let may = which::blames(report.verdict.kind) && steady;
+    let Some(call) = of.adopt.as_ref().filter(|_| may) else {
+        return html! {};
+    };
+    html! {
+        (heading("adopt", "Take the effect into the model"))
+        p { "This call makes a new model version that predicts with the effect; the version in use stays until you change it." }
+        pre { code { (call) } }
+    }
+}
+
+/// Whether the verdict says that there is no gap to look into.
+fn quiet(kind: VerdictKind) -> bool {
+    matches!(kind, VerdictKind::NoMaterialGap | VerdictKind::NoiseOrUnmeasuredDisturbance)
+}
+
+fn heading(id: &str, text: &str) -> Markup {
+    html! { h2 id=(id) { (text) } }
+}
+
+fn figure(plot: &Markup, caption: &Markup) -> Markup {
+    html! { figure { div.plot { (plot) } figcaption { (caption) } } }
+}

@@ -1,0 +1,5 @@
+//! Pages for people: HTML with plots as inline SVG, without scripts and without a network.
+
+pub mod diagnosis;
+mod plot;
+mod text;

@@ -1,0 +1,53 @@
+//! Plots as inline SVG: axes, lines, dots, bars, spans, whiskers. Colours are classes that the page's
+//! style sheet sets for light, dark and print; every line differs from its neighbours by more than its
+//! colour (width or dashes), and every plot says in words what it shows.
+
+mod figure;
+mod rows;
+mod scale;
+
+pub use figure::{Figure, Key, Mark};
+pub use rows::{BarRow, WhiskerRow, bars, whiskers};
+pub use scale::{Axis, Scale};
+
+/// What a mark stands for; the style sheet gives each its colour and dashes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Style {
+    /// What was measured.
+    Measured,
+    /// What the model leaves.
+    Before,
+    /// What is left with the effect in it, and the effect itself.
+    After,
+    /// The noise floor.
+    Noise,
+}
+
+impl Style {
+    fn class(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Before => "before",
+            Self::After => "after",
+            Self::Noise => "noise",
+        }
+    }
+}
+
+/// Width of a text in a font of 12 pixels, estimated.
+fn text_width(text: &str) -> f64 {
+    text.chars()
+        .map(|c| match c {
+            'i' | 'j' | 'l' | 'I' | 't' | 'f' | 'r' | ' ' | '.' | ',' | ':' => 4.2,
+            'm' | 'w' | 'M' | 'W' | '%' => 10.5,
+            c if c.is_uppercase() => 8.4,
+            _ => 7.1,
+        })
+        .sum()
+}
+
+/// A coordinate: a tenth of a pixel is enough.
+fn px(x: f64) -> String {
+    let text = format!("{x:.1}");
+    text.strip_suffix(".0").unwrap_or(&text).to_owned()
+}
