@@ -184,7 +184,7 @@ fn the_blind_check_makes_cases_apart_from_the_service_and_diagnoses_them_without
         for path in paths {
             let code = code(&path);
             let leaves_its_part = path.ends_with("mod.rs") && code.contains("super::");
-            let other_way = code.contains("#[path") || code.contains("include") || leaves_its_part;
+            let other_way = code.contains("#[path") || code.contains("include!") || leaves_its_part;
             let strangers: Vec<String> =
                 named(&code).into_iter().filter(|name| !allowed.contains(&name.as_str())).collect();
             if other_way || !strangers.is_empty() {

@@ -4,11 +4,13 @@
 //! change; the rest is diagnosed. The others have no low level: the FRF of the training run is the sim, and
 //! has taken in what a linear model can (`in_situ`); the test run is diagnosed.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use rigcast::client::Client;
 use rigcast::demo::LocalService;
+use rigcast::formats::npy::{self, Dtype, Order};
 use serde_json::{Value, json};
 
 use crate::AnyError;
@@ -84,8 +86,8 @@ async fn diagnose(client: &Client, folder: &Path, pieces: usize) -> Result<(Data
     let (mode, test, from) = if data.id() == "silverbox" {
         let at = tests.iter().position(|t| t.name == "test_arrow").ok_or("no test_arrow")?;
         let arrow = tests.swap_remove(at);
-        let low = arrow.n_samples() / 5;
-        let file = arrow.recorded_npy(0..low)?;
+        let low = arrow.drive[0].len() / 5;
+        let file = npy(&arrow, 0..low)?;
         session.upload("baseline", "noise", &started_at(0), "application/x-npy", file).await?;
         ("external", arrow, low)
     } else {
@@ -111,16 +113,23 @@ async fn upload(
     from: usize,
     pieces: usize,
 ) -> Result<Vec<String>, AnyError> {
-    let length = (test.n_samples() - from) / pieces.max(1);
+    let length = (test.drive[0].len() - from) / pieces.max(1);
     let mut names = Vec::new();
     for piece in 0..pieces.max(1) {
         let start = from + piece * length;
         let name = format!("{}-{piece}", test.name);
-        let file = test.recorded_npy(start..start + length)?;
+        let file = npy(test, start..start + length)?;
         session.upload(&name, "other", &started_at(piece + 1), "application/x-npy", file).await?;
         names.push(name);
     }
     Ok(names)
+}
+
+/// Drives and responses of some samples as an NPY file.
+fn npy(test: &TestFile, samples: Range<usize>) -> Result<Vec<u8>, AnyError> {
+    let channels = test.drive.iter().chain(&test.response);
+    let part: Vec<Vec<f64>> = channels.map(|c| c[samples.clone()].to_vec()).collect();
+    Ok(npy::write(&part, Dtype::F8, Order::C)?)
 }
 
 /// Some minute of a day: the order of the pieces.

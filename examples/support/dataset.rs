@@ -1,6 +1,5 @@
 //! A folder of measured data with its `about.json`.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rigcast::engine::Signal;
@@ -36,7 +35,8 @@ pub struct Dataset {
 pub struct TestFile {
     /// Its name in `about.json`.
     pub name: String,
-    drive: Vec<Vec<f64>>,
+    /// Measured drives, `[input][sample]`.
+    pub drive: Vec<Vec<f64>>,
     /// Measured responses, `[output][sample]`.
     pub response: Vec<Vec<f64>>,
 }
@@ -45,18 +45,6 @@ impl TestFile {
     /// The drive as an NPY file, `[samples, inputs]`.
     pub fn drive_npy(&self) -> Result<Vec<u8>, AnyError> {
         Ok(npy::write(&self.drive, Dtype::F8, Order::C)?)
-    }
-
-    /// Samples of each channel.
-    pub fn n_samples(&self) -> usize {
-        self.drive.first().map_or(0, Vec::len)
-    }
-
-    /// Drives and responses of some samples as an NPY file, `[samples, inputs and outputs]`.
-    pub fn recorded_npy(&self, samples: Range<usize>) -> Result<Vec<u8>, AnyError> {
-        let channels = self.drive.iter().chain(&self.response);
-        let part: Vec<Vec<f64>> = channels.map(|c| c[samples.clone()].to_vec()).collect();
-        Ok(npy::write(&part, Dtype::F8, Order::C)?)
     }
 }
 

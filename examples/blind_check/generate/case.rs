@@ -51,6 +51,17 @@ pub struct Case {
     rng: ChaCha8Rng,
 }
 
+/// Noise and gap of a suite.
+fn ranges(suite: Suite) -> ([f64; 2], [f64; 2]) {
+    match suite {
+        // Small gaps near the noise are the ones that leave several effects standing.
+        Suite::NextExperiment => ([0.01, NOISE[1]], [GAP[0], 0.08]),
+        // What takes no time is no gap.
+        Suite::Time => (NOISE, [0.1, 0.3]),
+        _ => (NOISE, GAP),
+    }
+}
+
 fn times(k: usize) -> [f64; 2] {
     [STARTS_S[k] / PROGRAMME_S, 1.0 / (RATE * PROGRAMME_S)]
 }
@@ -92,11 +103,10 @@ impl Case {
         let named = suite.flaws(index, &mut rng);
         let kinds: Vec<Flaw> = named.iter().map(|n| n.flaw).collect();
         let rig = Rig::draw(&mut rng, axes, &long, &kinds);
-        let noise = log_uniform(NOISE, &mut rng);
-        let lowest = (ABOVE_NOISE * noise).max(GAP[0]);
-        // Small gaps are the ones that leave several effects standing.
-        let largest = if suite == Suite::NextExperiment { 0.12 } else { GAP[1] };
-        let wanted = log_uniform([lowest, largest], &mut rng);
+        let (noises, gaps) = ranges(suite);
+        let noise = log_uniform(noises, &mut rng);
+        let lowest = (ABOVE_NOISE * noise).max(gaps[0]);
+        let wanted = log_uniform([lowest, gaps[1]], &mut rng);
         let axis = rng.random_range(0..axes);
         let force = axes > 1 && rng.random_bool(0.5);
         let sensor = axis + if force { axes } else { 0 };
@@ -122,7 +132,7 @@ impl Case {
                 }
             }
             gap = measure.gap(&placed);
-            if !(gap >= lowest && gap <= GAP[1]) {
+            if !(gap >= lowest && gap <= gaps[1]) {
                 return None;
             }
         }
