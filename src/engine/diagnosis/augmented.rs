@@ -29,6 +29,20 @@ pub(super) struct Member {
     pub plant: Plant,
     pub candidate: Candidate,
     pub p: Vec<f64>,
+    /// Whether the augmented core is the whole prediction, with nothing of the sim.
+    pub alone: bool,
+}
+
+impl Member {
+    fn predict(&self, course: &Course) -> Option<Vec<f64>> {
+        if !self.alone {
+            return self.candidate.predict(&self.plant, course, &self.p);
+        }
+        let mut simulated = course.simulated.to_vec();
+        simulated[self.plant.response] = course.core.to_vec();
+        let course = Course { simulated: simulated.into(), ..course.clone() };
+        self.candidate.predict(&self.plant, &course, &self.p)
+    }
 }
 
 impl Augmented {
@@ -77,13 +91,13 @@ impl Augmented {
             clock: Clock { start: self.time, step: 0.0 },
             carried: Arc::default(),
         };
-        let mut out = vec![host.candidate.predict(&host.plant, &course, &host.p)?];
+        let mut out = vec![host.predict(&course)?];
         if self.members.len() > 1 {
             course.carried = host.candidate.carry(&host.plant, &course, &host.p)?.into();
         }
         for member in &self.members[1..] {
             course.core = member.plant.core.simulate(&course.drives).into();
-            out.push(member.candidate.predict(&member.plant, &course, &member.p)?);
+            out.push(member.predict(&course)?);
         }
         Some(out)
     }

@@ -38,6 +38,29 @@ pub(super) fn axis(input: &Input, response: usize, part: &Part) -> Option<String
     }
 }
 
+/// Whether the augmented core without the FRF that it stands for leaves less of the select stretches
+/// than with it.
+fn better_alone(input: &Input, place: &Place) -> bool {
+    let (problem, r) = (&place.problem, place.problem.response);
+    let Some(alone) = place.fitted.candidate.predictions(problem, &problem.select, &place.fitted.p) else {
+        return false;
+    };
+    let with_sim: Option<Vec<Vec<f64>>> = problem
+        .select
+        .iter()
+        .zip(&alone)
+        .map(|(stretch, alone)| {
+            let simulated = input.runs[stretch.run].simulated.as_ref()?.channel(r);
+            let simulated = &simulated[stretch.from..stretch.from + alone.len()];
+            let difference = alone.iter().zip(stretch.core.iter());
+            Some(simulated.iter().zip(difference).map(|(s, (y, c))| s + y - c).collect())
+        })
+        .collect();
+    with_sim.is_none_or(|with_sim| {
+        problem.chi2(&problem.select, &alone) <= problem.chi2(&problem.select, &with_sim)
+    })
+}
+
 /// A ranked candidate as the report has it; `None` where its free run of a test stretch runs away.
 pub(super) fn hypothesis(
     input: &Input,
@@ -60,6 +83,7 @@ pub(super) fn hypothesis(
         plant: place.problem.plant.clone(),
         candidate: place.fitted.candidate.clone(),
         p: place.fitted.p.clone(),
+        alone: input.sim_is_linear && better_alone(input, place),
     };
     let augmented = Augmented {
         members: places.iter().map(member).collect(),

@@ -72,6 +72,9 @@ pub struct Input {
     pub roles: Option<Vec<Role>>,
     /// Runs with the same drive, indices into `runs`.
     pub repeats: Vec<Vec<usize>>,
+    /// Whether the sim is an FRF of the baseline: the core, which is one too and carries less of the
+    /// estimate's error, then stands for it.
+    pub sim_is_linear: bool,
     /// Whether the sim has seen the effect.
     pub mode: Mode,
     /// Effects that may be named.

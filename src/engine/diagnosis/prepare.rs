@@ -105,8 +105,8 @@ fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
         .par_iter()
         .map(|run| {
             Arc::new(match &run.simulated {
-                Some(simulated) => simulated.channels().to_vec(),
-                None => fitted.iter().map(|f| f.core.simulate(run.drive.channels())).collect(),
+                Some(simulated) if !input.sim_is_linear => simulated.channels().to_vec(),
+                _ => fitted.iter().map(|f| f.core.simulate(run.drive.channels())).collect(),
             })
         })
         .collect()

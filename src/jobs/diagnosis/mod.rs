@@ -12,9 +12,9 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::diagnosis::{DiagnosedModel, Findings, VerdictSummary};
-use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, Origin, Problem, Run, Span};
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
-use crate::engine::model::{Pair, Predictor, Preprocess, from_safetensors};
+use crate::engine::model::{ModelKind, Pair, Predictor, Preprocess, from_safetensors};
 use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::{Claim, NewDiagnosis};
 
@@ -130,6 +130,10 @@ async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>
         runs,
         roles: plan.roles.clone(),
         repeats: plan.repeats.clone(),
+        sim_is_linear: plan
+            .model
+            .as_ref()
+            .is_some_and(|m| m.kind == ModelKind::Frf && m.origin == Origin::Fit),
         mode: plan.request.mode,
         catalogue: plan.effects.clone(),
         material_gap: plan.request.material_gap,

@@ -124,6 +124,7 @@ fn request(effect: Option<(usize, Force)>, clip: [f64; 3], catalogue: Vec<Effect
         ],
         roles: None,
         repeats: vec![vec![0, 3], vec![1, 2]],
+        sim_is_linear: false,
         mode: Mode::External,
         catalogue,
         material_gap: 0.01,

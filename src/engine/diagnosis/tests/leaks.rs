@@ -1,6 +1,6 @@
 use super::rig::{few, hardening, noise_drive, request, respond, run};
 use crate::engine::Signal;
-use crate::engine::diagnosis::{Augmented, Input, Role, diagnose};
+use crate::engine::diagnosis::{Augmented, Input, Role, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
 /// Whole runs with given roles, one repeat each, so that the test runs stand alone.
@@ -71,4 +71,31 @@ fn the_augmented_sim_predicts_a_run_nobody_saw_and_survives_storage() {
     let (before, after) = (error(&linear), error(predicted.channel(0)));
     assert!(after < 0.05 * before, "{before} {after}");
     assert!(loaded.apply(&drive, &Signal::new(super::rig::RATE, vec![vec![0.0; 5]]).unwrap()).is_err());
+}
+
+#[test]
+fn an_frf_as_sim_is_stood_for_by_the_core_and_what_it_misses_is_no_gap() {
+    // An FRF's estimate errs: here by a few per cent, on a rig that has not changed.
+    let mut request = Input { catalogue: few(), sim_is_linear: true, ..request(super::rig::none, 0.01) };
+    let off = |run: &mut crate::engine::diagnosis::Run| {
+        let estimate: Vec<f64> =
+            respond(run.drive.channel(0), super::rig::none).iter().map(|y| 1.04 * y).collect();
+        run.simulated = Some(Signal::new(super::rig::RATE, vec![estimate]).unwrap());
+    };
+    request.runs.iter_mut().for_each(off);
+    let found = diagnose(&request, &unwatched).unwrap();
+    assert_eq!(found.report.verdict.kind, VerdictKind::NoMaterialGap, "{:?}", found.report.verdict);
+
+    // Of a rig that has, the augmented core alone is the better prediction.
+    let mut request = Input { sim_is_linear: true, ..self::request(hardening, 0.01) };
+    request.catalogue = few();
+    request.runs.iter_mut().for_each(off);
+    let found = diagnose(&request, &unwatched).unwrap();
+    let drive = noise_drive(10.0, 0.9, 78);
+    let truth = respond(&drive, hardening);
+    let estimate: Vec<f64> = respond(&drive, super::rig::none).iter().map(|y| 1.04 * y).collect();
+    let signal = |y: &[f64]| Signal::new(super::rig::RATE, vec![y.to_vec()]).unwrap();
+    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&estimate)).unwrap();
+    let error = |y: &[f64]| -> f64 { truth.iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
+    assert!(error(predicted.channel(0)) < 0.05 * error(&estimate));
 }

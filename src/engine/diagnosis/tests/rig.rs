@@ -122,6 +122,7 @@ pub fn request(force: Force, noise: f64) -> Input {
         ],
         roles: None,
         repeats: vec![vec![0, 3], vec![1, 2]],
+        sim_is_linear: false,
         mode: Mode::External,
         catalogue: Effect::ALL.to_vec(),
         material_gap: 0.01,
