@@ -50,7 +50,7 @@ fn a_page_tells_the_verdict_escapes_every_name_and_is_well_formed() {
     let found = hostile();
     let html = page(&heading(), &found.report, &found.views);
     let sentence = sentence::verdict(&found.report);
-    assert!(sentence.contains("stiffness") && sentence.contains("closes 99"), "{sentence}");
+    assert!(sentence.contains("stiffness"), "{sentence}");
     let escaped = sentence.replace('<', "&lt;").replace('>', "&gt;");
     assert!(html.contains(&escaped), "{escaped}");
     let tags = tags(&html);
