@@ -14,10 +14,10 @@ use realfft::num_complex::Complex64;
 use super::super::ar::Ar;
 use super::super::linear::{dot, eigenvalues, least_squares, mean};
 use super::super::modes::Modes;
-use super::super::problem::smooth;
 use super::super::rows::Rows;
 use super::Core;
 use super::refine::refine;
+use super::thin::thin;
 use crate::engine::EngineError;
 
 /// Orders that are tried.
@@ -31,8 +31,6 @@ const ROUNDS: usize = 8;
 const CHARGE: f64 = 4.0;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
-/// Samples in all on which the order and its poles are searched: more cost time and tell no more.
-const SEARCHED: usize = 60_000;
 /// Share of a stretch that its unknown past may colour.
 const SETTLING: f64 = 0.1;
 
@@ -98,37 +96,6 @@ pub(in super::super) fn fit(
         response_mean: centred.response_mean,
     };
     Ok(CoreFit { core, noise })
-}
-
-/// A stretch at a lower rate.
-struct Thinned {
-    drives: Vec<Vec<f64>>,
-    response: Vec<f64>,
-}
-
-/// Stretches with fewer samples, on which an order and its poles can be searched quickly, and how many
-/// samples one of theirs stands for; `None` where there are few as it is. What lies above the band is
-/// taken out first; its edge stays well below half the lower rate.
-fn thin(stretches: &[Stretch<'_>], band: [f64; 2]) -> Option<(Vec<Thinned>, usize)> {
-    let total: usize = stretches.iter().map(|s| s.response.len()).sum();
-    if total <= SEARCHED {
-        return None;
-    }
-    let step = total.div_ceil(SEARCHED).min((0.2 / band[1]) as usize).max(1);
-    // What is too much even then is left out at each stretch's end.
-    let share = (SEARCHED * step) as f64 / total as f64;
-    let thinned = stretches
-        .iter()
-        .map(|s| {
-            let kept = ((s.response.len() as f64 * share) as usize).min(s.response.len());
-            let slower = |x: &[f64]| -> Vec<f64> {
-                let below = if step > 1 { smooth(&x[..kept], band[1]) } else { x[..kept].to_vec() };
-                below.into_iter().step_by(step).collect()
-            };
-            Thinned { drives: s.drives.iter().map(|d| slower(d)).collect(), response: slower(s.response) }
-        })
-        .collect();
-    Some((thinned, step))
 }
 
 /// Poles and the path of each drive, about the working point.

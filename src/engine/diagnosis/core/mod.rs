@@ -10,6 +10,7 @@ mod fit;
 mod refine;
 #[cfg(test)]
 mod tests;
+mod thin;
 
 use super::modes::{Modes, natural};
 
