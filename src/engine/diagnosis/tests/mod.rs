@@ -2,6 +2,7 @@
 
 mod axes;
 mod bad_input;
+mod bench;
 mod leaks;
 pub(crate) mod rig;
 mod verdicts;
