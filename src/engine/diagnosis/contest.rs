@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::candidate::Candidate;
 use super::catalogue::{FreeRanges, parts};
-use super::decide::{Ranked, rank};
+use super::decide::{Ranked, allowed, rank};
 use super::echo::Silence;
 use super::fitting::{Effort, fit};
 use super::hosts::Hosts;
@@ -89,7 +89,7 @@ pub(super) fn contest(
         .collect();
     report(watch, "other responses", 0.8)?;
     Ok(Outcome {
-        ranked: rank(joined, silence.chi2, silence.rows),
+        ranked: rank(joined, silence.chi2, silence.rows, allowed(overview.sim_is_core)),
         chi2_none: silence.chi2,
         rows: silence.rows,
     })

@@ -22,9 +22,8 @@ struct Calibration {
     unusual: f64,
     /// Sharpness of the probabilities over charged logarithms.
     sharpness: f64,
-    /// What the right law may leave: in noise floors, and as a share of the gap (its other equation and
-    /// the core's error grow with it): [`PARTIAL`], up to which a name is the whole answer.
-    leaves: [f64; 2],
+    /// What the right law may leave in noise floors, beside a share of the gap.
+    leaves: f64,
     /// Slope of the logistic of "the catalogue holds it" over the logarithm of what is left in units
     /// of what the right law leaves.
     slope: f64,
@@ -39,7 +38,7 @@ const CALIBRATION: Calibration = Calibration {
     passive: 1.0,
     unusual: 0.7,
     sharpness: 3.0,
-    leaves: [0.4, PARTIAL],
+    leaves: 0.4,
     slope: 2.5,
 };
 
@@ -104,16 +103,23 @@ fn spread(rows: f64) -> f64 {
 }
 
 /// Probability that what leaves so much is right, or that nothing of the catalogue is.
-fn held(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
+fn held(remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(1e-6);
     let left = (remaining * gap - 1.5 * spread(rows)).max(0.0);
-    let units = left / (c.leaves[0] + c.leaves[1] * gap);
+    let units = left / (c.leaves + share * gap);
     1.0 / (1.0 + units.max(0.02).powf(c.slope))
 }
 
-/// Ranks candidates of one response, the most believable first.
-pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64) -> Vec<Ranked> {
+/// Share of the gap that the right law may leave, since its other equation and the sim's error grow with
+/// it: up to [`PARTIAL`] a name is the whole answer. A sim that bends by itself errs where the core does
+/// not; a law then has to leave less than [`ABSTAIN`].
+pub(super) fn allowed(sim_is_core: bool) -> f64 {
+    if sim_is_core { PARTIAL } else { ABSTAIN }
+}
+
+/// Ranks candidates, the most believable first; `share` is what the right one may leave of the gap.
+pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(0.1);
     let floor = c.floor + (c.core + 1.5 * spread(rows)) / gap;
@@ -146,7 +152,7 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64) -> Vec<Ranked
         r.scored.needless && r.scored.remaining + floor < PLAINER * (ranked[0].scored.remaining + floor)
     });
     let best = &ranked[0].scored;
-    let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows) };
+    let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows, share) };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
         r.probability = held * (-c.sharpness * (r.charged - least)).exp() / total;

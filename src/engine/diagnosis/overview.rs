@@ -3,7 +3,7 @@
 use super::disturbance;
 use super::effect::Effect;
 use super::input::Input;
-use super::linear::rms;
+use super::linear::{dot, rms};
 use super::locate::{self, Power};
 use super::prepare::Prepared;
 use super::problem::{Problem, Stretch};
@@ -11,6 +11,8 @@ use super::report::{Verdict, VerdictKind};
 
 /// Below this many noise floors squared there is nothing that a drive causes.
 const NOISE_ONLY: f64 = 1.3;
+/// Share of the gap from which on a sim that differs from the core has a bend of its own.
+const BENDS: f64 = 0.01;
 
 /// What is known of each response before any candidate.
 pub(super) struct Overview {
@@ -20,6 +22,8 @@ pub(super) struct Overview {
     pub line: Option<(usize, disturbance::Line)>,
     pub raised: Option<(usize, f64)>,
     pub quantised: Option<(usize, f64)>,
+    /// Whether the sim says what the core does, but for little of the gap.
+    pub sim_is_core: bool,
     /// Responses with a systematic gap.
     pub seen: Vec<usize>,
     /// Those of them whose gap is large enough to matter.
@@ -28,6 +32,14 @@ pub(super) struct Overview {
 
 pub(super) fn gaps(problem: &Problem, stretches: &[Stretch]) -> Vec<Vec<f64>> {
     stretches.iter().map(|s| s.gap(problem.response)).collect()
+}
+
+/// Mean square in noise floors of the difference of sim and core on the select stretches.
+fn own_bend(problem: &Problem) -> f64 {
+    let rows = problem.rows(&problem.select, |s| {
+        s.simulated[problem.response].iter().zip(s.core.iter()).map(|(s, c)| s - c).collect()
+    });
+    dot(&rows, &rows) / rows.len().max(1) as f64
 }
 
 impl Overview {
@@ -46,6 +58,7 @@ impl Overview {
                 Power { systematic: power.systematic.max(systematic), ..power }
             })
             .collect();
+        let sim_is_core = problems.iter().zip(&chi2_select).all(|(p, none)| own_bend(p) < BENDS * none);
         let mut this = Self {
             chi2_select,
             chi2_test,
@@ -53,6 +66,7 @@ impl Overview {
             line: None,
             raised: None,
             quantised: None,
+            sim_is_core,
             seen: Vec::new(),
             material: Vec::new(),
         };

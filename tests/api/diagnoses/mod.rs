@@ -82,7 +82,7 @@ async fn what_the_models_filter_removes_is_no_gap() {
     let mut runs = Vec::new();
     for seed in [1, 2] {
         let u = drive(20.0, 1.0, seed);
-        let hum = |k: usize| 0.05 * (std::f64::consts::TAU * 50.0 * k as f64 / RATE).sin();
+        let hum = |k: usize| 0.15 * (std::f64::consts::TAU * 50.0 * k as f64 / RATE).sin();
         let y: Vec<f64> = measure(&u, 0.0, 30 + seed).iter().enumerate().map(|(k, y)| y + hum(k)).collect();
         runs.push(upload_csv(&lab.app, "kind=other", &csv(&[("drive", &u), ("disp", &y)])).await);
     }

@@ -65,12 +65,12 @@ pub fn respond(drive: &[f64], cubic: f64) -> Vec<f64> {
 }
 
 /// Stiffness of the real rig that its model lacks.
-pub const CUBIC: f64 = 300.0;
+pub const CUBIC: f64 = 20.0;
 
-/// What a sensor of the rig says: 0.002 mm of noise.
+/// What a sensor of the rig says: 0.03 mm of noise.
 pub fn measure(drive: &[f64], cubic: f64, seed: u64) -> Vec<f64> {
     let error = noise(drive.len(), seed ^ 0xabcd);
-    respond(drive, cubic).iter().zip(error).map(|(y, e)| y + 0.002 * 3.0_f64.sqrt() * e).collect()
+    respond(drive, cubic).iter().zip(error).map(|(y, e)| y + 0.03 * 3.0_f64.sqrt() * e).collect()
 }
 
 pub fn csv(columns: &[(&str, &[f64])]) -> String {

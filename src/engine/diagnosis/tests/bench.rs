@@ -99,12 +99,8 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
     let verdict = &found.report.verdict;
     assert_eq!(verdict.family, Some(Family::FrictionHysteresis), "{verdict:?}");
 
-    let load = ServiceLoad {
-        shape: ServiceShape::HandlingCourse,
-        duration_s: 30.0,
-        scale: 0.4,
-        offset_kn: 0.0,
-    };
+    let load =
+        ServiceLoad { shape: ServiceShape::HandlingCourse, duration_s: 30.0, scale: 0.4, offset_kn: 0.0 };
     let unseen = pair(&worn, service_load(&load, 11).unwrap(), 11);
     let simulated = sim.predict(unseen.x.clone()).unwrap();
     let adopted = found.augmented[0].apply(&unseen.x, &simulated).unwrap();
