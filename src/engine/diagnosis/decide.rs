@@ -111,11 +111,11 @@ fn held(remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
     1.0 / (1.0 + units.max(0.02).powf(c.slope))
 }
 
-/// Share of the gap that the right law may leave, since its other equation and the sim's error grow with
-/// it: up to [`PARTIAL`] a name is the whole answer. A sim that bends by itself errs where the core does
-/// not; a law then has to leave less than [`ABSTAIN`].
-pub(super) fn allowed(sim_is_core: bool) -> f64 {
-    if sim_is_core { PARTIAL } else { ABSTAIN }
+/// Share of the gap that the right law may leave, since its other equation and the core's error grow
+/// with it: up to [`PARTIAL`] a name is the whole answer. Where more errs than the core (a sim that bends
+/// by itself, a retune, paths to other responses) a law has to leave less than [`ABSTAIN`].
+pub(super) fn allowed(plain: bool) -> f64 {
+    if plain { PARTIAL } else { ABSTAIN }
 }
 
 /// Ranks candidates, the most believable first; `share` is what the right one may leave of the gap.
