@@ -1,5 +1,7 @@
 //! Diagnoses: checked while the client waits, done as jobs, shown as reports.
 
+use std::collections::BTreeMap;
+
 use axum::extract::State;
 use axum::http::header::{CONTENT_TYPE, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
@@ -15,7 +17,7 @@ use super::problem::{Answer, Problem};
 use super::{Shared, adopt, negotiate};
 use crate::compute::Class;
 use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::{DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, StoredDiagnosis};
+use crate::domain::{DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis};
 use crate::engine::diagnosis::Report;
 use crate::ui::diagnosis::{self as ui, Heading, Simulation};
 
@@ -65,9 +67,11 @@ pub async fn show(
 ) -> Answer {
     let diagnosis = find(&http, &rig, id).await?;
     let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, HTML])?;
-    let findings = http.store.findings(&diagnosis).await?;
+    let mut findings = http.store.findings(&diagnosis).await?;
     if media_type == HTML {
         let heading = heading(&http, &diagnosis, &findings.report).await?;
+        let names = run_names(&http, &rig, &findings.report).await?;
+        ui::name_runs(&mut findings.report, &mut findings.views, &names);
         let draw = move || ui::page(&heading, &findings.report, &findings.views);
         let html = http.off_thread(Class::Predict, draw).await?;
         return Ok(([(CONTENT_TYPE, "text/html; charset=utf-8")], html).into_response());
@@ -88,6 +92,22 @@ pub async fn show(
         })
         .await?;
     Ok(json::respond(bytes.map_err(Problem::internal)?))
+}
+
+/// Names of the report's runs by their ids; a run without a name, or one that is gone, keeps its id.
+async fn run_names(http: &Shared, rig: &RigId, report: &Report) -> Answer<BTreeMap<String, String>> {
+    let split = &report.data_split;
+    let mut names = BTreeMap::new();
+    for part in split.fit.iter().chain(&split.select).chain(&split.test) {
+        if names.contains_key(&part.run) {
+            continue;
+        }
+        let Ok(id) = part.run.parse::<RunId>() else { continue };
+        if let Some(run) = http.store.run(rig, id).await?.filter(|run| !run.name.is_empty()) {
+            names.insert(part.run.clone(), run.name);
+        }
+    }
+    Ok(names)
 }
 
 /// What stands over the page.

@@ -5,6 +5,7 @@ mod force;
 mod how_far;
 mod labels;
 mod location;
+mod names;
 mod sentence;
 #[cfg(test)]
 mod tests;
@@ -13,6 +14,8 @@ mod which;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::engine::diagnosis::{Report, VerdictKind, Views};
+
+pub use names::name_runs;
 
 /// What stands over a diagnosis.
 #[derive(Debug, Clone, PartialEq)]

@@ -108,7 +108,7 @@ pub fn whiskers(id: &str, title: &str, description: &str, rows: &[WhiskerRow]) -
     let ticks = apart(axis.ticks(8), at);
     let bottom = top + ROW * rows.len() as f64;
     let content = html! {
-        text.name x=(px(left)) y="14" { "Share of the gap closed on unseen runs, with 90 % interval" }
+        text.name x=(px(left)) y="14" { "Share of the gap closed, with 90 % interval" }
         @if rows.iter().any(|r| r.probability.is_some()) {
             text.name x=(px(right + 24.0)) y="14" { "Probability" }
         }

@@ -35,7 +35,13 @@ async fn a_stiffening_spring_is_named_with_where_and_how_far_it_closes() {
 
     let asked = |accept: &'static str| lab.app.call("GET", &href).header("accept", accept).send();
     asked("text/csv").await.problem(406, "accept.not_acceptable");
+    let run = format!("/v1/rigs/mass/runs/{}", lab.high[0]);
+    lab.app.call("PATCH", &run).json(&json!({"name": "full level"})).send().await.expect(200);
     let page = asked("text/html").await.expect(200);
+    assert!(
+        page.text().contains("full level") && !page.text().contains(&lab.high[0]),
+        "runs have their names"
+    );
     assert!(page.header("content-type").starts_with("text/html"));
     assert!(
         page.text().contains("Mass") && page.text().contains(&format!("{href}/adopt")),
