@@ -87,19 +87,12 @@ async fn diagnosed(http: &Shared, rig: &RigId, diagnosis: &StoredDiagnosis) -> A
 }
 
 /// Refuses verdicts that blame nothing that could be added.
-pub(super) fn allowed(kind: VerdictKind) -> Answer<()> {
-    match kind {
-        VerdictKind::Identified
-        | VerdictKind::Partial
-        | VerdictKind::FamilyOnly
-        | VerdictKind::NotDistinguishable => Ok(()),
-        VerdictKind::NoneOfCatalogue
-        | VerdictKind::NoiseOrUnmeasuredDisturbance
-        | VerdictKind::NoMaterialGap => {
-            let detail = "The verdict blames no effect of the rig that a model could have.";
-            Err(Problem::new(codes::DIAGNOSIS_NO_EFFECT, detail))
-        }
+fn allowed(kind: VerdictKind) -> Answer<()> {
+    if kind.blames() {
+        return Ok(());
     }
+    let detail = "The verdict blames no effect of the rig that a model could have.";
+    Err(Problem::new(codes::DIAGNOSIS_NO_EFFECT, detail))
 }
 
 /// How far a hypothesis closes the gap, if it may be adopted.

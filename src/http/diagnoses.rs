@@ -14,7 +14,7 @@ use super::lists::page;
 use super::params::{NoParams, Params};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, adopt, negotiate};
+use super::{Shared, negotiate};
 use crate::compute::Class;
 use crate::domain::diagnosis::DiagnosedModel;
 use crate::domain::{DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis};
@@ -123,7 +123,7 @@ async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) ->
         }
     };
     let best = report.hypotheses.first().is_some_and(|best| best.stable_over_envelope);
-    let adoptable = best && model != Simulation::Outside && adopt::allowed(verdict.kind).is_ok();
+    let adoptable = best && model != Simulation::Outside && verdict.kind.blames();
     Ok(Heading {
         rig: rig.to_string(),
         rig_name: row.name,

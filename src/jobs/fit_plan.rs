@@ -10,6 +10,7 @@ use crate::engine::model::{ModelKind, hold_out_from};
 use crate::storage::{Store, StoreError};
 
 use super::problem::{codes, sentence};
+use super::selection::{by_id, matching};
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,7 +163,7 @@ fn selected(
 ) -> Result<Vec<Run>, FitProblem> {
     let default = RunFilter::default();
     let mut runs: Vec<Run> = match selection {
-        Some(RunSelection::Ids(ids)) => by_id(all, ids, pointer)?,
+        Some(RunSelection::Ids(ids)) => by_id(all, ids, pointer).map_err(FitProblem::Invalid)?,
         Some(RunSelection::Match(filter)) => matching(all, filter, kind, split),
         None => matching(all, &default, kind, split),
     };
@@ -171,34 +172,6 @@ fn selected(
     runs.retain(|run| seen.insert(run.sha256.clone()));
     no_test_data(all, &runs, pointer)?;
     Ok(runs)
-}
-
-fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, FitProblem> {
-    let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
-    let mut errors = Vec::new();
-    let mut runs = Vec::with_capacity(ids.len());
-    for (i, id) in ids.iter().enumerate() {
-        match rows.get(id) {
-            Some(run) => runs.push((*run).clone()),
-            None => {
-                errors.push(FieldError::new(format!("{pointer}/{i}"), format!("a run of the rig, not {id}")))
-            }
-        }
-    }
-    if errors.is_empty() { Ok(runs) } else { Err(FitProblem::Invalid(errors)) }
-}
-
-fn matching(all: &[Run], filter: &RunFilter, kind: Option<RunKind>, split: Split) -> Vec<Run> {
-    let split = filter.split.as_deref().unwrap_or(split.as_str());
-    let kind_fits = |run: &Run| match &filter.kinds {
-        Some(kinds) => kinds.is_empty() || kinds.iter().any(|kind| kind == run.kind.as_str()),
-        None => kind.is_none_or(|kind| kind == run.kind),
-    };
-    all.iter()
-        .filter(|run| run.duplicate_of.is_none() && run.split.as_str() == split && kind_fits(run))
-        .filter(|run| filter.tags.iter().all(|tag| run.tags.contains(tag)))
-        .cloned()
-        .collect()
 }
 
 /// Refuses test runs, and uploads of the same bytes under another split.

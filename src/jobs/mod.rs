@@ -11,6 +11,7 @@ pub mod fit;
 mod fit_plan;
 pub mod problem;
 mod runner;
+mod selection;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

@@ -44,19 +44,24 @@ pub(super) fn contest(
     let in_situ = input.mode == Mode::InSitu;
     let rate = input.sample_rate_hz();
     let hosts = Hosts::of(input, prepared, overview);
-    let regressions: Vec<[Regression<'_>; 2]> = overview
+    // In situ every candidate has the retune.
+    let regressions: Vec<(Regression<'_>, Option<Regression<'_>>)> = overview
         .seen
         .par_iter()
-        .map(|&r| [false, true].map(|retune| Regression::new(&prepared.problems[r], retune || in_situ)))
+        .map(|&r| {
+            let of = |retune| Regression::new(&prepared.problems[r], retune);
+            (of(true), (!in_situ).then(|| of(false)))
+        })
         .collect();
     let mut tasks = Vec::new();
-    for (&r, regressions) in overview.seen.iter().zip(&regressions) {
+    for (&r, (retuned, plain)) in overview.seen.iter().zip(&regressions) {
         let problem = &prepared.problems[r];
-        let ranges = FreeRanges::of(problem, &regressions[0].smooth);
+        let ranges = FreeRanges::of(problem, &retuned.smooth);
         for part in parts(problem, &input.catalogue, in_situ, ranges) {
             if hosts.seek(part.effect, part.drive, r) {
                 let candidate = Candidate::of(part, in_situ);
-                tasks.push((r, &regressions[usize::from(candidate.retune)], candidate));
+                let regression = plain.as_ref().filter(|_| !candidate.retune).unwrap_or(retuned);
+                tasks.push((r, regression, candidate));
             }
         }
     }

@@ -74,7 +74,7 @@ pub(super) fn hypothesis(
     let at = closing(&places, overview);
     let (host, fitted) = (&places[0].problem, &places[0].fitted);
     let units: Vec<String> = input.drives.iter().map(|d| d.unit.clone()).collect();
-    let limit = input.drive_limit.clone().unwrap_or_else(|| host.drive_peak.clone());
+    let limit = input.limits(&host.drive_peak);
     let loudest = host.fit.iter().max_by(|a, b| {
         let level = |s: &Stretch| s.drives.iter().map(|d| rms(d)).sum::<f64>();
         level(a).total_cmp(&level(b))

@@ -131,6 +131,11 @@ impl Input {
         Ok(())
     }
 
+    /// Largest magnitude allowed of each drive: what is set, or `reached` by the runs.
+    pub(super) fn limits(&self, reached: &[f64]) -> Vec<f64> {
+        self.drive_limit.clone().unwrap_or_else(|| reached.to_vec())
+    }
+
     /// Samples a second.
     ///
     /// # Panics

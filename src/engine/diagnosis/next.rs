@@ -51,7 +51,7 @@ pub(super) fn next_experiment(
             && r.scored.effect().tier() <= effect.tier().max(Tier::Law)
     })?;
     let noise = &prepared.noises[problem.response].ar;
-    let limit = input.drive_limit.clone().unwrap_or_else(|| problem.drive_peak.clone());
+    let limit = input.limits(&problem.drive_peak);
     let menu = menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed);
     let separated: Vec<Option<f64>> = menu
         .par_iter()

@@ -29,6 +29,13 @@ pub enum VerdictKind {
     NoMaterialGap,
 }
 
+impl VerdictKind {
+    /// Whether the verdict blames something of the rig that a model could have.
+    pub fn blames(self) -> bool {
+        matches!(self, Self::Identified | Self::Partial | Self::FamilyOnly | Self::NotDistinguishable)
+    }
+}
+
 /// The answer in one sentence's worth of fields.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {

@@ -8,6 +8,7 @@ use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
 use super::held_out::{Place, held_out};
 use super::hosts::Hosts;
+use super::hypothesis::axis;
 use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::prepare::Prepared;
@@ -84,11 +85,10 @@ pub(super) fn second_effect(
     }
     let part = best.fitted.candidate.parts.last()?;
     let held = held_out(input, prepared, &problem, &best.fitted)?;
-    let axis = if part.effect.on_drive() { &input.drives[part.drive].axis } else { &input.responses[r].axis };
     Some(SecondEffect {
         effect: part.effect,
         family: part.effect.family(),
-        axis: axis.clone(),
+        axis: axis(input, r, part),
         channel: input.responses[r].name.clone(),
         chi2: best.chi2,
         closure: held.closure,

@@ -7,6 +7,7 @@ use crate::domain::fits::{RunFilter, RunSelection};
 use crate::domain::{DiagnosisRequest, FieldError, Lineage, Model, Run, RunId, RunKind, Split};
 use crate::engine::diagnosis::Role;
 
+use super::super::selection;
 use super::plan::invalid;
 use super::problem::DiagnosisProblem;
 
@@ -153,18 +154,7 @@ fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, Diagnosi
         let limit = format!("1 to {MAX_RUNS} runs");
         return Err(DiagnosisProblem::Invalid(vec![FieldError::new(pointer, limit)]));
     }
-    let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
-    let mut errors = Vec::new();
-    let mut runs = Vec::with_capacity(ids.len());
-    for (i, id) in ids.iter().enumerate() {
-        match rows.get(id) {
-            Some(run) => runs.push((*run).clone()),
-            None => {
-                errors.push(FieldError::new(format!("{pointer}/{i}"), format!("a run of the rig, not {id}")));
-            }
-        }
-    }
-    if errors.is_empty() { Ok(runs) } else { Err(DiagnosisProblem::Invalid(errors)) }
+    selection::by_id(all, ids, pointer).map_err(DiagnosisProblem::Invalid)
 }
 
 /// Runs that match, each measurement once, by id; what is left open is as in a fit: noise of the
@@ -187,14 +177,5 @@ fn matching(all: &[Run], filter: &RunFilter, pointer: &str) -> Result<Vec<Run>, 
     if !errors.is_empty() {
         return Err(DiagnosisProblem::Invalid(errors));
     }
-    let kind_fits = |run: &Run| match &filter.kinds {
-        Some(kinds) => kinds.is_empty() || kinds.iter().any(|kind| kind == run.kind.as_str()),
-        None => run.kind == RunKind::Noise,
-    };
-    Ok(all
-        .iter()
-        .filter(|run| run.duplicate_of.is_none() && run.split.as_str() == split && kind_fits(run))
-        .filter(|run| filter.tags.iter().all(|tag| run.tags.contains(tag)))
-        .cloned()
-        .collect())
+    Ok(selection::matching(all, filter, Some(RunKind::Noise), Split::Training))
 }

@@ -4,7 +4,6 @@ use maud::{Markup, html};
 
 use super::labels::{family, in_words, parameter, words};
 use super::sentence;
-use super::which::blames;
 use super::{Heading, Simulation, figure, heading};
 use crate::engine::diagnosis::{
     Hypothesis, Mode, NoiseSource, Parameter, Report, RunPart, VerdictKind, Views,
@@ -117,7 +116,7 @@ pub fn method(of: &Heading, report: &Report, views: &Views) -> Markup {
             h3 { "Reasons for the verdict" }
             ul { @for reason in &v.because { li { (in_words(reason)) } } }
         }
-        @if let Some(best) = report.hypotheses.first().filter(|_| blames(v.kind)) { (parameters(best)) }
+        @if let Some(best) = report.hypotheses.first().filter(|_| v.kind.blames()) { (parameters(best)) }
         h3 { "Data" }
         dl {
             (runs("Fitted to", &report.data_split.fit))

@@ -126,7 +126,7 @@ fn kind_in_words(kind: VerdictKind) -> &'static str {
 fn adopt(of: &Heading, report: &Report) -> Markup {
     // What runs away within the allowed drives is not taken over.
     let steady = sentence::best(report).is_some_and(|b| b.stable_over_envelope);
-    let may = which::blames(report.verdict.kind) && steady;
+    let may = report.verdict.kind.blames() && steady;
     let Some(call) = of.adopt.as_ref().filter(|_| may) else {
         return html! {};
     };

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::labels::words;
 use super::sentence::closure;
 use super::{figure, heading};
-use crate::engine::diagnosis::{Effect, Report, VerdictKind};
+use crate::engine::diagnosis::{Effect, Report};
 use crate::ui::plot::{WhiskerRow, whiskers};
 use crate::ui::text::{number, percent};
 
@@ -21,7 +21,7 @@ pub fn section(report: &Report) -> Markup {
             value: h.held_out.closure,
             interval: h.held_out.closure_ci90,
             probability: Some(h.probability),
-            chosen: blames(v.kind) && v.equivalence_set.contains(&h.effect),
+            chosen: v.kind.blames() && v.equivalence_set.contains(&h.effect),
         })
         .collect();
     let description = format!(
@@ -31,12 +31,12 @@ pub fn section(report: &Report) -> Markup {
     );
     html! {
         (heading("which", "Which effect is it?"))
-        @if blames(v.kind) { (explained(report)) }
+        @if v.kind.blames() { (explained(report)) }
         (figure(
             &whiskers("candidates", "Candidates side by side", &description, &rows),
             &html! {
                 "Each candidate was fitted to the same runs, and simulated without a look at any measured response. "
-                @if blames(v.kind) && v.equivalence_set.len() > 1 {
+                @if v.kind.blames() && v.equivalence_set.len() > 1 {
                     "Those in colour cannot be told apart by these runs alone. "
                 }
                 "Of two that close alike the simpler is believed."
@@ -63,17 +63,6 @@ fn explained(report: &Report) -> Markup {
         Some(effect) => html! { p { (line(effect)) } },
         None => html! { ul { @for effect in &v.equivalence_set { li { (line(*effect)) } } } },
     }
-}
-
-/// Whether the verdict names an effect, a family or a set.
-pub fn blames(kind: VerdictKind) -> bool {
-    matches!(
-        kind,
-        VerdictKind::Identified
-            | VerdictKind::Partial
-            | VerdictKind::FamilyOnly
-            | VerdictKind::NotDistinguishable
-    )
 }
 
 /// Traits of the gap, each with what it speaks for.

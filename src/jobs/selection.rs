@@ -1,0 +1,39 @@
+//! Runs that a request names, by id or by what they are.
+
+use std::collections::HashMap;
+
+use crate::domain::fits::RunFilter;
+use crate::domain::{FieldError, Run, RunId, RunKind, Split};
+
+/// Runs by id, in the order of the ids.
+///
+/// # Errors
+/// Each id of no run of the rig, under `pointer`.
+pub(super) fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, Vec<FieldError>> {
+    let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
+    let mut errors = Vec::new();
+    let mut runs = Vec::with_capacity(ids.len());
+    for (i, id) in ids.iter().enumerate() {
+        match rows.get(id) {
+            Some(run) => runs.push((*run).clone()),
+            None => {
+                errors.push(FieldError::new(format!("{pointer}/{i}"), format!("a run of the rig, not {id}")))
+            }
+        }
+    }
+    if errors.is_empty() { Ok(runs) } else { Err(errors) }
+}
+
+/// Runs that match, each measurement once; `kind` and `split` stand for what the filter leaves open.
+pub(super) fn matching(all: &[Run], filter: &RunFilter, kind: Option<RunKind>, split: Split) -> Vec<Run> {
+    let split = filter.split.as_deref().unwrap_or(split.as_str());
+    let kind_fits = |run: &Run| match &filter.kinds {
+        Some(kinds) => kinds.is_empty() || kinds.iter().any(|kind| kind == run.kind.as_str()),
+        None => kind.is_none_or(|kind| kind == run.kind),
+    };
+    all.iter()
+        .filter(|run| run.duplicate_of.is_none() && run.split.as_str() == split && kind_fits(run))
+        .filter(|run| filter.tags.iter().all(|tag| run.tags.contains(tag)))
+        .cloned()
+        .collect()
+}
