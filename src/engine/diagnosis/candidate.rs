@@ -295,7 +295,7 @@ impl Candidate {
 
 /// Values midway to the next sample as values at the samples.
 pub(super) fn at_samples(mid: &[f64]) -> impl Iterator<Item = f64> {
-    (0..mid.len()).map(|k| 0.5 * (mid[k.saturating_sub(1)] + mid[k]))
+    (0..mid.len()).map(|k| kernel::midway(mid, k.saturating_sub(1)))
 }
 
 /// First linear part of a sandwich: the drive, in units of its peak, through its path.

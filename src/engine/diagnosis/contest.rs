@@ -8,7 +8,7 @@ use super::candidate::Candidate;
 use super::catalogue::{FreeRanges, parts};
 use super::decide::{Ranked, allowed, rank};
 use super::echo::Silence;
-use super::fitting::{Effort, fit};
+use super::fitting::{Effort, Fitted, finish, fit};
 use super::hosts::Hosts;
 use super::input::{Input, Mode};
 use super::overview::Overview;
@@ -20,6 +20,13 @@ use crate::engine::progress::{Watch, report};
 
 /// Candidates of one host whose echoes at other responses are fitted.
 const ECHOED: usize = 8;
+
+/// Jacobians of a candidate's first fit; only those that come near the best are fitted to their end.
+const FIRST: usize = 8;
+/// How many times what the best leaves above the noise a candidate may leave to be fitted further,
+const BEHIND: f64 = 6.0;
+/// and the least, in noise floors squared, that this is counted from.
+const NEAR: f64 = 0.3;
 
 /// The contest's outcome.
 pub(super) struct Outcome {
@@ -66,15 +73,32 @@ pub(super) fn contest(
         }
     }
     let done = AtomicUsize::new(0);
-    let scored: Vec<Option<Scored>> = tasks
+    let fitted: Vec<Option<(usize, Fitted)>> = tasks
         .par_iter()
         .map(|(r, regression, candidate)| {
             let share = done.load(Ordering::Relaxed) as f64 / tasks.len() as f64;
             report(watch, &candidate.parts[0].effect.name(), 0.1 + 0.5 * share)?;
             let problem = &prepared.problems[*r];
-            let fitted = fit(problem, regression, candidate, &[], Effort { rounds: 40 });
+            let fitted = fit(problem, regression, candidate, &[], Effort { rounds: FIRST });
             done.fetch_add(1, Ordering::Relaxed);
-            Ok(fitted.and_then(|f| score(*r, problem, f, overview.chi2_select[*r], rate)))
+            Ok(fitted.map(|f| (*r, f)))
+        })
+        .collect::<Result<_, EngineError>>()?;
+    let fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
+    let least = |r: usize| {
+        let own = fitted.iter().filter(|f| f.0 == r);
+        own.map(|f| f.1.chi2_fit).fold(f64::INFINITY, f64::min)
+    };
+    let least: Vec<f64> = (0..prepared.problems.len()).map(least).collect();
+    let scored: Vec<Option<Scored>> = fitted
+        .into_par_iter()
+        .map(|(r, mut fitted)| {
+            let problem = &prepared.problems[r];
+            if fitted.chi2_fit - 1.0 < BEHIND * (least[r] - 1.0).max(NEAR) {
+                report(watch, &fitted.candidate.parts[0].effect.name(), 0.6)?;
+                fitted = finish(problem, fitted, Effort { rounds: 40 });
+            }
+            Ok(score(r, problem, fitted, overview.chi2_select[r], rate))
         })
         .collect::<Result<_, EngineError>>()?;
     report(watch, "other responses", 0.6)?;

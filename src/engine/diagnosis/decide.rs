@@ -1,5 +1,6 @@
 //! From scores to a verdict: parsimony, probabilities, abstention.
 
+use super::candidate::Part;
 use super::effect::{Effect, Tier};
 use super::score::{EQUAL, Scored, may_be_equal};
 
@@ -118,21 +119,24 @@ pub(super) fn allowed(plain: bool) -> f64 {
     if plain { PARTIAL } else { ABSTAIN }
 }
 
+/// Charge of one effect's tier and shape on the logarithm of the remaining share.
+pub(super) fn charge(part: &Part) -> f64 {
+    let c = &CALIBRATION;
+    match part.effect.tier() {
+        Tier::Scalar => c.charge[0],
+        Tier::Linear => c.charge[1],
+        Tier::Law => c.charge[2] + c.shape * part.shapes().saturating_sub(1) as f64,
+        Tier::Free => c.charge[3],
+    }
+}
+
 /// Ranks candidates, the most believable first; `share` is what the right one may leave of the gap.
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(0.1);
     let floor = c.floor + (c.core + 1.5 * spread(rows)) / gap;
     let charge = |scored: &Scored| {
-        let of_tier = match scored.effect().tier() {
-            Tier::Scalar => c.charge[0],
-            Tier::Linear => c.charge[1],
-            Tier::Law => {
-                let shapes = scored.fitted.candidate.parts[0].shapes();
-                c.charge[2] + c.shape * shapes.saturating_sub(1) as f64
-            }
-            Tier::Free => c.charge[3],
-        };
+        let of_tier = charge(&scored.fitted.candidate.parts[0]);
         let needless = if scored.needless { c.needless } else { 0.0 };
         let unusual = if scored.unusual { c.unusual } else { 0.0 };
         of_tier + needless + unusual + c.passive * (1.0 - scored.passivity)

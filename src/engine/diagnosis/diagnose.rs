@@ -69,13 +69,16 @@ fn finish(
     watch: Watch<'_>,
 ) -> Result<Diagnosis, EngineError> {
     report(watch, "held-out closure", 0.8)?;
-    let ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
+    let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
+    let two = second_effect(input, prepared, overview, &ranked, verdict.effect);
+    if let (Some(two), None) = (&two, verdict.effect) {
+        ranked[..=two.first].rotate_right(1);
+    }
+    report(watch, "second effect", 0.88)?;
     let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();
     let made: Vec<(Hypothesis, Augmented)> =
         listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, overview, ranked)).collect();
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
-    report(watch, "second effect", 0.88)?;
-    let second = listed.first().and_then(|b| second_effect(input, prepared, overview, &b.scored));
     report(watch, "next experiment", 0.95)?;
     let next_experiment = next_experiment(input, prepared, &ranked);
     let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));
@@ -105,7 +108,7 @@ fn finish(
         location: location(input, prepared, overview, &names, rate),
         fingerprints,
         hypotheses,
-        remaining: remaining_after(input, prepared, overview, best.as_ref(), second),
+        remaining: remaining_after(input, prepared, overview, best.as_ref(), two.map(|t| t.second)),
         next_experiment,
         data_split: data_split(prepared, &names, rate),
         warnings,

@@ -58,6 +58,13 @@ pub(super) fn fit(
     best
 }
 
+/// Goes on where a fit was left off; where nothing is gained the fit stays as it was.
+pub(super) fn finish(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitted {
+    let linear = vec![false; fitted.p.len()];
+    let start = Start { p: fitted.p.clone(), scale: fitted.scale.clone(), cost: fitted.chi2_fit, linear };
+    improve(problem, &fitted.candidate, &start, effort).unwrap_or(fitted)
+}
+
 /// Improves one start; with no rounds the start itself is the answer. `None` if its free run does not
 /// stay finite.
 pub(super) fn improve(

@@ -3,6 +3,8 @@
 //! `x+ = A x + sum_q E_q phi_q(y_mid, v_mid, z_q, t, other)`, `y = ext + C x`, where `ext` is all that
 //! does not depend on the response. Midpoint rule with two passes: the first predicts the next
 //! sample, the second evaluates midway to it (one explicit pass diverges for quadratic damping).
+//! Midway a law sees the cubic through the last three samples and the next: a straight line between
+//! two would err by some percent at a tenth of the sample rate.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +13,38 @@ use super::modes::Modes;
 
 /// Beyond this many times the response's RMS a run has diverged.
 const RUNAWAY: f64 = 1e4;
+
+/// The last three samples and the next, oldest first, about the working point.
+pub(super) type Window = [f64; 4];
+
+/// Their weights in the value midway to the next,
+pub(super) const MIDWAY: Window = [1.0 / 16.0, -5.0 / 16.0, 15.0 / 16.0, 5.0 / 16.0];
+/// in the change per sample there,
+const SLOPE: Window = [1.0 / 24.0, -3.0 / 24.0, -21.0 / 24.0, 23.0 / 24.0];
+/// and in the change since the last sample: changes that a memory adds up to a displacement.
+const STEP: Window = [0.0, 0.0, -1.0, 1.0];
+
+/// The same weights where samples on both sides are known: two before, two after.
+const BETWEEN: Window = [-1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0];
+const SLOPE_BETWEEN: Window = [1.0 / 24.0, -27.0 / 24.0, 27.0 / 24.0, -1.0 / 24.0];
+const STEP_BETWEEN: Window = [0.0, -1.0, 1.0, 0.0];
+
+/// Weights of the change that a law sees.
+pub(super) fn change(law: &Law) -> &'static Window {
+    if law.memories() > 0 { &STEP } else { &SLOPE }
+}
+
+/// Sum of the samples with their weights.
+#[inline]
+pub(super) fn weigh(weights: &Window, window: &Window) -> f64 {
+    weights.iter().zip(window).map(|(w, y)| w * y).sum()
+}
+
+/// The first guess of the next sample: the parabola through the last three.
+#[inline]
+pub(super) fn extrapolate([earlier, before, now]: [f64; 3]) -> f64 {
+    3.0 * (now - before) + earlier
+}
 
 /// One force with its strength and path.
 pub(super) struct Force<'a> {
@@ -31,6 +65,14 @@ pub(super) struct Scales {
     pub y: f64,
     /// RMS of its change per sample.
     pub dy: f64,
+}
+
+impl Scales {
+    /// What a law sees of a response `y` about the working point that changes by `change` a sample.
+    #[inline]
+    pub fn instant(&self, y: f64, change: f64, t: f64, aux: f64) -> Instant {
+        Instant { y: y / self.y, dy: change / self.y, v: change / self.dy, t, aux }
+    }
 }
 
 /// Time of a run in units of the programme.
@@ -68,9 +110,8 @@ pub(super) fn trace(
     let mut values = vec![0.0; forces.len()];
     let mut out = Vec::with_capacity(ext.len());
     let mut guesses = Vec::with_capacity(ext.len());
-    let (per_y, per_dy) = (1.0 / scales.y, 1.0 / scales.dy);
     let limit = RUNAWAY * scales.y;
-    let mut before = ext.first()? - scales.y_mean;
+    let mut past = [ext.first()? - scales.y_mean; 3];
     for (k, e) in ext.iter().enumerate() {
         let y = e - scales.y_mean + modes.read(&x);
         if y.is_nan() || y.abs() >= limit {
@@ -81,26 +122,23 @@ pub(super) fn trace(
         modes.turn(&mut x);
         let free = next_ext - scales.y_mean + modes.read(&x);
         let t = clock.start + clock.step * (k as f64 + 0.5);
-        let instant = |next: f64, force: &Force<'_>| {
-            let other =
-                if force.other.is_empty() { 0.0 } else { 0.5 * (force.other[k] + force.other[k + 1]) };
-            Instant {
-                y: 0.5 * (y + next) * per_y,
-                dy: (next - y) * per_y,
-                v: (next - y) * per_dy,
-                t,
-                aux: other,
-            }
-        };
-        let mut next = y + (y - before);
+        past = [past[1], past[2], y];
+        let mut next = extrapolate(past);
         for pass in 0..2 {
             if pass == 1 {
                 guesses.push(next);
             }
             let mut predicted = free;
+            let window = [past[0], past[1], past[2], next];
             for (q, force) in forces.iter().enumerate() {
                 let mut memory = memories[q];
-                let value = force.law.at(force.shape, instant(next, force), &mut memory);
+                let instant = scales.instant(
+                    weigh(&MIDWAY, &window),
+                    weigh(change(force.law), &window),
+                    t,
+                    midway(force.other, k),
+                );
+                let value = force.law.at(force.shape, instant, &mut memory);
                 predicted += reach[q] * value;
                 if pass == 1 {
                     values[q] = value;
@@ -114,7 +152,6 @@ pub(super) fn trace(
                 *x += e * value;
             }
         }
-        before = y;
     }
     Some((out, guesses))
 }
@@ -129,21 +166,29 @@ pub(super) fn along(
     clock: Clock,
 ) -> Vec<f64> {
     let mut memory = Memory::default();
+    let slope = if law.memories() > 0 { &STEP_BETWEEN } else { &SLOPE_BETWEEN };
     (0..response.len())
         .map(|k| {
-            let next = (k + 1).min(response.len() - 1);
-            let (y, to) = (response[k] - scales.y_mean, response[next] - scales.y_mean);
-            let aux = if other.is_empty() { 0.0 } else { 0.5 * (other[k] + other[next]) };
-            let instant = Instant {
-                y: 0.5 * (y + to) / scales.y,
-                dy: (to - y) / scales.y,
-                v: (to - y) / scales.dy,
-                t: clock.start + clock.step * (k as f64 + 0.5),
-                aux,
-            };
+            let window = around(response, k).map(|y| y - scales.y_mean);
+            let t = clock.start + clock.step * (k as f64 + 0.5);
+            let instant =
+                scales.instant(weigh(&BETWEEN, &window), weigh(slope, &window), t, midway(other, k));
             law.at(shape, instant, &mut memory)
         })
         .collect()
+}
+
+/// Two samples up to `k` and two from the next on; those beyond an end are the end's.
+#[inline]
+fn around(signal: &[f64], k: usize) -> Window {
+    let last = signal.len() - 1;
+    [signal[k.saturating_sub(1)], signal[k], signal[(k + 1).min(last)], signal[(k + 2).min(last)]]
+}
+
+/// A signal midway from sample `k` to the next; 0 if it is empty.
+#[inline]
+pub(super) fn midway(signal: &[f64], k: usize) -> f64 {
+    if signal.is_empty() { 0.0 } else { weigh(&BETWEEN, &around(signal, k)) }
 }
 
 #[cfg(test)]
@@ -174,14 +219,29 @@ mod tests {
         .unwrap();
         // The loop's own equation, solved at once: y_(k+1) enters its own midpoint, C E = 0 here.
         let mut x = [0.0, 0.0];
+        let mut past = [ext[0]; 3];
         for k in 0..2999 {
             let now = ext[k] + x[0];
             assert!((y[k] - now).abs() < 1e-9, "sample {k}");
-            let mut turned = x;
-            modes.turn(&mut turned);
-            let next = ext[k + 1] + turned[0];
-            x = [turned[0], turned[1] + path[1] * 0.5 * (now + next)];
+            past = [past[1], past[2], now];
+            modes.turn(&mut x);
+            let window = [past[0], past[1], past[2], ext[k + 1] + x[0]];
+            x[1] += path[1] * weigh(&MIDWAY, &window);
         }
+    }
+
+    #[test]
+    fn midway_a_law_sees_what_a_sine_does_there() {
+        let w = 0.4_f64;
+        let at = |k: f64| (w * k + 0.3).sin();
+        let (value, slope) = (at(0.5), w * (w * 0.5 + 0.3).cos());
+        let past = [at(-2.0), at(-1.0), at(0.0), at(1.0)];
+        assert!((weigh(&MIDWAY, &past) - value).abs() < 2e-3);
+        assert!((weigh(change(&Law::Coulomb), &past) - slope).abs() < 4e-3);
+        let around = [at(-1.0), at(0.0), at(1.0), at(2.0)];
+        assert!((weigh(&BETWEEN, &around) - value).abs() < 1e-3);
+        assert!((weigh(&SLOPE_BETWEEN, &around) - slope).abs() < 1e-3);
+        assert!((extrapolate([at(-2.0), at(-1.0), at(0.0)]) - at(1.0)).abs() < 0.07);
     }
 
     #[test]

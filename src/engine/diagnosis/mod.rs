@@ -40,6 +40,7 @@ mod next;
 mod noise;
 mod output_map;
 mod overview;
+mod pairs;
 mod parameters;
 mod prepare;
 mod problem;

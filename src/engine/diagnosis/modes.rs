@@ -186,6 +186,15 @@ impl Modes {
         out
     }
 
+    /// Free decays from each state, `[state][sample]`.
+    pub(super) fn decays(&self, samples: usize) -> Vec<Vec<f64>> {
+        let mut pulse = vec![0.0; samples + 1];
+        pulse[0] = 1.0;
+        let mut decays = self.basis(&pulse);
+        decays.iter_mut().for_each(|decay| drop(decay.remove(0)));
+        decays
+    }
+
     /// Output for input vector `e`.
     ///
     /// # Panics

@@ -166,6 +166,10 @@ impl Cut<'_> {
         if scored < 64 {
             return Err(EngineError::TooShort { what: "run of the diagnosis", needed: 64, found: scored });
         }
+        let mut rows = Rows::new(scored, self.band, &noise.ar);
+        if lead < self.memory {
+            rows = rows.without(&core.modes.decays(scored));
+        }
         let cut = |signal: &[Vec<f64>]| -> Vec<Vec<f64>> {
             signal.iter().map(|x| x[start..piece.to].to_vec()).collect()
         };
@@ -176,7 +180,7 @@ impl Cut<'_> {
             group: piece.group,
             measured: Arc::new(run.response.channel(response)[start..piece.to].to_vec()),
             lead,
-            rows: Arc::new(Rows::new(scored, self.band, &noise.ar)),
+            rows: Arc::new(rows),
             course: Course {
                 simulated: Arc::new(cut(&self.simulated[piece.run])),
                 core: Arc::new(core.simulate(&drives)),

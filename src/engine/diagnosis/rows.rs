@@ -4,6 +4,9 @@
 //! band is divided by the standard deviation that noise alone gives it. Real and imaginary parts
 //! are then independent rows of variance 1, so the mean of their squares is `chi2` in noise floors.
 //! Whitening and band limit in one step, without a filter's ring-down.
+//!
+//! A stretch whose past is unknown rings down from it: rows are then taken without their part along
+//! the free decays of the rig, so that no run needs to start at rest.
 
 use std::sync::Arc;
 
@@ -11,9 +14,12 @@ use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::ar::Ar;
+use super::linear::{dot, norm};
 
 /// Share of a stretch that each end's taper takes.
 const TAPER: f64 = 0.05;
+/// Share of a decay's length below which those before it hold it already.
+const SAME: f64 = 1e-6;
 
 /// Turns stretches of one length into rows.
 #[derive(Clone)]
@@ -23,6 +29,8 @@ pub(super) struct Rows {
     first_line: usize,
     /// 1 / standard deviation of a row, per line in the band.
     weight: Vec<f64>,
+    /// Orthonormal rows of what may be left of the past.
+    past: Vec<Vec<f64>>,
     forward: Arc<dyn RealToComplex<f64>>,
     inverse: Arc<dyn ComplexToReal<f64>>,
 }
@@ -58,8 +66,34 @@ impl Rows {
             taper,
             first_line,
             weight,
+            past: Vec::new(),
             forward: planner.plan_fft_forward(n),
             inverse: planner.plan_fft_inverse(n),
+        }
+    }
+
+    /// Rows without their part along `decays`, signals as long as a stretch.
+    pub fn without(mut self, decays: &[Vec<f64>]) -> Self {
+        for decay in decays {
+            let mut rows = Vec::with_capacity(self.len());
+            self.weighted(decay, &mut rows);
+            let before = norm(&rows);
+            // Twice, for what rounding leaves of the first time.
+            self.forget(&mut rows);
+            self.forget(&mut rows);
+            let after = norm(&rows);
+            if after > SAME * before {
+                rows.iter_mut().for_each(|r| *r /= after);
+                self.past.push(rows);
+            }
+        }
+        self
+    }
+
+    fn forget(&self, rows: &mut [f64]) {
+        for past in &self.past {
+            let share = dot(past, rows);
+            rows.iter_mut().zip(past).for_each(|(r, p)| *r -= share * p);
         }
     }
 
@@ -82,6 +116,12 @@ impl Rows {
 
     /// Appends the rows of a stretch of at least [`Rows::samples`] samples.
     pub fn extend(&self, stretch: &[f64], rows: &mut Vec<f64>) {
+        let from = rows.len();
+        self.weighted(stretch, rows);
+        self.forget(&mut rows[from..]);
+    }
+
+    fn weighted(&self, stretch: &[f64], rows: &mut Vec<f64>) {
         let lines = self.lines(stretch);
         for (i, (z, w)) in lines[self.first_line..].iter().zip(&self.weight).enumerate() {
             rows.push(z.re * w);
@@ -94,16 +134,16 @@ impl Rows {
     /// The stretch as a time signal in noise floors: noise alone has a mean square of about
     /// `rows / samples`, whatever its colour.
     pub fn whitened(&self, stretch: &[f64]) -> Vec<f64> {
-        let mut lines = self.lines(stretch);
-        let last = self.first_line + self.weight.len();
-        for (i, z) in lines.iter_mut().enumerate() {
-            if i < self.first_line || i >= last {
-                *z = Complex64::default();
-            } else {
-                // A line stands for itself and its conjugate: half of the power each.
-                let parts = if i == 0 { 1.0 } else { 0.5 };
-                *z *= self.weight[i - self.first_line] * f64::sqrt(parts / self.n as f64);
-            }
+        let mut rows = Vec::with_capacity(self.len());
+        self.extend(stretch, &mut rows);
+        let mut rows = rows.into_iter();
+        let mut lines = self.inverse.make_input_vec();
+        for i in self.first_line..self.first_line + self.weight.len() {
+            let re = rows.next().unwrap_or_default();
+            let im = if i == 0 { 0.0 } else { rows.next().unwrap_or_default() };
+            // A line stands for itself and its conjugate: half of the power each.
+            let parts = if i == 0 { 1.0 } else { 0.5 };
+            lines[i] = Complex64::new(re, im) * f64::sqrt(parts / self.n as f64);
         }
         lines[0].im = 0.0;
         let mut out = self.inverse.make_output_vec();
@@ -155,6 +195,26 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
+
+    #[test]
+    fn a_decay_from_the_past_leaves_no_rows_and_noise_keeps_its_own() {
+        let (noise, samples) = coloured(4000, 5);
+        let decay = |w: f64| -> Vec<f64> {
+            (0..4000).map(|k| (-2e-3 * f64::from(k)).exp() * (w * f64::from(k)).cos()).collect()
+        };
+        let plain = Rows::new(4000, [0.002, 0.2], &noise);
+        let rows = plain.clone().without(&[decay(0.1), decay(0.3), decay(0.1)]);
+        let of = |rows: &Rows, x: &[f64]| {
+            let mut out = Vec::new();
+            rows.extend(x, &mut out);
+            norm(&out)
+        };
+        let both: Vec<f64> = decay(0.1).iter().zip(decay(0.3)).map(|(a, b)| 3.0 * a - b).collect();
+        assert!(of(&rows, &both) < 1e-9 * of(&plain, &both));
+        let (kept, all) = (of(&rows, &samples), of(&plain, &samples));
+        assert!(kept < all && kept > 0.99 * all);
+        assert!(norm(&rows.whitened(&both)) < 1e-9 * norm(&plain.whitened(&both)));
+    }
 
     fn coloured(n: usize, seed: u64) -> (Ar, Vec<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

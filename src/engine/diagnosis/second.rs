@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
 use super::catalogue::{FreeRanges, parts};
+use super::decide::Ranked;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
 use super::held_out::{Place, held_out};
@@ -11,7 +12,9 @@ use super::hosts::Hosts;
 use super::hypothesis::axis;
 use super::input::{Input, Mode};
 use super::overview::Overview;
+use super::pairs::best_pair;
 use super::prepare::Prepared;
+use super::problem::Problem;
 use super::report::SecondEffect;
 use super::score::{Scored, score};
 use super::start::Regression;
@@ -38,15 +41,87 @@ fn place(prepared: &Prepared, overview: &Overview, hosts: &Hosts, first: &Scored
     all.max_by(|a, b| a.0.chi2.total_cmp(&b.0.chi2)).filter(|p| p.0.chi2 > SECOND)
 }
 
-/// The effect that closes most of what the first leaves, if it closes a good part of it.
+/// Two effects that together close what one alone does not.
+pub(super) struct Two {
+    /// The first's place among the ranked ones.
+    pub first: usize,
+    pub second: SecondEffect,
+}
+
+/// A second effect where one leaves more than the noise: the best pair at the first's host if the verdict
+/// names nothing or a member of that pair, else what closes most of the first's rest.
 pub(super) fn second_effect(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    first: &Scored,
-) -> Option<SecondEffect> {
+    ranked: &[Ranked],
+    named: Option<Effect>,
+) -> Option<Two> {
+    let first = &ranked.first()?.scored;
     let hosts = Hosts::of(input, prepared, overview);
-    let (Place { problem, fitted: of_first, chi2 }, acts) = place(prepared, overview, &hosts, first)?;
+    let (rest, acts) = place(prepared, overview, &hosts, first)?;
+    if rest.problem.response == first.problem && first.fitted.candidate.parts[0].output.is_none() {
+        let problem = &prepared.problems[first.problem];
+        if let Some(two) = together(input, prepared, problem, ranked, named) {
+            return Some(two);
+        }
+    }
+    let second = on_top(input, prepared, overview, first, (rest, acts))?;
+    Some(Two { first: 0, second })
+}
+
+/// The best pair of effects on one response, if it closes a good part of what the best one leaves.
+fn together(
+    input: &Input,
+    prepared: &Prepared,
+    problem: &Problem,
+    ranked: &[Ranked],
+    named: Option<Effect>,
+) -> Option<Two> {
+    let in_situ = input.mode == Mode::InSitu;
+    let regression = Regression::new(problem, in_situ);
+    let ranges = FreeRanges::of(problem, &regression.smooth);
+    let parts = parts(problem, &input.catalogue, in_situ, ranges);
+    let pair = best_pair(problem, &regression, &parts, in_situ, named)?;
+    let best = &ranked[0].scored;
+    if pair.chi2 - 1.0 > CLOSES * (best.host_chi2 - 1.0) {
+        return None;
+    }
+    let members = &pair.fitted.candidate.parts;
+    let at = |part: &Part| {
+        ranked
+            .iter()
+            .position(|r| r.scored.problem == problem.response && r.scored.fitted.candidate.parts[0] == *part)
+    };
+    // The one that closes more alone comes first.
+    let (first, second) = match [at(&members[0]), at(&members[1])] {
+        [Some(a), Some(b)] => (a.min(b), if a < b { &members[1] } else { &members[0] }),
+        [Some(a), None] => (a, &members[1]),
+        [None, Some(b)] => (b, &members[0]),
+        [None, None] => return None,
+    };
+    let held = held_out(input, prepared, problem, &pair.fitted)?;
+    Some(Two {
+        first,
+        second: SecondEffect {
+            effect: second.effect,
+            family: second.effect.family(),
+            axis: axis(input, problem.response, second),
+            channel: input.responses[problem.response].name.clone(),
+            chi2: pair.chi2,
+            closure: held.closure,
+        },
+    })
+}
+
+/// The effect that closes most of what the first leaves, if it closes a good part of it.
+fn on_top(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    first: &Scored,
+    (Place { problem, fitted: of_first, chi2 }, acts): (Place, bool),
+) -> Option<SecondEffect> {
     let r = problem.response;
     let retune = of_first.candidate.retune;
     let regression = Regression::new(&problem, retune);

@@ -67,12 +67,17 @@ impl<'a> Regression<'a> {
         columns
     }
 
+    /// Columns of the whole retune, none without one.
+    pub fn retune(&self, retune: bool) -> Vec<&[f64]> {
+        if retune { self.retune.iter().map(Vec::as_slice).collect() } else { Vec::new() }
+    }
+
     /// Columns of the retune that a candidate has.
     fn retune_of(&self, candidate: &Candidate) -> Vec<&[f64]> {
         self.retune.iter().take(candidate.retuned(self.problem)).map(Vec::as_slice).collect()
     }
 
-    fn path_columns(
+    pub(super) fn path_columns(
         &self,
         law: &Law,
         shape: &[f64],
@@ -116,7 +121,7 @@ impl<'a> Regression<'a> {
     }
 
     /// Nonlinear parameters to try: of the input map, of each force, of the output map.
-    fn guesses(&self, part: &Part) -> Vec<Guess> {
+    pub(super) fn guesses(&self, part: &Part) -> Vec<Guess> {
         let problem = self.problem;
         if let Some(map) = &part.input {
             let starts = map.starts(problem.drive_quantiles[part.drive], problem.drive_slope[part.drive]);
@@ -286,14 +291,17 @@ impl<'a> Regression<'a> {
     }
 }
 
+/// Nonlinear parameters from which a fit may start.
 #[derive(Default)]
-struct Guess {
-    input: Vec<f64>,
-    shapes: Vec<Vec<f64>>,
-    output: Vec<f64>,
+pub(super) struct Guess {
+    pub input: Vec<f64>,
+    /// Of each force.
+    pub shapes: Vec<Vec<f64>>,
+    pub output: Vec<f64>,
 }
 
-fn map_scale(part: &Part) -> f64 {
+/// Size of a change of an input map's numbers that matters.
+pub(super) fn map_scale(part: &Part) -> f64 {
     match &part.input {
         Some(super::input_map::InputMap::Delay) => 1.0,
         Some(super::input_map::InputMap::Free(_)) => 0.03,

@@ -5,7 +5,7 @@
 //! difference quotients cost a free run a parameter costs a few additions here.
 
 use super::candidate::{Candidate, INNER_KNOTS, at_samples, inner_signal, inner_spline};
-use super::kernel::{self, Force, Scales};
+use super::kernel::{self, Force, MIDWAY, Scales, Window, weigh};
 use super::law::{Instant, Law, Memory};
 use super::levmar::Column;
 use super::linear::norm;
@@ -234,11 +234,10 @@ impl Candidate {
     }
 }
 
-/// Slopes of one force at one instant: by the response now and next, and by its memory.
+/// Slopes of one force at one instant: by the last three samples and the next, and by its memory.
 struct Slopes {
     value: f64,
-    now: f64,
-    next: f64,
+    by: Window,
     memory: Memory,
     /// Of the memory itself: by its own past, and by the change of the response.
     kept: Memory,
@@ -263,10 +262,10 @@ fn slopes(
     let (up, up_memory) = at(0.0, change_step, &before);
     let (down, down_memory) = at(0.0, -change_step, &before);
     let by_change = (up - down) / (2.0 * change_step);
+    let weights = kernel::change(closed.law);
     let mut found = Slopes {
         value,
-        now: 0.5 * by_y - by_change,
-        next: 0.5 * by_y + by_change,
+        by: std::array::from_fn(|i| by_y * MIDWAY[i] + by_change * weights[i]),
         memory: Memory::default(),
         kept: Memory::default(),
         gained: Memory::default(),
@@ -318,9 +317,14 @@ fn side_by_side(
     let mut x = vec![0.0; order * width];
     let mut z = vec![0.0; memories * width];
     let mut out = vec![0.0; samples * width];
-    let mut before = vec![0.0; width];
-    let (mut now, mut next, mut read) = (vec![0.0; width], vec![0.0; width], vec![0.0; width]);
+    // The last three samples of each lane, oldest first, and the next.
+    let mut window: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; width]);
+    let mut read = vec![0.0; width];
+    let mut guess = vec![0.0; width];
+    // What each force does.
+    let mut pushes: Vec<Vec<f64>> = vec![vec![0.0; width]; closed.len()];
     let mut states: Vec<Memory> = vec![Memory::default(); closed.len()];
+    let mut past = [y[0] - scales.y_mean; 3];
     let sum_of = |x: &[f64], out: &mut [f64]| {
         for (n, row) in x.chunks_exact(width).enumerate() {
             if first[n] {
@@ -329,9 +333,11 @@ fn side_by_side(
         }
     };
     for k in 0..samples {
+        window[..3].rotate_left(1);
+        let now = &mut window[2];
         now.copy_from_slice(&ext[k * width..(k + 1) * width]);
-        sum_of(&x, &mut now);
-        out[k * width..(k + 1) * width].copy_from_slice(&now);
+        sum_of(&x, now);
+        out[k * width..(k + 1) * width].copy_from_slice(now);
         if k + 1 == samples {
             break;
         }
@@ -339,86 +345,60 @@ fn side_by_side(
         read.copy_from_slice(&ext[(k + 1) * width..(k + 2) * width]);
         sum_of(&x, &mut read);
         let t = stretch.clock.start + stretch.clock.step * (k as f64 + 0.5);
-        let (here, guess) = (y[k] - scales.y_mean, guesses[k]);
+        past = [past[1], past[2], y[k] - scales.y_mean];
+        let seen = [past[0], past[1], past[2], guesses[k]];
         let instant = |force: &Closed<'_>, y_moved: f64, change_moved: f64| {
-            let aux = if force.other.is_empty() { 0.0 } else { 0.5 * (force.other[k] + force.other[k + 1]) };
-            let change = guess - here + change_moved;
-            Instant {
-                y: (0.5 * (here + guess) + y_moved) / scales.y,
-                dy: change / scales.y,
-                v: change / scales.dy,
-                t,
-                aux,
-            }
+            let (y, change) = (weigh(&MIDWAY, &seen), weigh(kernel::change(force.law), &seen));
+            scales.instant(y + y_moved, change + change_moved, t, kernel::midway(&force.other, k))
         };
         let found: Vec<Slopes> = closed
             .iter()
             .zip(&mut states)
             .map(|(c, memory)| slopes(c, memory, |y, change| instant(c, y, change), scales))
             .collect();
-        let shifts: Vec<(usize, usize, f64)> = shaped
-            .iter_mut()
-            .map(|(l, force, shape, h, memory)| {
-                let c = &closed[*force];
-                let value = c.law.at(shape, instant(c, 0.0, 0.0), memory);
-                (*l, *force, (value - found[*force].value) / *h)
-            })
-            .collect();
-        // First pass: the next sample from the last two.
-        let by_now: f64 = found.iter().zip(&reach).map(|(s, r)| r * s.now).sum();
-        let by_next: f64 = found.iter().zip(&reach).map(|(s, r)| r * s.next).sum();
-        for l in 0..width {
-            next[l] = read[l] + by_now * now[l] + by_next * (2.0 * now[l] - before[l]);
+        let [earlier, before, now, next] = &mut window;
+        // First pass: the next sample from the last three.
+        for (l, g) in guess.iter_mut().enumerate() {
+            *g = kernel::extrapolate([earlier[l], before[l], now[l]]);
         }
         let mut row = 0;
-        for (s, (c, r)) in found.iter().zip(closed.iter().zip(&reach)) {
+        for ((s, c), push) in found.iter().zip(closed).zip(&mut pushes) {
+            let [a, b, d, e] = s.by;
+            for (l, push) in push.iter_mut().enumerate() {
+                *push = a * earlier[l] + b * before[l] + d * now[l] + e * guess[l];
+            }
             for i in 0..c.law.memories() {
-                let weight = r * s.memory[i];
                 let z = &z[row * width..(row + 1) * width];
-                next.iter_mut().zip(z).for_each(|(n, z)| *n += weight * z);
+                push.iter_mut().zip(z).for_each(|(push, z)| *push += s.memory[i] * z);
                 row += 1;
             }
         }
-        for (l, lane) in lanes.iter().enumerate() {
-            if let Entry::Path { force, state } = lane.entry
-                && first[state]
-            {
-                next[l] += found[force].value;
-            }
+        for (l, force, shape, h, memory) in &mut shaped {
+            let c = &closed[*force];
+            let value = c.law.at(shape, instant(c, 0.0, 0.0), memory);
+            pushes[*force][*l] += (value - found[*force].value) / *h;
         }
-        for &(l, force, shift) in &shifts {
-            next[l] += reach[force] * shift;
-        }
-        // Second pass: the forces midway, into the states.
-        for n in 0..order {
-            let by_now: f64 = found.iter().zip(closed).map(|(s, c)| c.path[n] * s.now).sum();
-            let by_next: f64 = found.iter().zip(closed).map(|(s, c)| c.path[n] * s.next).sum();
-            let x = &mut x[n * width..(n + 1) * width];
-            for l in 0..width {
-                x[l] += by_now * now[l] + by_next * next[l];
-            }
-            let mut row = 0;
-            for (s, c) in found.iter().zip(closed) {
-                for i in 0..c.law.memories() {
-                    let weight = c.path[n] * s.memory[i];
-                    let z = &z[row * width..(row + 1) * width];
-                    x.iter_mut().zip(z).for_each(|(x, z)| *x += weight * z);
-                    row += 1;
-                }
-            }
+        next.copy_from_slice(&read);
+        for (push, r) in pushes.iter().zip(&reach) {
+            next.iter_mut().zip(push).for_each(|(n, push)| *n += r * push);
         }
         for (l, lane) in lanes.iter().enumerate() {
             if let Entry::Path { force, state } = lane.entry {
                 x[state * width + l] += found[force].value;
+                if first[state] {
+                    next[l] += found[force].value;
+                }
             }
         }
-        for &(l, force, shift) in &shifts {
-            for (n, e) in closed[force].path.iter().enumerate() {
-                x[n * width + l] += e * shift;
-            }
-        }
+        // Second pass: the forces midway, into the states.
         let mut row = 0;
-        for (s, c) in found.iter().zip(closed) {
+        for ((s, c), push) in found.iter().zip(closed).zip(&mut pushes) {
+            for (l, push) in push.iter_mut().enumerate() {
+                *push += s.by[3] * (next[l] - guess[l]);
+            }
+            for (e, x) in c.path.iter().zip(x.chunks_exact_mut(width)) {
+                x.iter_mut().zip(&*push).for_each(|(x, push)| *x += e * push);
+            }
             for i in 0..c.law.memories() {
                 let z = &mut z[row * width..(row + 1) * width];
                 for l in 0..width {
@@ -427,7 +407,6 @@ fn side_by_side(
                 row += 1;
             }
         }
-        before.copy_from_slice(&now);
     }
     let mut signals: Vec<Vec<f64>> = vec![Vec::with_capacity(samples); width];
     // In blocks that stay in the cache while they are turned.
