@@ -178,7 +178,7 @@ impl Case {
         let levels = if self.half.is_some() { vec![1.0, 0.5] } else { vec![1.0] };
         let mut record = |level: f64| {
             let count = self.long.len();
-            let one = |rng: &mut ChaCha8Rng| drives::noise(CHECK_S, self.high_hz, rng);
+            let one = |rng: &mut ChaCha8Rng| from_rest(drives::noise(CHECK_S, self.high_hz, rng));
             let drives: Vec<Vec<f64>> =
                 (0..count).map(|_| one(&mut self.rng).iter().map(|u| level * u).collect()).collect();
             let span = Span { drives: &drives, time: times(3), steps: FINE };
@@ -226,6 +226,14 @@ impl Case {
         }
         Record { drives, responses, started_s }
     }
+}
+
+/// The drive with a rise over its first second: what a sim takes for a drive's past is then no matter.
+fn from_rest(mut drive: Vec<f64>) -> Vec<f64> {
+    for (k, u) in drive.iter_mut().enumerate().take(RATE as usize) {
+        *u *= k as f64 / RATE;
+    }
+    drive
 }
 
 /// What a sim leaves of a flaw on a stretch of the programme, relative to the response.

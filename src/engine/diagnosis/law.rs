@@ -44,7 +44,7 @@ const YIELDS: f64 = 0.7;
 /// Largest excess of breakaway over sliding friction: dry pairs have at most about three.
 const BREAKAWAY: f64 = 3.0;
 /// Furthest start of a drift from that of the first run, in programmes.
-const EARLIEST: f64 = 1.0;
+pub(super) const EARLIEST: f64 = 1.0;
 
 /// A law `phi`; its shape numbers are handed in with every call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -19,6 +19,9 @@ use super::spline::Spline;
 /// Squared correlation with the drive above which the inner signal of a sandwich is the drive.
 const IS_DRIVE: f64 = 0.98;
 
+/// Squared correlation with the response above which a force is a straight line of it.
+const IS_LINE: f64 = 0.98;
+
 /// Free function of a part: its spline and where its knots stand in the parameters.
 fn free_function(part: &Part, order: usize) -> Option<(Spline, usize)> {
     if part.sandwich {
@@ -121,6 +124,29 @@ pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f
     }
     let share = if size > 0.0 { sum / size } else { 0.0 };
     if loses { -share * taken.signum() } else { share.abs() }
+}
+
+/// Whether a stop or a gap does along the free run what a straight line does: a clearance that the
+/// response hardly leaves, a stop that it hardly leaves either. With the linear part free no line is left
+/// to stand for.
+pub(super) fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
+    let part = &fitted.candidate.parts[0];
+    let [law @ (Law::Cubic | Law::BumpStop | Law::Clearance)] = part.forces.as_slice() else { return false };
+    if fitted.candidate.retune {
+        return false;
+    }
+    let (mut yy, mut ff, mut yf) = (0.0, 0.0, 0.0);
+    for (stretch, prediction) in problem.select.iter().zip(predictions) {
+        let of = |law: &Law| {
+            let shape = &fitted.p[..law.shapes()];
+            scored(stretch, kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock))
+        };
+        let (y, f) = (of(&Law::Linear), of(law));
+        yy += dot(&y, &y);
+        ff += dot(&f, &f);
+        yf += dot(&y, &f);
+    }
+    yf * yf > IS_LINE * yy * ff
 }
 
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one

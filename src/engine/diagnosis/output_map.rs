@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::law::EARLIEST;
+
 /// A map of one response; the response comes about its working point in units of its RMS.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum OutputMap {
@@ -13,7 +15,7 @@ pub(super) enum OutputMap {
     Saturation,
     /// `y + c2 y^2 + c3 y^3`; `c2, c3`
     Polynomial,
-    /// `y + b t`; `b` over the whole programme
+    /// `y + b (t + t0)`; `b` over the whole programme, `t0`: what drifts need not begin with the first run
     Drift,
     /// `round(y / q) q`; `ln q`, known from the samples, never fitted
     Round,
@@ -23,7 +25,7 @@ impl OutputMap {
     /// Number of parameters.
     pub fn parameters(self) -> usize {
         match self {
-            Self::Saturation | Self::Polynomial => 2,
+            Self::Saturation | Self::Polynomial | Self::Drift => 2,
             _ => 1,
         }
     }
@@ -31,7 +33,8 @@ impl OutputMap {
     /// Points from which a fit starts.
     pub fn starts(self) -> Vec<Vec<f64>> {
         match self {
-            Self::Offset | Self::Drift => vec![vec![0.1]],
+            Self::Offset => vec![vec![0.1]],
+            Self::Drift => vec![vec![0.1, 0.0]],
             Self::Gain => vec![vec![0.05]],
             Self::Saturation => {
                 let mut starts: Vec<Vec<f64>> = [0.8, 1.2, 1.6, 2.2].iter().map(|&l| vec![l, l]).collect();
@@ -53,7 +56,10 @@ impl OutputMap {
                 y.iter_mut().for_each(|y| *y = y.clamp(low, high));
             }
             Self::Polynomial => y.iter_mut().for_each(|y| *y += p[0] * *y * *y + p[1] * *y * *y * *y),
-            Self::Drift => y.iter_mut().enumerate().for_each(|(k, y)| *y += p[0] * time(k)),
+            Self::Drift => {
+                let before = p[1].clamp(-EARLIEST, EARLIEST);
+                y.iter_mut().enumerate().for_each(|(k, y)| *y += p[0] * (time(k) + before));
+            }
             Self::Round => {
                 let q = p[0].exp();
                 y.iter_mut().for_each(|y| *y = (*y / q).round() * q);
@@ -77,7 +83,7 @@ mod tests {
         assert_eq!(mapped(OutputMap::Gain, &[0.5]), [-3.0, 0.75, 4.5]);
         assert_eq!(mapped(OutputMap::Saturation, &[1.0, 2.0]), [-1.0, 0.5, 2.0]);
         assert_eq!(mapped(OutputMap::Polynomial, &[1.0, 0.0]), [2.0, 0.75, 12.0]);
-        assert_eq!(mapped(OutputMap::Drift, &[1.0]), [-2.0, 1.5, 5.0]);
+        assert_eq!(mapped(OutputMap::Drift, &[1.0, 0.5]), [-1.5, 2.0, 5.5]);
         assert_eq!(mapped(OutputMap::Round, &[0.0]), [-2.0, 1.0, 3.0]);
     }
 }

@@ -173,7 +173,13 @@ fn begin<'p>(problem: &Problem, regression: &Regression<'_>, part: &'p Part, gue
             there.iter().zip(&now).map(|(a, b)| (a - b) * unit).collect()
         };
         let column = |p: &[f64]| problem.rows(&problem.fit, |s| change(s, p));
-        return by_numbers(part, &guess.output, 0.1, map != OutputMap::Saturation, column);
+        return by_numbers(
+            part,
+            &guess.output,
+            0.1,
+            matches!(map, OutputMap::Offset | OutputMap::Gain | OutputMap::Polynomial),
+            column,
+        );
     }
     let mut beginning = Beginning::nonlinear(part, Vec::new(), 0.0);
     for (law, shape) in part.forces.iter().zip(&guess.shapes) {

@@ -117,7 +117,9 @@ fn readings(problem: &Problem, part: &Part, units: (&str, &[String])) -> Vec<(us
                 read("c2", 1.0 / y, false, &format!("1/{unit_y}")),
                 read("c3", 1.0 / (y * y), false, &format!("1/{unit_y}^2")),
             ],
-            OutputMap::Drift => vec![read("drift_over_programme", y, false, &unit_y)],
+            OutputMap::Drift => {
+                vec![read("drift_over_programme", y, false, &unit_y), read("began_before", 1.0, false, "1")]
+            }
             OutputMap::Round => vec![read("step", y, true, &unit_y)],
         };
         for (k, reading) in list.into_iter().enumerate() {

@@ -2,16 +2,20 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 use super::echo::Echo;
 use super::fitting::Fitted;
-use super::naming::{open_sandwich, passivity, straightened, unusual};
+use super::naming::{line_in_disguise, open_sandwich, passivity, straightened, unusual};
 use super::problem::{Problem, Stretch};
 
 /// Draws of the block bootstrap.
 const DRAWS: usize = 400;
 /// Length of a block: longer than the memory of most rigs, short enough that there are many.
 const BLOCK_S: f64 = 0.5;
+
+/// Standard error of the noise floor, relative to it.
+const FLOOR: f64 = 0.1;
 
 /// Remaining shares that differ by less are equal.
 pub(super) const EQUAL: f64 = 0.02;
@@ -32,7 +36,8 @@ pub(super) struct Scored {
     pub remaining: f64,
     /// Squared rows per block of the select stretches.
     pub blocks: Vec<f64>,
-    /// A free shape that does as well straightened, or a sandwich with nothing before its middle.
+    /// A free shape that does as well straightened, a stop or a gap that is a line, or a sandwich with
+    /// nothing before its middle.
     pub needless: bool,
     /// How far its force works as one at the response's own place does, -1 to 1.
     pub passivity: f64,
@@ -79,7 +84,8 @@ pub(super) fn score(
     let left = remaining(chi2, chi2_none);
     let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
     let needless = straight.is_some_and(|straight| straight - left < EQUAL)
-        || open_sandwich(problem, &fitted.candidate, &fitted.p);
+        || open_sandwich(problem, &fitted.candidate, &fitted.p)
+        || line_in_disguise(problem, &fitted, &predictions);
     let passivity = passivity(problem, &fitted, &predictions);
     let unusual = unusual(problem, &fitted, &predictions);
     Some(Scored {
@@ -101,7 +107,8 @@ pub(super) fn remaining(chi2: f64, chi2_none: f64) -> f64 {
     if chi2_none > 1.0 { (chi2 - 1.0).max(0.0) / (chi2_none - 1.0) } else { 1.0 }
 }
 
-/// 90 % interval of the closure by drawing blocks with replacement.
+/// 90 % interval of the closure by drawing blocks with replacement, and the floor of the noise with them:
+/// where nothing is left above it, how well the floor is known is all that bounds the closure.
 pub(super) fn closure_interval(before: &Blocks, after: &Blocks, seed: u64) -> [f64; 2] {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let n = before.sums.len();
@@ -114,7 +121,8 @@ pub(super) fn closure_interval(before: &Blocks, after: &Blocks, seed: u64) -> [f
                 a += after.sums[k];
                 rows += before.rows[k];
             }
-            1.0 - remaining(a / rows, b / rows)
+            let error: f64 = StandardNormal.sample(&mut rng);
+            1.0 - remaining(a / rows + FLOOR * error, b / rows)
         })
         .collect();
     closures.sort_by(f64::total_cmp);
@@ -156,7 +164,7 @@ mod tests {
         let before = Blocks { sums: vec![110.0; 40], rows: vec![10.0; 40] };
         let after = Blocks { sums: (0..40).map(|k| 15.0 + f64::from(k % 5)).collect(), rows: vec![10.0; 40] };
         let [low, high] = closure_interval(&before, &after, 1);
-        assert!(low < 0.93 && high > 0.93 && high - low < 0.02, "{low} {high}");
+        assert!(low < 0.93 && high > 0.93 && high - low < 0.05, "{low} {high}");
         assert!(!may_be_equal(&before.sums, &after.sums, 1));
         assert!(may_be_equal(&after.sums, &after.sums, 1));
     }
