@@ -46,6 +46,16 @@ codes! {
     DIGEST_MALFORMED = "digest.malformed", 400, "Content-Digest cannot be read";
     DIGEST_MISMATCH = "digest.mismatch", 400, "The body is not what its digest says";
 
+    // Who asks.
+    TOKEN_MISSING = "token.missing", 401, "A token is needed";
+    TOKEN_INVALID = "token.invalid", 401, "The token is not in force";
+    TOKEN_ROLE = "token.role", 403, "The token's role is too low";
+    TOKEN_SCOPE = "token.scope", 403, "The token is limited to some rigs";
+    HOST_FOREIGN = "host.foreign", 403, "Open to this machine only";
+    ORIGIN_FOREIGN = "origin.foreign", 403, "Changes from another origin";
+    TOKEN_NOT_FOUND = "token.not_found", 404, "No such token";
+    TOKEN_FIRST_ADMIN = "token.first_admin", 409, "The first token must be an admin's";
+
     // Preconditions.
     IF_MATCH_MALFORMED = "if_match.malformed", 400, "If-Match cannot be read";
     IF_MATCH_STALE = "if_match.stale", 412, "The resource has changed";

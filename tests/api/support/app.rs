@@ -47,7 +47,12 @@ impl TestApp {
     fn start_in(directory: Arc<TempDir>, limits: Limits) -> Self {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
-        let config = Config { data_dir: directory.path().to_owned(), workers: 1, limits };
+        let config = Config {
+            data_dir: directory.path().to_owned(),
+            listen: ([127, 0, 0, 1], 0).into(),
+            workers: 1,
+            limits,
+        };
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
