@@ -91,3 +91,30 @@ async fn tokens_are_made_while_the_service_is_stopped_and_a_running_one_is_point
         refused(&directory, arguments, words);
     }
 }
+
+#[tokio::test]
+async fn the_end_of_the_last_token_does_not_open_the_doors_and_a_new_one_can_be_made() {
+    let directory = TempDir::new().expect("a directory");
+    let admin = secret(&directory, &["--role", "admin"]);
+    let client = reqwest::Client::new();
+    let status = async |method: reqwest::Method, url: String, token: Option<&str>| {
+        let request =
+            token.into_iter().fold(client.request(method, url), |request, token| request.bearer_auth(token));
+        request.send().await.expect("an answer").status().as_u16()
+    };
+    let program = Program::start(&directory, &[]);
+    let tokens = format!("{}/v1/tokens", program.base());
+    let list = client.get(&tokens).bearer_auth(&admin).send().await.expect("an answer");
+    let list: serde_json::Value = list.json().await.expect("JSON");
+    let own = format!("{tokens}/{}", list["items"][0]["id"].as_str().expect("an id"));
+    assert_eq!(status(reqwest::Method::DELETE, own, Some(&admin)).await, 204);
+    assert_eq!(status(reqwest::Method::GET, tokens.clone(), Some(&admin)).await, 401);
+    assert_eq!(status(reqwest::Method::GET, tokens, None).await, 401);
+    drop(program);
+    let again = secret(&directory, &["--role", "admin"]);
+    let program = Program::start(&directory, &[]);
+    let tokens = format!("{}/v1/tokens", program.base());
+    for (token, expected) in [(None, 401), (Some(&*admin), 401), (Some(&*again), 200)] {
+        assert_eq!(status(reqwest::Method::GET, tokens.clone(), token).await, expected);
+    }
+}

@@ -43,8 +43,9 @@ impl TestApp {
     /// Stops the service and starts another one on the same data.
     pub fn restart(mut self) -> Self {
         self.end();
-        let token = self.token.take();
-        Self { token, ..Self::start_in(self.directory.clone(), Limits::default()) }
+        let mut next = Self::start_in(self.directory.clone(), Limits::default());
+        next.token = self.token.take();
+        next
     }
 
     /// The server has threads of its own, so that a test that waits never starves it.
