@@ -15,7 +15,7 @@ use tokio::sync::watch;
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::Config;
 use crate::domain::TokenRole;
-use crate::http::{self, Doors, Http};
+use crate::http::{self, Connection, Doors, Http, Shared};
 use crate::jobs::{JobSettings, Jobs};
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
@@ -55,6 +55,7 @@ pub enum AppError {
 /// A service that is ready to be served; its jobs run already.
 pub struct App {
     router: Router,
+    http: Shared,
     store: Store,
     jobs: Jobs,
     draining: watch::Sender<bool>,
@@ -92,7 +93,7 @@ impl App {
         let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
         let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;
         let (draining, seen) = watch::channel(false);
-        let router = http::router(Arc::new(Http {
+        let http = Arc::new(Http {
             store: store.clone(),
             jobs: jobs.clone(),
             doors: Doors::new(store.clone(), on_loopback),
@@ -102,8 +103,8 @@ impl App {
             clock: now,
             draining: seen,
             metrics: telemetry::metrics_handle(),
-        }));
-        Ok(Self { router, store, jobs, draining })
+        });
+        Ok(Self { router: http::router(http.clone()), http, store, jobs, draining })
     }
 
     /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
@@ -144,6 +145,7 @@ impl App {
         let mut server = auto::Builder::new(TokioExecutor::new());
         server.http1().timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).half_close(true);
         let service = TowerToHyperService::new(self.router.clone());
+        let stream = Connection::new(stream, self.http.clone());
         let connection = server.serve_connection(TokioIo::new(stream), service).into_owned();
         let connection = connections.watch(connection);
         tokio::spawn(async move {

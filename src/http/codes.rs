@@ -27,6 +27,8 @@ macro_rules! codes {
 codes! {
     // The request as such.
     REQUEST_MALFORMED = "request.malformed", 400, "The request cannot be read";
+    REQUEST_URI_TOO_LONG = "request.uri_too_long", 414, "The address is too long";
+    REQUEST_HEAD_TOO_LARGE = "request.head_too_large", 431, "The headers are too large";
     ROUTE_NOT_FOUND = "route.not_found", 404, "No such route";
     METHOD_NOT_ALLOWED = "method.not_allowed", 405, "Method not allowed";
     ACCEPT_NOT_ACCEPTABLE = "accept.not_acceptable", 406, "No acceptable representation";

@@ -39,6 +39,7 @@ mod runs;
 mod signals;
 mod strict;
 mod tokens;
+mod unreadable;
 mod upload;
 
 use std::sync::Arc;
@@ -59,6 +60,7 @@ use problem::Answer;
 
 pub use doors::Doors;
 pub use rights::Right;
+pub use unreadable::Connection;
 
 /// Largest bodies that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,7 @@
 //! While there is no token the service is open to this machine. A web page from elsewhere that a
 //! browser on this machine shows is not this machine: it may point a name of its own at 127.0.0.1
-//! (then `Host` tells), or send what needs no reading of the answer (then `Origin` tells).
+//! (then `Host` tells), or send what needs no reading of the answer (then `Origin` tells). Nor is a proxy
+//! on this machine, which speaks for others (most say so).
 
 use std::net::IpAddr;
 
@@ -12,6 +13,9 @@ use axum::http::{HeaderMap, HeaderName};
 use crate::http::codes;
 use crate::http::problem::{Answer, Problem};
 
+/// Headers of requests that come through a proxy.
+const FORWARDED: [&str; 4] = ["forwarded", "x-forwarded-for", "x-real-ip", "via"];
+
 /// Refuses what does not come from this machine.
 ///
 /// # Errors
@@ -20,9 +24,10 @@ pub fn check(parts: &Parts) -> Answer<()> {
     let host = only(&parts.headers, &HOST).filter(|host| names_loopback(host));
     // A request line with a whole URI counts more than Host (RFC 9112, section 3.2.2).
     let named = parts.uri.authority().is_none_or(|authority| names_loopback(authority.as_str()));
-    let Some(host) = host.filter(|_| named) else {
-        let detail = "While there is no token the service answers to 127.0.0.1, localhost and [::1] only; \
-                      `rigcast token create --role admin` makes the first token.";
+    let forwarded = FORWARDED.iter().any(|name| parts.headers.contains_key(*name));
+    let Some(host) = host.filter(|_| named && !forwarded) else {
+        let detail = "While there is no token the service answers to 127.0.0.1, localhost and [::1] only, and to \
+                      no proxy; `rigcast token create --role admin` makes the first token.";
         return Err(Problem::new(codes::HOST_FOREIGN, detail));
     };
     if !parts.method.is_safe() && parts.headers.contains_key(ORIGIN) {
@@ -95,6 +100,9 @@ mod tests {
         assert_eq!(checked("GET", "http://lab/", &[("host", "localhost")]), refused, "a whole URI");
         assert_eq!(checked("GET", "http://localhost/", &[("host", "lab")]), refused);
         assert_eq!(checked("GET", "http://localhost/", &[("host", "localhost")]), Ok(()));
+        for name in FORWARDED {
+            assert_eq!(checked("GET", "/", &[("host", "localhost"), (name, "10.0.0.7")]), refused, "{name}");
+        }
     }
 
     #[test]

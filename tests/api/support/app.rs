@@ -7,9 +7,10 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use rigcast::app::App;
+use rigcast::app::{App, AppError};
 use rigcast::config::Config;
 use rigcast::http::Limits;
+use rigcast::storage::StoreError;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
@@ -61,7 +62,7 @@ impl TestApp {
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
-                let app = App::build(&config).await.expect("a service on an empty directory");
+                let app = build(&config).await;
                 let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
                 started.send(listener.local_addr().expect("an address")).expect("the test waits");
                 app.serve(listener, async {
@@ -209,6 +210,20 @@ impl TestApp {
         });
         asked.join().expect("the list of jobs")["items"].as_array().cloned().unwrap_or_default()
     }
+}
+
+/// Builds a service. A lock that was just let go may be held a moment longer, by a program that another
+/// test is starting at that moment: between fork and exec it has all files of this process.
+async fn build(config: &Config) -> App {
+    for _ in 0..100 {
+        match App::build(config).await {
+            Err(AppError::Store(StoreError::Locked { .. })) => {
+                tokio::time::sleep(Duration::from_millis(20)).await
+            }
+            built => return built.expect("a service on this directory"),
+        }
+    }
+    panic!("the directory stays locked")
 }
 
 impl Drop for TestApp {
