@@ -9,6 +9,7 @@ use rigcast::demo::DemoArgs;
 use rigcast::engine::simd::Isa;
 use rigcast::telemetry::{self, LogFormat};
 use rigcast::token::{self, CreateArgs, TokenCommand};
+use rustix::process::{Resource, Rlimit, setrlimit};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
@@ -33,6 +34,8 @@ fn main() -> ExitCode {
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, args.log_format)?;
     let config = args.config();
+    // A core would hold secrets that requests showed.
+    setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
     // A wrong instruction set is told now, not by the first prediction.
     let isa = Isa::of_process()?;
     runtime()?.block_on(async {

@@ -56,13 +56,8 @@ pub async fn events(
     // A Last-Event-ID that we did not give is as good as none: the stream starts with the present.
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()?.parse().ok());
     let jobs = http.jobs.subscribe(id, seen).await?.ok_or_else(|| no_job(&id.to_string()))?;
-    // What a token opened closes with it.
-    let jobs = jobs.take_until(async move {
-        match caller.token() {
-            Some(token) => http.doors.shut(token, http.clock).await,
-            None => std::future::pending().await,
-        }
-    });
+    // The stream ends when the door shuts through which its reader came.
+    let jobs = jobs.take_until(async move { http.doors.shut(&caller, http.clock).await });
     Ok(Sse::new(jobs.map(|job| Ok::<_, Infallible>(event(&job))))
         .keep_alive(KeepAlive::default())
         .into_response())

@@ -1,5 +1,6 @@
 //! Tokens that are limited to some rigs: what is beyond them looks like nothing.
 
+use futures::StreamExt;
 use serde_json::{Value, json};
 
 use crate::support::{Reply, TestApp, bench, gain_weights, noise_csv};
@@ -97,10 +98,37 @@ async fn foreign_and_unknown_ids_look_alike() {
             }
         }
     }
+    compared += probe(&app, &tokens[2], &job).await;
     println!("{compared} probes, 0 told foreign from unknown");
     let job = app.get(&format!("/v1/jobs/{job}")).await.expect(200).json();
     assert_eq!(job["state"], "succeeded", "the admin sees it");
     app.get("/v1/rigs/bench").await.expect(200);
+}
+
+/// Asks for many ids that nobody has, and for two that somebody else has; gives how many were asked for.
+async fn probe(app: &TestApp, token: &str, job: &str) -> usize {
+    let client = reqwest::Client::new();
+    let ask = async |kind: &str, id: String| {
+        let request = client.get(format!("http://{}/v1/{kind}/{id}", app.address())).bearer_auth(token);
+        let answer = request.send().await.expect("an answer");
+        assert_eq!(answer.status(), 404, "{kind}/{id}");
+        let mut body: Value = answer.json().await.expect("JSON");
+        body.as_object_mut().expect("an object").remove("request_id");
+        body.to_string().replace(&id, "ID")
+    };
+    let mut probes = 0;
+    for (kind, foreign) in [("rigs", "bench"), ("jobs", job)] {
+        let known = ask(kind, foreign.to_owned()).await;
+        let ids = (0..5000_u128).map(|i| match kind {
+            "rigs" => format!("rig-{i}"),
+            _ => uuid::Uuid::from_u128(0x0197_f1a0_0000_7000_8000_0000_0000_0000 + i * i).to_string(),
+        });
+        let answers: Vec<String> =
+            futures::stream::iter(ids).map(|id| ask(kind, id)).buffer_unordered(16).collect().await;
+        assert!(answers.iter().all(|answer| *answer == known), "{kind}");
+        probes += answers.len();
+    }
+    probes
 }
 
 #[tokio::test]

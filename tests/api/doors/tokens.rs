@@ -74,13 +74,24 @@ async fn a_revoked_token_opens_nothing_a_second_later_and_its_stream_ends() {
     let endless = json!({"kind": "lstm", "lstm": {"blocks": [39], "epochs": 1000000, "seeds": [1]}});
     let job = app.post_json("/v1/rigs/bench/fits", &endless).await.expect(202).json();
     let job = job["id"].as_str().expect("an id").to_owned();
-    app.close_doors().await;
-    let (secret, id) = app.token(&json!({"role": "reader"})).await;
     let events = format!("http://{}/v1/jobs/{job}/events", app.address());
-    let stream = reqwest::Client::new().get(events).bearer_auth(&secret).send().await.expect("an answer");
-    assert_eq!(stream.status(), 200);
-    let mut stream = stream.bytes_stream();
-    stream.next().await.expect("the present state").expect("text");
+    let follow = async |secret: &str| {
+        let request = reqwest::Client::new().get(&events);
+        let request = if secret.is_empty() { request } else { request.bearer_auth(secret) };
+        let stream = request.send().await.expect("an answer");
+        assert_eq!(stream.status(), 200);
+        let mut stream = stream.bytes_stream();
+        stream.next().await.expect("the present state").expect("text");
+        stream
+    };
+    let mut open = follow("").await;
+    app.close_doors().await;
+    let closed = Instant::now();
+    let ended = tokio::time::timeout(Duration::from_secs(5), async { while open.next().await.is_some() {} });
+    ended.await.expect("a stream from before the first token ends");
+    println!("a stream without a token ended {:?} after the first token", closed.elapsed());
+    let (secret, id) = app.token(&json!({"role": "reader"})).await;
+    let mut stream = follow(&secret).await;
 
     app.call_as(Some(&secret), "GET", "/v1/rigs").send().await.expect(200);
     app.delete(&format!("/v1/tokens/{id}")).await.expect(204);
