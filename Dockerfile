@@ -18,6 +18,8 @@ WORKDIR /data
 VOLUME /data
 ENV RIGCAST_DATA_DIR=/data RIGCAST_LOG_FORMAT=json
 EXPOSE 8080
-# Loopback by default; a container's port is reached from outside only when the operator says so.
+# Loopback by default. To be reached from outside the container the service needs an admin's token first:
+#   docker run --rm -v rigcast:/data rigcast token create --role admin
+#   docker run -v rigcast:/data -p 8080:8080 -e RIGCAST_LISTEN=0.0.0.0:8080 rigcast
 ENTRYPOINT ["rigcast"]
 CMD ["serve"]

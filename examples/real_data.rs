@@ -28,6 +28,9 @@ struct Args {
     /// A running service; left out: one is started for the occasion.
     #[arg(long)]
     url: Option<String>,
+    /// Token to show there.
+    #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
+    token: Option<String>,
     /// Only these kinds of model.
     #[arg(long, value_delimiter = ',', default_value = "frf,lstm,hybrid1,hybrid2")]
     kinds: Vec<String>,
@@ -61,7 +64,7 @@ async fn run(args: Args) -> Result<(), AnyError> {
         None
     };
     let url = own.as_ref().map(|o| o.url()).or(args.url);
-    let client = Client::new(&url.ok_or("no service")?)?;
+    let client = Client::new(&url.ok_or("no service")?, args.token.as_deref())?;
     let data = Dataset::open(&args.folder)?;
 
     client.post("/v1/rigs", &data.rig()).await?;

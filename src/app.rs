@@ -1,5 +1,6 @@
 //! The service as a whole: built from its settings, served until it is told to stop.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,7 +14,8 @@ use tokio::sync::watch;
 
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::Config;
-use crate::http::{self, Http};
+use crate::domain::TokenRole;
+use crate::http::{self, Connection, Doors, Http, Shared};
 use crate::jobs::{JobSettings, Jobs};
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
@@ -42,45 +44,67 @@ pub enum AppError {
     /// Threads.
     #[error(transparent)]
     Compute(#[from] ComputeError),
+    /// Without a token only loopback is safe.
+    #[error(
+        "refusing to listen on {0}: there is no admin's token in force, and everybody who reaches that address \
+         could read and delete everything; make one with `rigcast token create --role admin`, or listen on 127.0.0.1"
+    )]
+    OpenToNetwork(SocketAddr),
 }
 
 /// A service that is ready to be served; its jobs run already.
 pub struct App {
     router: Router,
+    http: Shared,
     store: Store,
     jobs: Jobs,
     draining: watch::Sender<bool>,
 }
 
 /// The one place that reads the clock; everything below is handed this function.
-fn now() -> jiff::Timestamp {
+pub fn now() -> jiff::Timestamp {
     jiff::Timestamp::now()
+}
+
+/// Whether somebody holds a token with which all others can be made.
+async fn has_admin(store: &Store) -> Result<bool, StoreError> {
+    let tokens = store.token_table().await?.tokens;
+    Ok(tokens
+        .iter()
+        .any(|(_, token)| token.role == TokenRole::Admin && token.rigs.is_none() && token.is_in_force(now())))
 }
 
 impl App {
     /// Opens and locks the data directory, and starts the workers that run jobs.
     ///
     /// # Errors
-    /// A data directory that is in use, damaged or from a newer version; no threads.
+    /// A data directory that is in use, damaged or from a newer version; an address beyond loopback
+    /// without an admin's token; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
         let store = Store::open(&config.data_dir).await?;
+        let on_loopback = config.listen.ip().is_loopback();
+        if !on_loopback && !has_admin(&store).await? {
+            store.close().await;
+            return Err(AppError::OpenToNetwork(config.listen));
+        }
         let settings = ComputeSettings { fit_permits: config.workers.into(), ..ComputeSettings::default() };
         let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
         let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
         let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;
         let (draining, seen) = watch::channel(false);
-        let router = http::router(Arc::new(Http {
+        let http = Arc::new(Http {
             store: store.clone(),
             jobs: jobs.clone(),
+            doors: Doors::new(store.clone(), on_loopback),
             models,
             compute,
             limits: config.limits,
             clock: now,
             draining: seen,
             metrics: telemetry::metrics_handle(),
-        }));
-        Ok(Self { router, store, jobs, draining })
+        });
+        Ok(Self { router: http::router(http.clone()), http, store, jobs, draining })
     }
 
     /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
@@ -121,6 +145,7 @@ impl App {
         let mut server = auto::Builder::new(TokioExecutor::new());
         server.http1().timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).half_close(true);
         let service = TowerToHyperService::new(self.router.clone());
+        let stream = Connection::new(stream, self.http.clone());
         let connection = server.serve_connection(TokioIo::new(stream), service).into_owned();
         let connection = connections.watch(connection);
         tokio::spawn(async move {

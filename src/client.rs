@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use reqwest::header::{ACCEPT, CONTENT_TYPE, HeaderMap};
+use reqwest::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderValue};
 use serde_json::Value;
 
 /// Why a call did not give an answer.
@@ -31,6 +31,9 @@ pub enum ClientError {
         /// Its problem.
         problem: Value,
     },
+    /// A token that cannot stand in a header.
+    #[error("the token is none: it has characters that no token has")]
+    Token,
     /// An answer without a field that the contract promises.
     #[error("the answer lacks {0}")]
     Missing(&'static str),
@@ -61,12 +64,21 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client of the service at `base`, such as `http://127.0.0.1:8080`.
+    /// A client of the service at `base`, such as `http://127.0.0.1:8080`, with a token if it asks
+    /// for one.
     ///
     /// # Errors
-    /// When no HTTP client can be built.
-    pub fn new(base: &str) -> Result<Self, ClientError> {
-        Ok(Self { http: reqwest::Client::builder().build()?, base: base.trim_end_matches('/').into() })
+    /// A token that is none; when no HTTP client can be built.
+    pub fn new(base: &str, token: Option<&str>) -> Result<Self, ClientError> {
+        let mut headers = HeaderMap::new();
+        if let Some(token) = token {
+            let value = HeaderValue::try_from(format!("Bearer {token}"));
+            let mut value = value.map_err(|_| ClientError::Token)?;
+            value.set_sensitive(true);
+            headers.insert(AUTHORIZATION, value);
+        }
+        let http = reqwest::Client::builder().default_headers(headers).build()?;
+        Ok(Self { http, base: base.trim_end_matches('/').into() })
     }
 
     /// `GET` of a JSON resource.

@@ -8,6 +8,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::demo::DemoArgs;
 use crate::http::Limits;
 use crate::telemetry::LogFormat;
+use crate::token::TokenCommand;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -25,12 +26,16 @@ pub enum Command {
     Serve(ServeArgs),
     /// Show the whole job on a virtual rig: upload, fit, predict, compare.
     Demo(DemoArgs),
+    /// Make tokens while the service is stopped.
+    #[command(subcommand)]
+    Token(TokenCommand),
 }
 
 /// How `rigcast serve` runs.
 #[derive(Debug, Clone, Args)]
 pub struct ServeArgs {
-    /// Address and port to listen on; port 0 takes a free one.
+    /// Address and port to listen on; port 0 takes a free one. Beyond loopback only once there is an
+    /// admin's token (`rigcast token create --role admin`).
     #[arg(long, env = "RIGCAST_LISTEN", default_value = "127.0.0.1:8080")]
     pub listen: SocketAddr,
 
@@ -61,11 +66,6 @@ pub struct ServeArgs {
     /// Largest NPY drive of a prediction, bytes; a prediction takes several times that in memory.
     #[arg(long, env = "RIGCAST_DRIVE_LIMIT_BYTES", default_value_t = Limits::default().drive_bytes)]
     pub drive_limit_bytes: u64,
-
-    /// Listen beyond loopback although the service has no authentication: whoever reaches the
-    /// port may read and delete everything. For closed networks and containers only.
-    #[arg(long, env = "RIGCAST_ALLOW_UNAUTHENTICATED")]
-    pub allow_unauthenticated: bool,
 }
 
 /// Everything that [`crate::app::App::build`] needs to know.
@@ -73,42 +73,27 @@ pub struct ServeArgs {
 pub struct Config {
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
+    /// Where it will listen: what is open on loopback is not open beyond.
+    pub listen: SocketAddr,
     /// Jobs that run at the same time.
     pub workers: u16,
     /// Largest bodies that are read.
     pub limits: Limits,
 }
 
-/// A combination of settings that is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// Without authentication only loopback is safe.
-    #[error(
-        "refusing to listen on {0}: the service has no authentication, so everybody who reaches that address \
-         could read and delete everything; listen on 127.0.0.1, or say --allow-unauthenticated"
-    )]
-    OpenToNetwork(SocketAddr),
-}
-
 impl ServeArgs {
-    /// The settings of the service, once they have been found sound together.
-    ///
-    /// # Errors
-    /// [`ConfigError::OpenToNetwork`] for a listen address beyond loopback that was not asked for
-    /// in so many words.
-    pub fn check(&self) -> Result<Config, ConfigError> {
-        if !self.listen.ip().is_loopback() && !self.allow_unauthenticated {
-            return Err(ConfigError::OpenToNetwork(self.listen));
-        }
-        Ok(Config {
+    /// The settings of the service.
+    pub fn config(&self) -> Config {
+        Config {
             data_dir: self.data_dir.clone(),
+            listen: self.listen,
             workers: self.workers,
             limits: Limits {
                 json_bytes: self.json_limit_bytes,
                 drive_bytes: self.drive_limit_bytes,
                 upload_bytes: self.upload_limit_bytes,
             },
-        })
+        }
     }
 }
 
@@ -128,20 +113,12 @@ mod tests {
     fn the_default_listens_on_loopback_with_the_contracts_limits() {
         let args = serve(&[]);
         assert_eq!(args.listen.to_string(), "127.0.0.1:8080");
-        let config = args.check().expect("loopback is fine");
+        let config = args.config();
         assert_eq!(
             config.limits,
             Limits { json_bytes: 67_108_864, drive_bytes: 134_217_728, upload_bytes: 4_294_967_296 }
         );
         assert_eq!(config.data_dir, PathBuf::from("./rigcast-data"));
-    }
-
-    #[test]
-    fn a_wider_bind_must_be_asked_for_in_so_many_words() {
-        let message = serve(&["--listen", "0.0.0.0:80"]).check().expect_err("refused").to_string();
-        assert!(message.contains("--allow-unauthenticated"), "{message}");
-        assert!(serve(&["--listen", "0.0.0.0:80", "--allow-unauthenticated"]).check().is_ok());
-        assert!(serve(&["--listen", "[::1]:80"]).check().is_ok());
     }
 
     #[test]

@@ -16,4 +16,5 @@ pub mod jobs;
 pub mod models;
 pub mod storage;
 pub mod telemetry;
+pub mod token;
 pub mod ui;

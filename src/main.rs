@@ -3,11 +3,13 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use rigcast::app::App;
+use rigcast::app::{self, App};
 use rigcast::config::{Cli, Command, ServeArgs};
 use rigcast::demo::DemoArgs;
 use rigcast::engine::simd::Isa;
 use rigcast::telemetry::{self, LogFormat};
+use rigcast::token::{self, CreateArgs, TokenCommand};
+use rustix::process::{Resource, Rlimit, setrlimit};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
@@ -18,6 +20,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Serve(args) => serve(&args),
         Command::Demo(args) => demo(args),
+        Command::Token(TokenCommand::Create(args)) => create_token(&args),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -30,7 +33,9 @@ fn main() -> ExitCode {
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, args.log_format)?;
-    let config = args.check()?;
+    let config = args.config();
+    // A core would hold secrets that requests showed.
+    setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
     // A wrong instruction set is told now, not by the first prediction.
     let isa = Isa::of_process()?;
     runtime()?.block_on(async {
@@ -61,6 +66,14 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
 fn demo(args: DemoArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, LogFormat::Text)?;
     Ok(runtime()?.block_on(rigcast::demo::run(args))?)
+}
+
+/// The secret alone goes to standard output, for scripts; what it is, for people, to standard error.
+fn create_token(args: &CreateArgs) -> Result<(), Failure> {
+    let (token, secret) = runtime()?.block_on(token::create(args, app::now()))?;
+    eprintln!("token {}, role {}. Its secret is shown this once:", token.id, token.role.as_str());
+    println!("{}", secret.reveal());
+    Ok(())
 }
 
 /// At least two threads, so that one handler that takes long never stops the health check.

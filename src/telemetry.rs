@@ -3,11 +3,15 @@
 //! Log lines are readable alone and carry dotted fields with the unit in the name; sample data
 //! and request bodies never enter them. Metrics are Prometheus', in seconds and bytes.
 
+use std::fmt;
 use std::sync::OnceLock;
 
 use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::field::MakeExt;
+use tracing_subscriber::fmt::FormatFields;
+use tracing_subscriber::fmt::format::{Writer, debug_fn};
 
 /// How log lines look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -58,10 +62,38 @@ pub fn init_logging(filter: &str, format: LogFormat) -> Result<(), LogFilterErro
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // Only a second call in one process can fail, and then the first one's logging goes on.
     let _ = match format {
-        LogFormat::Text => builder.with_ansi(false).try_init(),
+        LogFormat::Text => builder.with_ansi(false).fmt_fields(text_fields()).try_init(),
         LogFormat::Json => builder.json().flatten_event(true).try_init(),
     };
     Ok(())
+}
+
+/// Fields on one line, whatever is in them: names that people gave may hold line ends and codes that
+/// move a terminal's cursor. (JSON escapes by itself.)
+fn text_fields() -> impl for<'writer> FormatFields<'writer> + Send + Sync + 'static {
+    let field = |writer: &mut Writer<'_>, field: &tracing::field::Field, value: &dyn fmt::Debug| {
+        let value = on_one_line(&format!("{value:?}"));
+        match field.name() {
+            "message" => writer.write_str(&value),
+            name => write!(writer, "{name}={value}"),
+        }
+    };
+    debug_fn(field).delimited(" ")
+}
+
+/// The text with its control characters escaped, those that only change the direction of text too.
+fn on_one_line(text: &str) -> String {
+    let mut line = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\u{2028}' | '\u{2029}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => {
+                line.extend(c.escape_unicode());
+            }
+            c if c.is_control() => line.extend(c.escape_default()),
+            c => line.push(c),
+        }
+    }
+    line
 }
 
 /// The process' metrics; installed by the first call.
@@ -111,4 +143,51 @@ fn describe() {
     describe_counter!(names::MODEL_LOADS, Unit::Count, "Models read from the store into memory.");
     describe_gauge!(names::BUILD_INFO, Unit::Count, "1, with the version of the program as label.");
     metrics::gauge!(names::BUILD_INFO, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Lines(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Lines {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn whatever_a_name_holds_a_log_line_stays_one_line() {
+        let lines = Lines::default();
+        let writer = lines.clone();
+        let subscriber = tracing_subscriber::fmt()
+            .with_ansi(false)
+            .fmt_fields(text_fields())
+            .with_writer(move || writer.clone())
+            .finish();
+        let hostile = "a\nERROR forged\r\u{1b}[2J\u{7}\u{9b}\u{2028}\u{202e}\u{85}b";
+        tracing::subscriber::with_default(subscriber, || {
+            let span =
+                tracing::info_span!("request", run.name = %hostile, http.status = tracing::field::Empty);
+            span.record("http.status", 200);
+            let error = std::io::Error::other(hostile);
+            span.in_scope(|| tracing::info!(%error, name = hostile, "hello {hostile}"));
+        });
+        let text = String::from_utf8(lines.0.lock().unwrap().clone()).unwrap();
+        assert_eq!(text.lines().count(), 1, "{text:?}");
+        assert!(text.trim_end_matches('\n').chars().all(|c| !c.is_control()), "{text:?}");
+        assert!(!text.contains(['\u{2028}', '\u{202e}']), "{text:?}");
+        assert!(text.contains("http.status=200") && text.contains("hello a\\nERROR forged"), "{text:?}");
+        assert_eq!(text.matches("forged").count(), 4, "{text:?}");
+    }
 }

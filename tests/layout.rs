@@ -14,7 +14,7 @@ const LAYERS: &[&[&str]] = &[
     &["models"],
     &["jobs"],
     &["http"],
-    &["config", "client", "app", "demo"],
+    &["config", "client", "app", "demo", "token"],
 ];
 
 /// What a layer must do without, beside the layers above it.

@@ -73,6 +73,9 @@ struct Cases {
     /// A running service; one is started for the occasion if left out.
     #[arg(long)]
     service: Option<String>,
+    /// Token to show there.
+    #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
+    token: Option<String>,
     /// Cases in flight.
     #[arg(long, default_value_t = 2)]
     in_flight: usize,
@@ -162,6 +165,7 @@ fn diagnose(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
     diagnose::run(&diagnose::How {
         dir: dir.to_owned(),
         service: cases.service.clone(),
+        token: cases.token.clone(),
         in_flight: cases.in_flight,
         fit_sims: cases.fit_sims,
     })?;

@@ -30,6 +30,9 @@ pub struct Args {
     /// A running service; one is started for the occasion if left out.
     #[arg(long)]
     service: Option<String>,
+    /// Token to show there.
+    #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
+    token: Option<String>,
     /// Runs that the diagnosed part is cut into: from eight on whole runs are fitted to, chosen on or
     /// tested on.
     #[arg(long, default_value_t = 12)]
@@ -59,7 +62,7 @@ pub fn run(args: &Args) -> Result<(), AnyError> {
             None => Some(LocalService::start(([127, 0, 0, 1], 0).into(), None).await?),
         };
         let url = own.as_ref().map(LocalService::url).or(args.service.clone()).ok_or("no service")?;
-        let client = Client::new(&url)?;
+        let client = Client::new(&url, args.token.as_deref())?;
         for folder in folders {
             let began = Instant::now();
             let (data, report) = diagnose(&client, &folder, args.pieces).await?;

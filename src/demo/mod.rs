@@ -51,6 +51,10 @@ pub struct DemoArgs {
     #[arg(long)]
     pub data_dir: Option<PathBuf>,
 
+    /// Token to show at the service, for a directory that has some.
+    #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+
     /// Log filter of the service.
     #[arg(long, env = "RIGCAST_LOG", default_value = "warn")]
     pub log: String,
@@ -102,7 +106,7 @@ pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
         return Err(DemoError::NotEmpty(dir.clone()));
     }
     let service = LocalService::start(args.listen, args.data_dir.clone()).await?;
-    let client = Client::new(&service.url())?;
+    let client = Client::new(&service.url(), args.token.as_deref())?;
     println!("Service on {}; data in {}", service.url(), service.data_dir().display());
     println!("Virtual rig, seed {}: {:.0} min of training noise, loads withheld\n", args.seed, args.minutes);
 

@@ -34,7 +34,7 @@ impl LocalService {
         let data_dir = data_dir
             .or_else(|| temporary.as_ref().map(|t| t.path().to_owned()))
             .expect("a directory was given or has been made");
-        let config = Config { data_dir: data_dir.clone(), workers: 1, limits: Limits::default() };
+        let config = Config { data_dir: data_dir.clone(), listen, workers: 1, limits: Limits::default() };
         let app = App::build(&config).await?;
         let listener = TcpListener::bind(listen).await?;
         let address = listener.local_addr()?;

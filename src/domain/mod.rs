@@ -1,4 +1,4 @@
-//! The service's nouns and their legal moves: rigs, runs, fits, jobs, models, diagnoses.
+//! The service's nouns and their legal moves: rigs, runs, fits, jobs, models, diagnoses, tokens.
 
 pub mod diagnosis;
 mod fit_check;
@@ -12,6 +12,7 @@ pub mod problem;
 pub mod quality;
 pub mod rig;
 pub mod run;
+pub mod token;
 
 pub use crate::engine::Quantity;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
@@ -25,6 +26,7 @@ pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
 pub use run::{InsertedRun, Run, RunKind, RunMeta, RunPatch, Split};
+pub use token::{Secret, SecretDigest, Token, TokenDraft, TokenId, TokenRole};
 
 /// Where the time comes from; `app` passes the one real clock in, tests pass their own.
 pub type Clock = fn() -> jiff::Timestamp;

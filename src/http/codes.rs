@@ -27,6 +27,8 @@ macro_rules! codes {
 codes! {
     // The request as such.
     REQUEST_MALFORMED = "request.malformed", 400, "The request cannot be read";
+    REQUEST_URI_TOO_LONG = "request.uri_too_long", 414, "The address is too long";
+    REQUEST_HEAD_TOO_LARGE = "request.head_too_large", 431, "The headers are too large";
     ROUTE_NOT_FOUND = "route.not_found", 404, "No such route";
     METHOD_NOT_ALLOWED = "method.not_allowed", 405, "Method not allowed";
     ACCEPT_NOT_ACCEPTABLE = "accept.not_acceptable", 406, "No acceptable representation";
@@ -45,6 +47,16 @@ codes! {
     BODY_INVALID_VALUE = "body.invalid_value", 422, "Invalid value";
     DIGEST_MALFORMED = "digest.malformed", 400, "Content-Digest cannot be read";
     DIGEST_MISMATCH = "digest.mismatch", 400, "The body is not what its digest says";
+
+    // Who asks.
+    TOKEN_MISSING = "token.missing", 401, "A token is needed";
+    TOKEN_INVALID = "token.invalid", 401, "The token is not in force";
+    TOKEN_ROLE = "token.role", 403, "The token's role is too low";
+    TOKEN_SCOPE = "token.scope", 403, "The token is limited to some rigs";
+    HOST_FOREIGN = "host.foreign", 403, "Open to this machine only";
+    ORIGIN_FOREIGN = "origin.foreign", 403, "Changes from another origin";
+    TOKEN_NOT_FOUND = "token.not_found", 404, "No such token";
+    TOKEN_FIRST_ADMIN = "token.first_admin", 409, "The first token must be an admin's";
 
     // Preconditions.
     IF_MATCH_MALFORMED = "if_match.malformed", 400, "If-Match cannot be read";

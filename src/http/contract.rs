@@ -3,19 +3,26 @@
 use std::sync::LazyLock;
 
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, to_bytes};
 use axum::extract::Request;
-use axum::http::header::CONTENT_TYPE;
-use axum::http::{StatusCode, Uri};
+use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::http::{HeaderValue, StatusCode, Uri};
 use axum::response::IntoResponse;
 use swagger_ui_dist::{ApiDefinition, OpenApiSource};
 use tower::ServiceExt;
 
+use super::headers::page_with_script;
 use super::params::NoParams;
 use super::problem::{self, Answer, Problem};
 
 /// The contract, as it is in the repository.
 pub const OPENAPI: &str = include_str!("../../openapi.yaml");
+
+/// Where the pages are.
+const PAGES_AT: &str = "/docs";
+
+/// Largest page; what it loads is larger, and not looked into.
+const MAX_PAGE_BYTES: usize = 64 << 10;
 
 /// `GET /openapi.yaml`
 pub async fn openapi(_: NoParams) -> Answer {
@@ -26,7 +33,7 @@ pub async fn openapi(_: NoParams) -> Answer {
 pub async fn docs(_: NoParams, uri: Uri) -> Answer {
     static PAGES: LazyLock<Router> = LazyLock::new(|| {
         swagger_ui_dist::generate_routes(ApiDefinition {
-            uri_prefix: "/docs",
+            uri_prefix: PAGES_AT,
             api_definition: OpenApiSource::Uri("/openapi.yaml"),
             title: Some("Rigcast"),
         })
@@ -35,5 +42,16 @@ pub async fn docs(_: NoParams, uri: Uri) -> Answer {
     // The path alone: the page repeats its address, and a client may write anything in front of it.
     *request.uri_mut() = uri.path().parse().map_err(Problem::internal)?;
     let response = PAGES.clone().oneshot(request).await.map_err(Problem::internal)?;
-    if response.status() == StatusCode::NOT_FOUND { Err(problem::no_route(uri).await) } else { Ok(response) }
+    if response.status() == StatusCode::NOT_FOUND {
+        return Err(problem::no_route(uri).await);
+    }
+    if uri.path() != PAGES_AT {
+        return Ok(response);
+    }
+    let (mut head, page) = response.into_parts();
+    let page = to_bytes(page, MAX_PAGE_BYTES).await.map_err(Problem::internal)?;
+    let policy = page_with_script(&String::from_utf8_lossy(&page));
+    let policy = HeaderValue::try_from(policy).map_err(Problem::internal)?;
+    head.headers.insert(CONTENT_SECURITY_POLICY, policy);
+    Ok((head, page).into_response())
 }

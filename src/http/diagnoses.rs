@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use axum::extract::State;
-use axum::http::header::{CONTENT_TYPE, LOCATION};
+use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use jiff::Timestamp;
 use serde::Serialize;
 
+use super::headers::SCRIPT_FREE_PAGE;
 use super::json::{self, Json};
 use super::lists::page;
 use super::params::{NoParams, Params};
@@ -74,7 +75,8 @@ pub async fn show(
         ui::name_runs(&mut findings.report, &mut findings.views, &names);
         let draw = move || ui::page(&heading, &findings.report, &findings.views);
         let html = http.off_thread(Class::Predict, draw).await?;
-        return Ok(([(CONTENT_TYPE, "text/html; charset=utf-8")], html).into_response());
+        let head = [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, SCRIPT_FREE_PAGE)];
+        return Ok((head, html).into_response());
     }
     let bytes = http
         .off_thread(Class::Predict, move || {

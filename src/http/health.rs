@@ -4,6 +4,7 @@ use axum::extract::State;
 use serde::Serialize;
 use serde_json::json;
 
+use super::doors::Caller;
 use super::params::{NoParams, Params};
 use super::problem::{Answer, Problem};
 use super::{Shared, codes, json};
@@ -13,6 +14,7 @@ use crate::models::Degraded;
 struct Ready {
     status: &'static str,
     degraded: Vec<Degraded>,
+    degraded_models: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
     checks: Option<serde_json::Value>,
 }
@@ -22,8 +24,8 @@ pub async fn live(_: NoParams) -> Answer {
     json::answer(&json!({"status": "ok"}))
 }
 
-/// `GET /readyz`
-pub async fn ready(State(http): State<Shared>, mut params: Params) -> Answer {
+/// `GET /readyz`. Rigs are named to those who may see them.
+pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut params: Params) -> Answer {
     let verbose = params.flag("verbose")?;
     params.finish()?;
     if *http.draining.borrow() {
@@ -33,7 +35,10 @@ pub async fn ready(State(http): State<Shared>, mut params: Params) -> Answer {
         Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
     })?;
     let checks = if verbose { Some(checks(&http).await?) } else { None };
-    json::answer(&Ready { status: "ready", degraded: http.models.degraded(), checks })
+    let mut degraded = http.models.degraded();
+    let degraded_models = degraded.len();
+    degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
+    json::answer(&Ready { status: "ready", degraded, degraded_models, checks })
 }
 
 async fn checks(http: &Shared) -> Answer<serde_json::Value> {

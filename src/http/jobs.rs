@@ -10,17 +10,19 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
+use super::doors::Caller;
 use super::lists::page;
 use super::params::{NoParams, Params, invalid};
 use super::paths::{OfJob, no_job};
 use super::problem::Answer;
 use super::{Shared, json, negotiate};
-use crate::domain::Job;
+use crate::domain::{Job, JobId};
 use crate::storage::{CancelOutcome, JobQuery};
 
 /// `GET /v1/jobs`
-pub async fn list(State(http): State<Shared>, mut params: Params) -> Answer {
+pub async fn list(State(http): State<Shared>, caller: Caller, mut params: Params) -> Answer {
     let query = JobQuery {
+        among: caller.scope().cloned(),
         rig: params.parse("rig", "the id of a rig")?,
         state: word(&mut params, "state", "queued, running, succeeded, failed or cancelled")?,
         kind: word(&mut params, "kind", "fit, evaluation, diagnosis, iteration or study")?,
@@ -31,16 +33,31 @@ pub async fn list(State(http): State<Shared>, mut params: Params) -> Answer {
 }
 
 /// `GET /v1/jobs/{job}`
-pub async fn show(State(http): State<Shared>, OfJob(id): OfJob, _: NoParams) -> Answer {
-    json::answer(&http.store.job(id).await?.ok_or_else(|| no_job(&id.to_string()))?)
+pub async fn show(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, _: NoParams) -> Answer {
+    json::answer(&find(&http, &caller, id).await?)
+}
+
+/// The job of this id, if the caller may see its rig; else there is none.
+async fn find(http: &Shared, caller: &Caller, id: JobId) -> Answer<Job> {
+    let job = http.store.job(id).await?.filter(|job| caller.reaches(&job.rig));
+    job.ok_or_else(|| no_job(&id.to_string()))
 }
 
 /// `GET /v1/jobs/{job}/events`
-pub async fn events(State(http): State<Shared>, OfJob(id): OfJob, _: NoParams, headers: HeaderMap) -> Answer {
+pub async fn events(
+    State(http): State<Shared>,
+    caller: Caller,
+    OfJob(id): OfJob,
+    _: NoParams,
+    headers: HeaderMap,
+) -> Answer {
+    find(&http, &caller, id).await?;
     negotiate::choose(&headers, &["text/event-stream"])?;
     // A Last-Event-ID that we did not give is as good as none: the stream starts with the present.
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()?.parse().ok());
     let jobs = http.jobs.subscribe(id, seen).await?.ok_or_else(|| no_job(&id.to_string()))?;
+    // The stream ends when the door shuts through which its reader came.
+    let jobs = jobs.take_until(async move { http.doors.shut(&caller, http.clock).await });
     Ok(Sse::new(jobs.map(|job| Ok::<_, Infallible>(event(&job))))
         .keep_alive(KeepAlive::default())
         .into_response())
@@ -52,7 +69,8 @@ fn event(job: &Job) -> Event {
 }
 
 /// `POST /v1/jobs/{job}/cancel`
-pub async fn cancel(State(http): State<Shared>, OfJob(id): OfJob, _: NoParams) -> Answer {
+pub async fn cancel(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, _: NoParams) -> Answer {
+    find(&http, &caller, id).await?;
     match http.jobs.cancel(id).await? {
         CancelOutcome::Missing => Err(no_job(&id.to_string())),
         CancelOutcome::Noted(job) => {

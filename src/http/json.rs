@@ -1,5 +1,5 @@
-//! JSON bodies, strictly: unknown fields, NaN, numbers out of range and deep nesting are refused,
-//! and a refusal points at the field.
+//! JSON bodies, strictly: unknown fields, keys that come twice, NaN, numbers out of range and deep
+//! nesting are refused, and a refusal points at the field.
 
 use axum::extract::{FromRequest, Request};
 use axum::http::HeaderMap;
@@ -15,6 +15,7 @@ use super::arrays::{self, HoldsSignals};
 use super::body::{self, Limited};
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use super::strict::Strict;
 use crate::compute::Class;
 use crate::domain::problem::pointer;
 
@@ -83,13 +84,13 @@ pub async fn take<T: Send + 'static>(
 /// `body.invalid_value` (422) for JSON that says something else than was asked for.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Answer<T> {
     check_depth(bytes)?;
-    // serde would take an array for an object, field by field in their order of declaration.
+    // All our bodies are objects, those of free JSON too.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(Problem::new(codes::BODY_INVALID_VALUE, "The body is an array, it must be an object.")
             .with(FieldError::new("", "an object")));
     }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+    let value = serde_path_to_error::deserialize(Strict(&mut deserializer)).map_err(|error| {
         let path = error.path().clone();
         refusal(error.into_inner(), &path)
     })?;
@@ -244,6 +245,16 @@ mod tests {
         case("[1]", "body.invalid_value", "");
         case("3", "body.invalid_value", "");
         case(r#"{"list": [], "list": []}"#, "body.invalid_value", "/list");
+        case(r#"{"list": [[1]]}"#, "body.invalid_value", "/list/0");
+    }
+
+    #[test]
+    fn a_key_that_comes_twice_is_pointed_at_in_free_json_too() {
+        let text = r#"{"a": [{"b": 1, "b": 1}]}"#;
+        let problem = parse::<serde_json::Value>(text.as_bytes()).expect_err("refused");
+        let document: serde_json::Value = serde_json::from_slice(&problem.document("")).expect("JSON");
+        assert_eq!(document["code"], "body.invalid_value");
+        assert_eq!(document["errors"][0]["pointer"], "/a/0/b");
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! Handlers parse, call and map. What needs the processor goes through [`crate::compute`]; what
 //! is wrong becomes a problem (`problem`), whose document the outermost layer (`observe`)
-//! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal.
+//! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal; each stands behind
+//! a door ([`Doors`]) that asks for the right that the table gives it.
 
 mod active_model;
 mod adopt;
@@ -12,9 +13,11 @@ pub mod codes;
 mod contract;
 mod damage;
 mod diagnoses;
+mod doors;
 mod errors;
 mod etag;
 mod fits;
+mod headers;
 mod health;
 mod jobs;
 mod json;
@@ -27,19 +30,26 @@ mod params;
 mod paths;
 mod predict;
 mod problem;
+mod rights;
 mod rigs;
 pub mod routes;
 mod run_data;
 mod run_file;
 mod runs;
 mod signals;
+mod strict;
+mod tokens;
+mod unreadable;
 mod upload;
 
 use std::sync::Arc;
 
 use axum::Router;
+use axum::http::header::AUTHORIZATION;
+use axum::middleware::from_fn_with_state;
 use metrics_exporter_prometheus::PrometheusHandle;
 use tokio::sync::watch;
+use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 
 use crate::compute::{Class, Compute};
 use crate::domain::{self, Clock};
@@ -47,6 +57,10 @@ use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::Store;
 use problem::Answer;
+
+pub use doors::Doors;
+pub use rights::Right;
+pub use unreadable::Connection;
 
 /// Largest bodies that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,6 +86,8 @@ pub struct Http {
     pub store: Store,
     /// Jobs.
     pub jobs: Jobs,
+    /// Who comes in.
+    pub doors: Doors,
     /// Loaded models.
     pub models: Models,
     /// The door to the processor.
@@ -108,13 +124,17 @@ impl Http {
     }
 }
 
-/// The service, ready to be served.
+/// The service, ready to be served: every route of the table behind its door.
 pub fn router(http: Shared) -> Router {
     routes::ROUTES
         .iter()
-        .fold(Router::new(), |router, route| router.route(route.path, (route.handler)()))
+        .fold(Router::new(), |router, route| {
+            let guard = from_fn_with_state((http.clone(), route.right), doors::guard);
+            router.route(route.path, (route.handler)().route_layer(guard))
+        })
         .fallback(problem::no_route)
         .method_not_allowed_fallback(problem::no_method)
-        .layer(axum::middleware::from_fn_with_state(http.clone(), observe::observe))
+        .layer(from_fn_with_state(http.clone(), observe::observe))
+        .layer(SetSensitiveRequestHeadersLayer::new([AUTHORIZATION]))
         .with_state(http)
 }

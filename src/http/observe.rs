@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -13,6 +13,7 @@ use futures::FutureExt;
 use tracing::Instrument;
 
 use super::Shared;
+use super::headers::protect;
 use super::problem::{self, Problem};
 use crate::telemetry::names;
 
@@ -39,6 +40,7 @@ pub async fn observe(
         http.method = method,
         http.route = route,
         request.id = id,
+        token.id = tracing::field::Empty,
         http.status = tracing::field::Empty,
         duration_ms = tracing::field::Empty,
     );
@@ -60,7 +62,7 @@ pub async fn observe(
     response
 }
 
-/// Puts id and safety headers on an answer and, if it is a problem, writes its document.
+/// Puts id and protective headers on an answer and, if it is a problem, writes its document.
 fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
     let status = response.status();
     let mut problem = response.extensions_mut().remove::<Problem>();
@@ -80,7 +82,7 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
     }
     let id = HeaderValue::from_str(id).expect("ids are letters, digits and four marks");
     response.headers_mut().insert(X_REQUEST_ID.clone(), id);
-    response.headers_mut().insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    protect(response.headers_mut());
     response
 }
 

@@ -5,7 +5,7 @@ use axum::http::request::Parts;
 
 use super::codes::{self, Code};
 use super::problem::{Answer, Problem};
-use crate::domain::{DiagnosisId, JobId, RigId, RunId};
+use crate::domain::{DiagnosisId, JobId, RigId, RunId, TokenId};
 
 /// `/v1/rigs/{rig}...`
 #[derive(Debug)]
@@ -26,6 +26,10 @@ pub struct OfDiagnosis(pub RigId, pub DiagnosisId);
 /// `/v1/jobs/{job}...`
 #[derive(Debug)]
 pub struct OfJob(pub JobId);
+
+/// `/v1/tokens/{token}`
+#[derive(Debug)]
+pub struct OfToken(pub TokenId);
 
 /// The refusal of a rig that is not there.
 pub fn no_rig(id: &str) -> Problem {
@@ -50,6 +54,12 @@ pub fn no_diagnosis(id: &str) -> Problem {
 /// The refusal of a job that is not there.
 pub fn no_job(id: &str) -> Problem {
     Problem::new(codes::JOB_NOT_FOUND, format!("There is no job {id:?}."))
+}
+
+/// The refusal of a token that is not there. It does not repeat what was asked for, which may be a
+/// secret that somebody took for an id.
+pub fn no_token() -> Problem {
+    Problem::new(codes::TOKEN_NOT_FOUND, "There is no token of this id.")
 }
 
 /// Reads and parses one parameter of the path.
@@ -109,5 +119,13 @@ impl<S: Send + Sync> FromRequestParts<S> for OfJob {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
         parameter(parts, state, "job", no_job).await.map(Self)
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for OfToken {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
+        parameter(parts, state, "token", |_| no_token()).await.map(Self)
     }
 }

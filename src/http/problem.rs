@@ -76,8 +76,13 @@ impl Problem {
     }
 
     /// Says in how many seconds another try makes sense.
-    pub fn retry_after(mut self, seconds: u32) -> Self {
-        self.0.header = Some((RETRY_AFTER, seconds.into()));
+    pub fn retry_after(self, seconds: u32) -> Self {
+        self.with_header(RETRY_AFTER, seconds.into())
+    }
+
+    /// Gives the answer a header, in place of one that it was given before.
+    pub fn with_header(mut self, name: HeaderName, value: HeaderValue) -> Self {
+        self.0.header = Some((name, value));
         self
     }
 

@@ -7,6 +7,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use serde_json::Value;
 
+use super::doors::Caller;
 use super::etag::{self, if_match};
 use super::json::{self, Json};
 use super::lists::page;
@@ -21,14 +22,24 @@ use crate::storage::RigUpdate;
 pub const PATCH_TYPES: &[&str] = &["application/merge-patch+json", json::MEDIA_TYPE];
 
 /// `GET /v1/rigs`
-pub async fn list(State(http): State<Shared>, mut params: Params) -> Answer {
+pub async fn list(State(http): State<Shared>, caller: Caller, mut params: Params) -> Answer {
     let page = page(&mut params)?;
     params.finish()?;
-    json::answer(&http.store.rigs(&page).await?)
+    json::answer(&http.store.rigs(caller.scope(), &page).await?)
 }
 
 /// `POST /v1/rigs`
-pub async fn create(State(http): State<Shared>, _: NoParams, Json(draft): Json<RigDraft>) -> Answer {
+pub async fn create(
+    State(http): State<Shared>,
+    caller: Caller,
+    _: NoParams,
+    Json(draft): Json<RigDraft>,
+) -> Answer {
+    if !caller.reaches(&draft.id) {
+        let limit = "a rig that the token is for";
+        return Err(Problem::new(codes::TOKEN_SCOPE, format!("/id must be {limit}."))
+            .with(FieldError::new("/id", limit)));
+    }
     draft.check().map_err(invalid)?;
     let Some(rig) = http.store.insert_rig(&draft, http.now()).await? else {
         let detail = format!("There is a rig {:?} already.", draft.id.as_str());

@@ -2,6 +2,8 @@
 //!
 //! Every change of a running job names its lease; a worker whose lease was taken changes nothing.
 
+use std::collections::BTreeSet;
+
 use jiff::Timestamp;
 use serde::Serialize;
 use sqlx::SqliteConnection;
@@ -18,6 +20,8 @@ use crate::domain::{Job, JobId, JobKind, JobResult, JobState, Page, PageRequest,
 pub struct JobQuery {
     /// Of this rig.
     pub rig: Option<RigId>,
+    /// Of one of these rigs.
+    pub among: Option<BTreeSet<RigId>>,
     /// In this state.
     pub state: Option<JobState>,
     /// Of this kind.
@@ -178,12 +182,14 @@ impl Store {
             "SELECT * FROM jobs
              WHERE (?1 IS NULL OR id < ?1) AND (?2 IS NULL OR rig = ?2)
                AND (?3 IS NULL OR state = ?3) AND (?4 IS NULL OR kind = ?4)
-             ORDER BY id DESC LIMIT ?5",
+               AND (?5 IS NULL OR rig IN (SELECT value FROM json_each(?5)))
+             ORDER BY id DESC LIMIT ?6",
         )
         .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
         .bind(query.rig.as_ref().map(RigId::as_str))
         .bind(query.state.map(JobState::as_str))
         .bind(query.kind.map(JobKind::as_str))
+        .bind(query.among.as_ref().map(json))
         .bind(i64::from(page.limit) + 1)
         .fetch_all(self.reader())
         .await?;
@@ -561,5 +567,9 @@ mod tests {
         assert!(list(studies, 9, None).await.0.is_empty());
         let other = JobQuery { rig: "other".parse().ok(), ..JobQuery::default() };
         assert!(list(other, 9, None).await.0.is_empty());
+        let among =
+            |rig: &str| JobQuery { among: Some([rig.parse().unwrap()].into()), ..JobQuery::default() };
+        assert!(list(among("other"), 9, None).await.0.is_empty());
+        assert_eq!(list(among(jobs[0].rig.as_str()), 9, None).await.0.len(), 3);
     }
 }

@@ -17,6 +17,7 @@ mod runs;
 mod store;
 #[cfg(test)]
 pub(crate) mod testing;
+mod tokens;
 
 pub use diagnoses::NewDiagnosis;
 pub use error::StoreError;
@@ -27,3 +28,4 @@ pub use prepare::PreparedRun;
 pub use rigs::RigUpdate;
 pub use runs::{RunInsert, RunQuery, RunUpdate};
 pub use store::Store;
+pub use tokens::{TokenInsert, TokenTable};

@@ -1,5 +1,7 @@
 //! Rigs in the store.
 
+use std::collections::BTreeSet;
+
 use jiff::Timestamp;
 use serde_json::Value;
 use sqlx::SqliteConnection;
@@ -71,16 +73,25 @@ impl Store {
         rig_in(&mut *self.reader().acquire().await?, id).await
     }
 
-    /// Rigs by id.
+    /// Rigs by id; with `among` only those that it names.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn rigs(&self, page: &PageRequest) -> Result<Page<Rig>, StoreError> {
-        let rows: Vec<RigRow> = sqlx::query_as("SELECT * FROM rigs WHERE id > ? ORDER BY id LIMIT ?")
-            .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
-            .bind(i64::from(page.limit) + 1)
-            .fetch_all(self.reader())
-            .await?;
+    pub async fn rigs(
+        &self,
+        among: Option<&BTreeSet<RigId>>,
+        page: &PageRequest,
+    ) -> Result<Page<Rig>, StoreError> {
+        let rows: Vec<RigRow> = sqlx::query_as(
+            "SELECT * FROM rigs
+             WHERE id > ?1 AND (?2 IS NULL OR id IN (SELECT value FROM json_each(?2)))
+             ORDER BY id LIMIT ?3",
+        )
+        .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
+        .bind(among.map(json))
+        .bind(i64::from(page.limit) + 1)
+        .fetch_all(self.reader())
+        .await?;
         Ok(Page::cut(all(rows)?, page.limit, |rig: &Rig| rig.id.to_string()))
     }
 
@@ -181,12 +192,15 @@ mod tests {
         for id in ["c", "a", "b"] {
             store.insert_rig(&draft(id), now()).await.unwrap();
         }
-        let first = store.rigs(&PageRequest { limit: 2, cursor: None }).await.unwrap();
+        let first = store.rigs(None, &PageRequest { limit: 2, cursor: None }).await.unwrap();
         let ids = |page: &Page<Rig>| page.items.iter().map(|r| r.id.to_string()).collect::<Vec<_>>();
         assert_eq!((ids(&first), first.next.as_deref()), (vec!["a".into(), "b".into()], Some("b")));
         let cursor = crate::domain::Cursor::parse("b").ok();
-        let second = store.rigs(&PageRequest { limit: 2, cursor }).await.unwrap();
+        let second = store.rigs(None, &PageRequest { limit: 2, cursor }).await.unwrap();
         assert_eq!((ids(&second), second.next), (vec!["c".into()], None));
+        let some = ["c", "b", "d"].into_iter().map(|id| id.parse().unwrap()).collect();
+        let among = store.rigs(Some(&some), &PageRequest { limit: 1, cursor: None }).await.unwrap();
+        assert_eq!((ids(&among), among.next.as_deref()), (vec!["b".into()], Some("b")));
     }
 
     #[tokio::test]

@@ -10,7 +10,7 @@ use sqlx::FromRow;
 
 use super::StoreError;
 use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::{DiagnosisSummary, Job, Model, Rig, RigId, Run, StoredDiagnosis};
+use crate::domain::{DiagnosisSummary, Job, Model, Rig, RigId, Run, SecretDigest, StoredDiagnosis, Token};
 
 /// Reads the columns of one row.
 #[derive(Clone, Copy)]
@@ -303,6 +303,42 @@ impl TryFrom<DiagnosisRow> for StoredDiagnosis {
         let request = Columns { table: "diagnoses", key: &row.id }.json(&row.request)?;
         let (elapsed_s, findings) = (row.elapsed_s, row.findings.clone());
         Ok(Self { summary: row.try_into()?, request, elapsed_s, findings })
+    }
+}
+
+#[derive(FromRow)]
+pub(super) struct TokenRow {
+    id: String,
+    name: String,
+    role: String,
+    rigs: Option<String>,
+    secret_sha256: Vec<u8>,
+    created_us: i64,
+    expires_us: Option<i64>,
+}
+
+impl TokenRow {
+    pub(super) fn digest(&self) -> Result<SecretDigest, StoreError> {
+        let bytes = <[u8; 32]>::try_from(&self.secret_sha256[..]);
+        bytes
+            .map(SecretDigest::stored)
+            .map_err(|_| Columns { table: "tokens", key: &self.id }.bad("a digest of another length"))
+    }
+}
+
+impl TryFrom<TokenRow> for Token {
+    type Error = StoreError;
+
+    fn try_from(row: TokenRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "tokens", key: &row.id };
+        Ok(Self {
+            id: columns.id(&row.id)?,
+            role: columns.word(&row.role)?,
+            rigs: columns.json_opt(row.rigs.as_deref())?,
+            created_at: columns.time(row.created_us)?,
+            expires_at: columns.time_opt(row.expires_us)?,
+            name: row.name,
+        })
     }
 }
 

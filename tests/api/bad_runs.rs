@@ -127,7 +127,7 @@ async fn npy_headers_are_held_against_dtype_shape_and_bytes() {
 #[tokio::test]
 async fn a_body_that_is_shorter_than_declared_stores_nothing() {
     let bench = Bench::new().await;
-    let head = "POST /v1/rigs/bench/runs HTTP/1.1\r\nhost: x\r\ncontent-type: text/csv\r\n";
+    let head = "POST /v1/rigs/bench/runs HTTP/1.1\r\nhost: localhost\r\ncontent-type: text/csv\r\n";
     let answer =
         exchange(bench.0.address(), format!("{head}content-length: 1000\r\n\r\nu,y\n1,2\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
@@ -142,7 +142,7 @@ async fn a_body_that_is_shorter_than_declared_stores_nothing() {
 async fn an_upload_over_the_limit_is_refused_by_its_length_and_while_it_comes() {
     let app = TestApp::start_with(Limits { upload_bytes: 500, ..Limits::default() });
     app.rig(&bench()).await;
-    let head = "POST /v1/rigs/bench/runs HTTP/1.1\r\nhost: x\r\ncontent-type: text/csv\r\n";
+    let head = "POST /v1/rigs/bench/runs HTTP/1.1\r\nhost: localhost\r\ncontent-type: text/csv\r\n";
     let answer = exchange(app.address(), format!("{head}content-length: 501\r\n\r\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("500 bytes"), "{answer}");
     let chunk = format!("1f5\r\n{}\r\n0\r\n\r\n", "1".repeat(501));

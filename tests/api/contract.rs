@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use rigcast::http::Right;
+
 use crate::support::{Contract, OPENAPI, TestApp};
 
 #[test]
@@ -31,6 +33,32 @@ fn every_problem_code_is_in_the_contract_with_its_status_and_title() {
         })
         .collect();
     assert_eq!(ours, theirs);
+}
+
+#[test]
+fn the_contract_asks_of_every_operation_what_the_table_of_rights_asks() {
+    let document = &Contract::get().document;
+    assert_eq!(
+        document["security"],
+        serde_json::json!([{"token": []}]),
+        "a token unless an operation says otherwise"
+    );
+    for route in rigcast::http::routes::ROUTES {
+        let operation = &document["paths"][route.path][route.method.as_str().to_lowercase()];
+        let role = operation["x-role"].as_str();
+        let without = operation["security"].as_array().map(|ways| {
+            ways.is_empty() || ways.iter().any(|way| way.as_object().is_some_and(serde_json::Map::is_empty))
+        });
+        let answers = ["401", "403"].map(|status| operation["responses"].get(status).is_some());
+        let all_rigs = operation["x-all-rigs"].as_bool();
+        let found = (role, without, all_rigs, answers);
+        let expected = match route.right {
+            Right::Public => (None, Some(true), None, [false; 2]),
+            Right::Role(role) => (Some(role.as_str()), None, None, [true; 2]),
+            Right::AllRigs(role) => (Some(role.as_str()), None, Some(true), [true; 2]),
+        };
+        assert_eq!(found, expected, "{} {}", route.method, route.path);
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod bad_runs;
 mod contract;
 mod damage;
 mod diagnoses;
+mod doors;
 mod fits;
 mod isa;
 mod jobs;

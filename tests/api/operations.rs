@@ -8,7 +8,7 @@ use crate::support::{Contract, SAFETENSORS, TestApp, bench, gain_weights, noise,
 
 #[tokio::test]
 async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
-    let app = TestApp::start();
+    let mut app = TestApp::start();
     app.rig(&bench()).await;
     app.get("/v1/rigs").await.expect(200);
     let rig = app.get("/v1/rigs/bench").await.expect(200);
@@ -62,6 +62,11 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
         app.get(path).await.expect(200);
     }
     app.get("/docs/swagger-ui.css").await.expect(200);
+
+    app.close_doors().await;
+    let (_, token) = app.token(&json!({"role": "reader", "rigs": ["bench"]})).await;
+    app.get("/v1/tokens").await.expect(200);
+    app.delete(&format!("/v1/tokens/{token}")).await.expect(204);
 
     let all: BTreeSet<String> = Contract::get().operations().into_iter().map(|(_, _, id)| id).collect();
     assert_eq!(app.succeeded(), all);

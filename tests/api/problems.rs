@@ -3,7 +3,7 @@
 use rigcast::http::Limits;
 use serde_json::json;
 
-use crate::support::{TestApp, bench, exchange};
+use crate::support::{Contract, TestApp, bench, exchange};
 
 #[tokio::test]
 async fn the_frameworks_own_refusals_are_problem_documents_too() {
@@ -21,6 +21,48 @@ async fn the_frameworks_own_refusals_are_problem_documents_too() {
         .problem(415, "content_type.unsupported");
     let gzip = app.call("POST", "/v1/rigs").header("content-encoding", "gzip").json(&json!({}));
     gzip.send().await.problem(415, "content_encoding.unsupported");
+}
+
+#[tokio::test]
+async fn a_request_whose_head_cannot_be_read_gets_a_problem_document_too() {
+    let app = TestApp::start();
+    let long = |n: usize| "x".repeat(n);
+    let many: String = (0..200).map(|i| format!("x-{i}: 1\r\n")).collect();
+    for (request, status, code) in [
+        ("nonsense\r\n\r\n".to_owned(), 400, "request.malformed"),
+        ("GET / HTTP/1.1\r\nno colon\r\n\r\n".into(), 400, "request.malformed"),
+        ("GET / HTTP/1.1\r\nhost: x\r\nbad\u{0}name: x\r\n\r\n".into(), 400, "request.malformed"),
+        ("GET /\u{7f} HTTP/1.1\r\nhost: x\r\n\r\n".into(), 400, "request.malformed"),
+        ("GET / HTTP/9.9\r\nhost: x\r\n\r\n".into(), 400, "request.malformed"),
+        (format!("GET /{} HTTP/1.1\r\nhost: x\r\n\r\n", long(100_000)), 414, "request.uri_too_long"),
+        (format!("GET / HTTP/1.1\r\nhost: x\r\n{many}\r\n"), 431, "request.head_too_large"),
+        (format!("GET / HTTP/1.1\r\nhost: x\r\nx: {}", long(418_000)), 431, "request.head_too_large"),
+        (
+            "POST /v1/rigs HTTP/1.1\r\nhost: x\r\ncontent-length: 1\r\ncontent-length: 2\r\n\r\n".into(),
+            400,
+            "request.malformed",
+        ),
+        (
+            "POST /v1/rigs HTTP/1.1\r\nhost: x\r\ntransfer-encoding: gzip\r\n\r\n".into(),
+            400,
+            "request.malformed",
+        ),
+    ] {
+        let answer = exchange(app.address(), request.as_bytes());
+        let start = &request[..request.len().min(80)];
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{start:?}: {answer:?}"));
+        assert!(head.starts_with(&format!("HTTP/1.1 {status} ")), "{start:?}: {head}");
+        for field in
+            ["content-type: application/problem+json", "cache-control: no-store", "connection: close"]
+        {
+            assert!(head.contains(field), "{start:?}: {head}");
+        }
+        let problem: serde_json::Value =
+            serde_json::from_str(body).unwrap_or_else(|e| panic!("{start:?}: {e}: {body}"));
+        assert_eq!((&problem["code"], &problem["status"]), (&json!(code), &json!(status)), "{start:?}");
+        assert!(head.contains(&format!("x-request-id: {}", problem["request_id"].as_str().expect("an id"))));
+        Contract::get().validate(start, "/components/schemas/Problem", &problem);
+    }
 }
 
 #[tokio::test]
@@ -82,7 +124,7 @@ async fn json_that_is_none_is_told_from_json_that_says_something_else() {
 #[tokio::test]
 async fn a_json_body_over_the_limit_is_refused_by_its_length_and_while_it_comes() {
     let app = TestApp::start_with(Limits { json_bytes: 1000, ..Limits::default() });
-    let head = "POST /v1/rigs HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n";
+    let head = "POST /v1/rigs HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n";
     let declared = format!("{head}content-length: 1001\r\n\r\n");
     let answer = exchange(app.address(), declared.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413"), "refused before a byte of it came: {answer}");

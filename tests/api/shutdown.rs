@@ -55,14 +55,3 @@ fn a_second_program_on_the_same_data_is_refused() {
     running.signal("-TERM");
     assert_eq!(running.ended().0, Some(0));
 }
-
-#[test]
-fn a_wider_bind_is_refused_while_there_is_no_authentication() {
-    let directory = TempDir::new().expect("a directory");
-    let path = directory.path().join("data");
-    let path = path.to_str().expect("UTF-8");
-    let refused = rigcast(&["serve", "--listen", "0.0.0.0:0", "--data-dir", path]).output().expect("it ends");
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("--allow-unauthenticated"), "{refused:?}");
-    assert!(!std::path::Path::new(path).exists(), "nothing was made");
-}

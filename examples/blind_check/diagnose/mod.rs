@@ -22,6 +22,8 @@ pub struct How {
     pub dir: PathBuf,
     /// A running service, else one is started.
     pub service: Option<String>,
+    /// Token to show there.
+    pub token: Option<String>,
     /// Cases at a time.
     pub in_flight: usize,
     /// Fit an FRF to the baseline runs instead of importing the sim.
@@ -40,7 +42,7 @@ pub fn run(how: &How) -> Result<(), AnyError> {
             None => Some(LocalService::start(([127, 0, 0, 1], 0).into(), None).await?),
         };
         let url = own.as_ref().map(LocalService::url).or(how.service.clone()).ok_or("no service")?;
-        all(how, &Client::new(&url)?).await?;
+        all(how, &Client::new(&url, how.token.as_deref())?).await?;
         if let Some(own) = own {
             own.stop().await?;
         }

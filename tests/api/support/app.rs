@@ -7,9 +7,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use rigcast::app::App;
+use rigcast::app::{App, AppError};
 use rigcast::config::Config;
 use rigcast::http::Limits;
+use rigcast::storage::StoreError;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 
@@ -20,6 +22,8 @@ pub struct TestApp {
     address: SocketAddr,
     client: reqwest::Client,
     directory: Arc<TempDir>,
+    /// An admin's token, once the doors are closed; requests show it unless told otherwise.
+    token: Option<String>,
     /// Ids of the operations that have answered as asked.
     succeeded: Arc<Mutex<BTreeSet<String>>>,
     stop: Option<oneshot::Sender<()>>,
@@ -40,18 +44,25 @@ impl TestApp {
     /// Stops the service and starts another one on the same data.
     pub fn restart(mut self) -> Self {
         self.end();
-        Self::start_in(self.directory.clone(), Limits::default())
+        let mut next = Self::start_in(self.directory.clone(), Limits::default());
+        next.token = self.token.take();
+        next
     }
 
     /// The server has threads of its own, so that a test that waits never starves it.
     fn start_in(directory: Arc<TempDir>, limits: Limits) -> Self {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
-        let config = Config { data_dir: directory.path().to_owned(), workers: 1, limits };
+        let config = Config {
+            data_dir: directory.path().to_owned(),
+            listen: ([127, 0, 0, 1], 0).into(),
+            workers: 1,
+            limits,
+        };
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
-                let app = App::build(&config).await.expect("a service on an empty directory");
+                let app = build(&config).await;
                 let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
                 started.send(listener.local_addr().expect("an address")).expect("the test waits");
                 app.serve(listener, async {
@@ -66,6 +77,7 @@ impl TestApp {
             address,
             client: reqwest::Client::new(),
             directory,
+            token: None,
             succeeded: Arc::default(),
             stop: Some(stop),
             server: Some(server),
@@ -89,9 +101,32 @@ impl TestApp {
 
     /// A request; the path may carry a query.
     pub fn call(&self, method: &str, path: &str) -> Call {
+        self.call_as(self.token.as_deref(), method, path)
+    }
+
+    /// A request with this token, or without any.
+    pub fn call_as(&self, token: Option<&str>, method: &str, path: &str) -> Call {
         let url = format!("http://{}{path}", self.address);
         let method: reqwest::Method = method.parse().expect("a method");
-        Call::new(self.client.request(method.clone(), url), method, path, self.succeeded.clone())
+        let mut request = self.client.request(method.clone(), url);
+        if let Some(token) = token {
+            request = request.bearer_auth(token);
+        }
+        Call::new(request, method, path, self.succeeded.clone())
+    }
+
+    /// Makes the first token, an admin's, which all requests show from now on.
+    pub async fn close_doors(&mut self) -> Value {
+        let token = self.post_json("/v1/tokens", &json!({"role": "admin"})).await.expect(201).json();
+        self.token = Some(token["secret"].as_str().expect("a secret").to_owned());
+        token
+    }
+
+    /// Makes one more token and gives its secret and its id.
+    pub async fn token(&self, draft: &Value) -> (String, String) {
+        let token = self.post_json("/v1/tokens", draft).await.expect(201).json();
+        let text = |key: &str| token[key].as_str().expect(key).to_owned();
+        (text("secret"), text("id"))
     }
 
     /// `GET`
@@ -110,7 +145,7 @@ impl TestApp {
     }
 
     /// `POST` of JSON.
-    pub async fn post_json(&self, path: &str, body: &serde_json::Value) -> Reply {
+    pub async fn post_json(&self, path: &str, body: &Value) -> Reply {
         self.call("POST", path).json(body).send().await
     }
 
@@ -120,7 +155,7 @@ impl TestApp {
     }
 
     /// Waits until a job has ended, at most a minute, and gives it.
-    pub async fn finished(&self, job: &str) -> serde_json::Value {
+    pub async fn finished(&self, job: &str) -> Value {
         for _ in 0..600 {
             let found = self.get(&format!("/v1/jobs/{job}")).await.expect(200).json();
             if ["succeeded", "failed", "cancelled"].contains(&found["state"].as_str().unwrap_or_default()) {
@@ -157,18 +192,38 @@ impl TestApp {
     }
 
     /// Jobs in this state, asked for on a thread with a runtime of its own.
-    fn jobs_in(&self, state: &'static str) -> Vec<serde_json::Value> {
+    fn jobs_in(&self, state: &'static str) -> Vec<Value> {
         let url = format!("http://{}/v1/jobs?state={state}", self.address);
+        let request = reqwest::Client::new().get(url);
+        let request = match &self.token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        };
         let asked = std::thread::spawn(move || {
             let runtime =
                 tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
             runtime.block_on(async {
-                let reply = reqwest::get(url).await.expect("the service answers");
-                reply.json::<serde_json::Value>().await.expect("a list of jobs")
+                let reply = request.send().await.expect("the service answers");
+                assert!(reply.status().is_success(), "the list of jobs: {}", reply.status());
+                reply.json::<Value>().await.expect("a list of jobs")
             })
         });
         asked.join().expect("the list of jobs")["items"].as_array().cloned().unwrap_or_default()
     }
+}
+
+/// Builds a service. A lock that was just let go may be held a moment longer, by a program that another
+/// test is starting at that moment: between fork and exec it has all files of this process.
+async fn build(config: &Config) -> App {
+    for _ in 0..100 {
+        match App::build(config).await {
+            Err(AppError::Store(StoreError::Locked { .. })) => {
+                tokio::time::sleep(Duration::from_millis(20)).await
+            }
+            built => return built.expect("a service on this directory"),
+        }
+    }
+    panic!("the directory stays locked")
 }
 
 impl Drop for TestApp {

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -19,31 +20,43 @@ pub fn rigcast(arguments: &[&str]) -> Command {
 /// A started program that is killed if the test fails.
 pub struct Program {
     child: Child,
-    log: std::io::Lines<BufReader<std::process::ChildStderr>>,
+    /// Reads all the time: a program whose log nobody reads stands still.
+    log: Option<JoinHandle<Vec<String>>>,
     base: String,
 }
 
 impl Program {
-    /// `rigcast serve` on `data_dir` and a free port, with `environment` set.
+    /// `rigcast serve` on `data_dir` and a free port of loopback, with `environment` set.
     pub fn start(data_dir: &TempDir, environment: &[(&str, &str)]) -> Self {
+        Self::listening("127.0.0.1:0", data_dir, environment)
+    }
+
+    /// The same at another address.
+    pub fn listening(address: &str, data_dir: &TempDir, environment: &[(&str, &str)]) -> Self {
         let directory = data_dir.path().to_str().expect("UTF-8");
-        let arguments = ["serve", "--listen", "127.0.0.1:0", "--data-dir", directory, "--log-format", "json"];
+        let arguments = ["serve", "--listen", address, "--data-dir", directory];
         let mut child =
             rigcast(&arguments).envs(environment.iter().copied()).spawn().expect("the program starts");
         let mut log = BufReader::new(child.stderr.take().expect("piped")).lines();
         let base = loop {
             let line = log.next().expect("the program says where it listens").expect("text");
-            let event: serde_json::Value = serde_json::from_str(&line).expect("a JSON line");
-            if let Some(address) = event["http.address"].as_str() {
-                break format!("http://{address}");
+            if let Some((_, rest)) = line.split_once("rigcast listens on ") {
+                let end = rest.find(['"', ' ']).unwrap_or(rest.len());
+                break rest[..end].to_owned();
             }
         };
-        Self { child, log, base }
+        let log = std::thread::spawn(move || log.map_while(Result::ok).collect());
+        Self { child, log: Some(log), base }
     }
 
     /// Where it listens, `http://address:port`.
     pub fn base(&self) -> &str {
         &self.base
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
     }
 
     /// Sends `-TERM`, say.
@@ -62,7 +75,8 @@ impl Program {
             assert!(started.elapsed() < Duration::from_secs(30), "it does not end within 30 s");
             std::thread::sleep(Duration::from_millis(20));
         };
-        (status.code(), self.log.by_ref().map_while(Result::ok).collect())
+        let log = self.log.take().expect("it ends once").join().expect("reading cannot fail");
+        (status.code(), log)
     }
 }
 

@@ -1,0 +1,169 @@
+//! Tokens in the store. Secrets come as digests only.
+
+use jiff::Timestamp;
+
+use super::rows::{TokenRow, all, json, us};
+use super::{Store, StoreError};
+use crate::domain::{Page, PageRequest, SecretDigest, Token, TokenDraft, TokenId, new_id};
+
+/// What came of a wish for a token.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TokenInsert {
+    /// The token.
+    Inserted(Token),
+    /// There is none yet, and the first one must be an admin's for all rigs: it closes the doors, and
+    /// whoever closes them must be able to open them.
+    FirstMustBeAdmin,
+}
+
+/// Every token that may open something, with the digest that it is found by.
+#[derive(Debug, Default)]
+pub struct TokenTable {
+    /// Those that are not revoked; some may have expired.
+    pub tokens: Vec<(SecretDigest, Token)>,
+    /// Whether there ever was one.
+    pub any: bool,
+}
+
+impl Store {
+    /// Adds a token. The draft must have passed its check.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn insert_token(
+        &self,
+        draft: &TokenDraft,
+        secret: SecretDigest,
+        now: Timestamp,
+    ) -> Result<TokenInsert, StoreError> {
+        let mut tx = self.write().await?;
+        let any: bool =
+            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
+        if !any && !draft.may_be_first() {
+            return Ok(TokenInsert::FirstMustBeAdmin);
+        }
+        let row: TokenRow = sqlx::query_as(
+            "INSERT INTO tokens (id, name, role, rigs, secret_sha256, created_us, expires_us)
+             VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
+        )
+        .bind(new_id(now).to_string())
+        .bind(&draft.name)
+        .bind(draft.role.as_str())
+        .bind(draft.rigs.as_ref().map(json))
+        .bind(&secret.as_bytes()[..])
+        .bind(us(now))
+        .bind(draft.expires_at.map(us))
+        .fetch_one(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        row.try_into().map(TokenInsert::Inserted)
+    }
+
+    /// Tokens that are not revoked, oldest first.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn tokens(&self, page: &PageRequest) -> Result<Page<Token>, StoreError> {
+        let rows: Vec<TokenRow> =
+            sqlx::query_as("SELECT * FROM tokens WHERE revoked_us IS NULL AND id > ? ORDER BY id LIMIT ?")
+                .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
+                .bind(i64::from(page.limit) + 1)
+                .fetch_all(self.reader())
+                .await?;
+        Ok(Page::cut(all(rows)?, page.limit, |token: &Token| token.id.to_string()))
+    }
+
+    /// All tokens that are not revoked, by their digests, and whether there ever was one.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn token_table(&self) -> Result<TokenTable, StoreError> {
+        let mut tx = self.reader().begin().await?;
+        let any: bool =
+            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
+        let rows: Vec<TokenRow> =
+            sqlx::query_as("SELECT * FROM tokens WHERE revoked_us IS NULL").fetch_all(&mut *tx).await?;
+        let tokens = rows.into_iter().map(|row| Ok((row.digest()?, row.try_into()?)));
+        Ok(TokenTable { tokens: tokens.collect::<Result<_, StoreError>>()?, any })
+    }
+
+    /// Ends a token; whether there was one to end.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn revoke_token(&self, id: TokenId, now: Timestamp) -> Result<bool, StoreError> {
+        let done = sqlx::query("UPDATE tokens SET revoked_us = ?2 WHERE id = ?1 AND revoked_us IS NULL")
+            .bind(id.to_string())
+            .bind(us(now))
+            .execute(&mut *self.write_one().await?)
+            .await?;
+        Ok(done.rows_affected() == 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::ToSpan;
+
+    use super::super::testing::{TestStore, now};
+    use super::*;
+    use crate::domain::{Secret, TokenRole};
+
+    fn draft(role: TokenRole) -> TokenDraft {
+        TokenDraft { name: "n".into(), role, rigs: None, expires_at: None }
+    }
+
+    async fn insert(store: &TestStore, draft: &TokenDraft) -> Option<(Secret, Token)> {
+        let secret = Secret::draw().unwrap();
+        match store.insert_token(draft, secret.digest(), now()).await.unwrap() {
+            TokenInsert::Inserted(token) => Some((secret, token)),
+            TokenInsert::FirstMustBeAdmin => None,
+        }
+    }
+
+    #[tokio::test]
+    async fn the_first_token_is_an_admins_and_a_revoked_one_keeps_the_doors_closed() {
+        let store = TestStore::open().await;
+        assert!(!store.token_table().await.unwrap().any);
+        assert!(insert(&store, &draft(TokenRole::Operator)).await.is_none());
+        let (_, admin) = insert(&store, &draft(TokenRole::Admin)).await.unwrap();
+        let rigs = Some(["a".parse().unwrap(), "b".parse().unwrap()].into());
+        let wanted = TokenDraft { rigs, expires_at: Some(now() + 1.hour()), ..draft(TokenRole::Reader) };
+        let (secret, reader) = insert(&store, &wanted).await.unwrap();
+        assert_eq!(
+            (&reader.rigs, reader.expires_at, reader.role),
+            (&wanted.rigs, wanted.expires_at, wanted.role)
+        );
+
+        let listed = store.tokens(&PageRequest::default()).await.unwrap().items;
+        assert_eq!(listed, [admin.clone(), reader.clone()]);
+        let table = store.token_table().await.unwrap();
+        let found = table.tokens.iter().find(|(digest, _)| digest.matches(&secret.digest())).unwrap();
+        assert_eq!((&found.1, table.any), (&reader, true));
+
+        for id in [admin.id, reader.id] {
+            assert!(store.revoke_token(id, now()).await.unwrap());
+            assert!(!store.revoke_token(id, now()).await.unwrap(), "once");
+        }
+        let table = store.token_table().await.unwrap();
+        assert_eq!((table.tokens.len(), table.any), (0, true));
+        assert_eq!(store.tokens(&PageRequest::default()).await.unwrap().items, []);
+    }
+
+    #[tokio::test]
+    async fn no_file_of_the_store_holds_a_secret() {
+        let store = TestStore::open().await;
+        let (secret, _) = insert(&store, &draft(TokenRole::Admin)).await.unwrap();
+        let mut read = 0;
+        for entry in std::fs::read_dir(store.data_dir()).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_file() {
+                let bytes = std::fs::read(&path).unwrap();
+                read += bytes.len();
+                let text = secret.reveal().strip_prefix("rigcast_").unwrap().as_bytes();
+                assert!(!bytes.windows(text.len()).any(|w| w == text), "{}", path.display());
+            }
+        }
+        assert!(read > 10_000, "the database and its journal were read");
+    }
+}
