@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::Config;
 use crate::http::{self, Http};
-use crate::jobs::{JobSettings, Jobs};
+use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
@@ -64,11 +64,10 @@ impl App {
     /// A data directory that is in use, damaged or from a newer version; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
         let store = Store::open(&config.data_dir).await?;
-        let settings = ComputeSettings { fit_permits: config.workers.into(), ..ComputeSettings::default() };
+        let settings = ComputeSettings { fit_permits: config.jobs.workers, ..ComputeSettings::default() };
         let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
-        let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
-        let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;
+        let jobs = Jobs::start(store.clone(), compute.clone(), now, config.jobs.clone()).await?;
         let (draining, seen) = watch::channel(false);
         let router = http::router(Arc::new(Http {
             store: store.clone(),

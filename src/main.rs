@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use rigcast::app::App;
-use rigcast::config::{Cli, Command, ServeArgs};
+use rigcast::config::{Cli, Command, LogArgs, ServeArgs};
 use rigcast::demo::DemoArgs;
 use rigcast::engine::simd::Isa;
 use rigcast::telemetry::{self, LogFormat};
@@ -18,6 +18,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Serve(args) => serve(&args),
         Command::Demo(args) => demo(args),
+        Command::Work(log) => work(&log),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -29,7 +30,7 @@ fn main() -> ExitCode {
 }
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
-    telemetry::init_logging(&args.log, args.log_format)?;
+    telemetry::init_logging(&args.log.log, args.log.log_format)?;
     let config = args.check()?;
     // A wrong instruction set is told now, not by the first prediction.
     let isa = Isa::of_process()?;
@@ -61,6 +62,15 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
 fn demo(args: DemoArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, LogFormat::Text)?;
     Ok(runtime()?.block_on(rigcast::demo::run(args))?)
+}
+
+fn work(log: &LogArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&log.log, log.log_format)?;
+    let runtime = runtime()?;
+    let ended = runtime.block_on(rigcast::jobs::work());
+    // A thread still waits for the server's next word.
+    runtime.shutdown_background();
+    Ok(ended?)
 }
 
 /// At least two threads, so that one handler that takes long never stops the health check.

@@ -98,6 +98,9 @@ codes! {
     FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
     JOB_PANICKED = "job.panicked", 500, "The job failed by a defect";
     JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
+    JOB_CRASHED = "job.crashed", 500, "The worker process died";
+    JOB_MEMORY = "job.memory", 500, "The job took too much memory";
+    JOB_TIME_LIMIT = "job.time_limit", 500, "The job took too long";
     JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
 
     // Diagnoses.

@@ -9,9 +9,13 @@ mod diagnosis;
 mod events;
 pub mod fit;
 mod fit_plan;
+mod order;
 pub mod problem;
+mod process;
+mod publish;
 mod runner;
 mod selection;
+mod workbench;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -27,10 +31,12 @@ use crate::storage::{CancelOutcome, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
-use runner::Runner;
+use runner::{Place, Runner};
+use workbench::Workbench;
 
 pub use diagnosis::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
+pub use process::{WorkError, WorkerProgram, work};
 
 /// How the runner behaves.
 #[derive(Debug, Clone)]
@@ -39,8 +45,12 @@ pub struct JobSettings {
     pub workers: usize,
     /// How long a lease lasts without a heartbeat.
     pub lease: Duration,
-    /// How often an idle worker looks for jobs that it was not told of.
-    pub poll: Duration,
+    /// Most time between two heartbeats.
+    pub heartbeat: Duration,
+    /// How often jobs whose lease has ended, and queued ones that nobody was told of, are looked for.
+    pub sweep: Duration,
+    /// How jobs get processes of their own; none: they are done on threads of this one.
+    pub program: Option<WorkerProgram>,
     /// Least time between two progress writes of a job.
     pub progress_every: Duration,
 }
@@ -50,7 +60,9 @@ impl Default for JobSettings {
         Self {
             workers: 1,
             lease: Duration::from_secs(30),
-            poll: Duration::from_secs(2),
+            heartbeat: Duration::from_secs(5),
+            sweep: Duration::from_secs(10),
+            program: None,
             progress_every: Duration::from_millis(500),
         }
     }
@@ -85,13 +97,18 @@ impl Jobs {
         fit: FitFunction,
     ) -> Result<Self, StoreError> {
         // The data directory is locked: whoever had these jobs is gone.
-        for id in store.requeue_expired(Timestamp::MAX, clock()).await? {
+        for id in store.requeue_expired(Timestamp::MAX, &[], clock()).await? {
             tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
         }
         let count = settings.workers;
-        let runner = Arc::new(Runner::new(store, compute, clock, settings, fit));
-        let workers =
+        let place = match settings.program.clone() {
+            Some(program) => Place::Process(program),
+            None => Place::Here(Workbench { store: store.clone(), compute, fit }),
+        };
+        let runner = Arc::new(Runner::new(store, clock, settings, place));
+        let mut workers: Vec<_> =
             (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
+        workers.push(tokio::spawn(Arc::clone(&runner).sweep()));
         Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
     }
 

@@ -61,7 +61,7 @@ impl Bench {
 
 async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
     let settings = JobSettings {
-        poll: Duration::from_millis(20),
+        sweep: Duration::from_millis(20),
         progress_every: Duration::from_millis(2),
         ..JobSettings::default()
     };

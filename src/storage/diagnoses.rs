@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 
 use super::jobs::{JobOrigin, insert, succeed};
 use super::rigs::rig_in;
@@ -14,7 +15,7 @@ use crate::domain::{
 };
 
 /// A diagnosis on its way into the store.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewDiagnosis {
     /// The model that was diagnosed, if it was one of the rig's.
     pub model: Option<DiagnosedModel>,
@@ -22,7 +23,8 @@ pub struct NewDiagnosis {
     pub request: DiagnosisRequest,
     /// The answer in short.
     pub verdict: VerdictSummary,
-    /// JSON of the findings.
+    /// JSON of the findings; travels beside other JSON, not in it.
+    #[serde(skip)]
     pub findings: Bytes,
     /// Seconds that it took.
     pub elapsed_s: f64,

@@ -331,14 +331,15 @@ impl Store {
     }
 
     /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them when
-    /// their attempts are used up; which ones. At a start, when no other process can have the data
-    /// directory, every lease is over: [`Timestamp::MAX`].
+    /// their attempts are used up; which ones. Jobs of `held` are left alone. At a start, when no other
+    /// process can have the data directory, every lease is over: [`Timestamp::MAX`].
     ///
     /// # Errors
     /// The store's failures.
     pub async fn requeue_expired(
         &self,
         expired_at: Timestamp,
+        held: &[JobId],
         now: Timestamp,
     ) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write().await?;
@@ -347,7 +348,8 @@ impl Store {
                 .bind(us(expired_at))
                 .fetch_all(&mut *tx)
                 .await?;
-        let jobs: Vec<Job> = all(rows)?;
+        let mut jobs: Vec<Job> = all(rows)?;
+        jobs.retain(|job| !held.contains(&job.id));
         for job in &jobs {
             let detail = format!("the worker died or was stopped {} times while it had the job", job.attempt);
             let problem = Problem::new(500, "job.interrupted", "The job was interrupted too often", detail);
@@ -507,8 +509,8 @@ mod tests {
         for attempt in 1..=MAX_ATTEMPTS {
             let claimed = claim(&store, now()).await.unwrap();
             assert_eq!((claimed.job.attempt, claimed.lease.token), (attempt, u64::from(attempt)));
-            assert_eq!(store.requeue_expired(now(), now()).await.unwrap().len(), 0, "its lease lasts");
-            assert_eq!(store.requeue_expired(Timestamp::MAX, now()).await.unwrap(), [id]);
+            assert_eq!(store.requeue_expired(now(), &[], now()).await.unwrap().len(), 0, "its lease lasts");
+            assert_eq!(store.requeue_expired(Timestamp::MAX, &[], now()).await.unwrap(), [id]);
         }
         assert_eq!(claim(&store, now()).await, None);
         let job = store.job(id).await.unwrap().unwrap();

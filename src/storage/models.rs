@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
 use super::jobs::succeed;
@@ -14,7 +15,7 @@ use crate::domain::{ActiveModel, JobId, JobResult, Lineage, Model, Origin, Page,
 use crate::engine::model::{FitReport, ModelKind};
 
 /// A model on its way into the store.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewModel {
     /// Kind.
     pub kind: ModelKind,
@@ -24,7 +25,8 @@ pub struct NewModel {
     pub outputs: Vec<String>,
     /// Sample rate.
     pub sample_rate_hz: f64,
-    /// The safetensors file.
+    /// The safetensors file; travels beside JSON, not in it.
+    #[serde(skip)]
     pub weights: Bytes,
     /// Fitted, imported or adopted.
     pub origin: Origin,
@@ -41,7 +43,7 @@ pub struct NewModel {
 }
 
 /// What a new model wants done with the active one, decided against the version it was compared to.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activation {
     /// Nothing.
     Leave,
@@ -473,7 +475,7 @@ mod tests {
         let job = store.queue_fit(&rig).await;
         let until = now() + 30.seconds();
         let lost = store.claim_job("w1", until, now()).await.unwrap().unwrap().lease;
-        store.requeue_expired(Timestamp::MAX, now()).await.unwrap();
+        store.requeue_expired(Timestamp::MAX, &[], now()).await.unwrap();
         let lease = store.claim_job("w2", until, now()).await.unwrap().unwrap().lease;
         let publish = async |lease: &Lease, weights: &'static [u8], activation| {
             let words = |version, active| format!("model {version}, active: {active}");

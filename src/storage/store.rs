@@ -36,7 +36,7 @@ struct Inner {
     /// to be referred to.
     objects_gate: Arc<RwLock<()>>,
     /// Held, not read: the lock ends with the file.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl Store {
@@ -49,19 +49,11 @@ impl Store {
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
         let lock = prepare_directory(data_dir)?;
         let database = data_dir.join("rigcast.db");
-        let options = SqliteConnectOptions::new()
-            .filename(&database)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
+        let options = options(&database).create_if_missing(true);
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
         check_integrity(&writer).await?;
         sqlx::migrate!().run(&writer).await?;
-        // Reads cannot write by mistake.
-        let reading = options.create_if_missing(false).pragma("query_only", "on");
-        let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?;
+        let readers = readers(&database).await?;
         let objects = Objects::open(&data_dir.join("objects"))?;
         let inner = Inner {
             data_dir: data_dir.to_owned(),
@@ -69,11 +61,29 @@ impl Store {
             readers,
             objects,
             objects_gate: Arc::default(),
-            _lock: lock,
+            _lock: Some(lock),
         };
         let store = Self { inner: Arc::new(inner) };
         store.sweep_objects().await?;
         Ok(store)
+    }
+
+    /// Opens the data directory of a running service to read from it: for the worker processes of
+    /// that service. Nothing is locked, migrated or swept, and every write is refused.
+    ///
+    /// # Errors
+    /// No database; the file system's refusals.
+    pub async fn open_to_read(data_dir: &Path) -> Result<Self, StoreError> {
+        let readers = readers(&data_dir.join("rigcast.db")).await?;
+        let inner = Inner {
+            data_dir: data_dir.to_owned(),
+            writer: readers.clone(),
+            readers,
+            objects: Objects::open(&data_dir.join("objects"))?,
+            objects_gate: Arc::default(),
+            _lock: None,
+        };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// Asks the database for a sign of life, and whether the directory can be written.
@@ -137,6 +147,22 @@ impl Store {
     }
 }
 
+fn options(database: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(database)
+        .create_if_missing(false)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .foreign_keys(true)
+        .busy_timeout(BUSY_TIMEOUT)
+}
+
+/// Connections that cannot write by mistake.
+async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
+    let reading = options(database).pragma("query_only", "on");
+    Ok(SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?)
+}
+
 /// Makes the directories, takes the lock, empties the scratch directory.
 fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
@@ -172,6 +198,7 @@ async fn check_integrity(pool: &SqlitePool) -> Result<(), StoreError> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{TestStore, draft, now};
     use super::*;
     use crate::domain::Origin;
 
@@ -184,6 +211,20 @@ mod tests {
         store.close().await;
         drop(store);
         Store::open(dir.path()).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_worker_reads_beside_the_service_and_cannot_write() {
+        let store = TestStore::open().await;
+        store.insert_rig(&draft("bench"), now()).await.unwrap();
+        let reader = Store::open_to_read(store.data_dir()).await.unwrap();
+        assert!(reader.rig(&"bench".parse().unwrap()).await.unwrap().is_some());
+        assert!(matches!(reader.insert_rig(&draft("other"), now()).await, Err(StoreError::Database(_))));
+        store.insert_rig(&draft("third"), now()).await.unwrap();
+        assert!(reader.rig(&"third".parse().unwrap()).await.unwrap().is_some());
+        let nowhere = tempfile::tempdir().unwrap();
+        assert!(Store::open_to_read(nowhere.path()).await.is_err());
+        assert!(!nowhere.path().join("rigcast.db").exists());
     }
 
     #[tokio::test]

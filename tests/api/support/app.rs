@@ -10,6 +10,7 @@ use std::time::Duration;
 use rigcast::app::App;
 use rigcast::config::Config;
 use rigcast::http::Limits;
+use rigcast::jobs::{JobSettings, WorkerProgram};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 
@@ -47,7 +48,7 @@ impl TestApp {
     fn start_in(directory: Arc<TempDir>, limits: Limits) -> Self {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
-        let config = Config { data_dir: directory.path().to_owned(), workers: 1, limits };
+        let config = Config { data_dir: directory.path().to_owned(), jobs: jobs(), limits };
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
@@ -169,6 +170,17 @@ impl TestApp {
         });
         asked.join().expect("the list of jobs")["items"].as_array().cloned().unwrap_or_default()
     }
+}
+
+/// Jobs as `rigcast serve` does them: each in a process of the real program.
+fn jobs() -> JobSettings {
+    let program = WorkerProgram {
+        program: env!("CARGO_BIN_EXE_rigcast").into(),
+        arguments: vec!["work".into()],
+        memory_bytes: 4 << 30,
+        time_limit: Duration::from_secs(600),
+    };
+    JobSettings { program: Some(program), ..JobSettings::default() }
 }
 
 impl Drop for TestApp {

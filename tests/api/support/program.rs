@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -19,7 +20,8 @@ pub fn rigcast(arguments: &[&str]) -> Command {
 /// A started program that is killed if the test fails.
 pub struct Program {
     child: Child,
-    log: std::io::Lines<BufReader<std::process::ChildStderr>>,
+    log: Arc<Mutex<Vec<String>>>,
+    reader: Option<std::thread::JoinHandle<()>>,
     base: String,
 }
 
@@ -38,7 +40,38 @@ impl Program {
                 break format!("http://{address}");
             }
         };
-        Self { child, log, base }
+        // A pipe that nobody reads from would hold the program up.
+        let kept = Arc::new(Mutex::new(Vec::new()));
+        let keep = kept.clone();
+        let reader = std::thread::spawn(move || {
+            for line in log.map_while(Result::ok) {
+                keep.lock().expect("nobody panics with it").push(line);
+            }
+        });
+        Self { child, log: kept, reader: Some(reader), base }
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Process ids of its children.
+    pub fn children(&self) -> Vec<u32> {
+        let parent = |pid: u32| -> Option<u32> {
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+            // The name in brackets may hold anything; behind it come the state and the parent.
+            stat.rsplit(')').next()?.split_whitespace().nth(1)?.parse().ok()
+        };
+        let processes = std::fs::read_dir("/proc").expect("Linux");
+        let ids = processes.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        ids.filter(|pid| parent(*pid) == Some(self.id())).collect()
+    }
+
+    /// Ends it at once, as a power cut would.
+    pub fn kill(mut self) {
+        self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
     }
 
     /// Where it listens, `http://address:port`.
@@ -62,7 +95,8 @@ impl Program {
             assert!(started.elapsed() < Duration::from_secs(30), "it does not end within 30 s");
             std::thread::sleep(Duration::from_millis(20));
         };
-        (status.code(), self.log.by_ref().map_while(Result::ok).collect())
+        self.reader.take().expect("it is read once").join().expect("it reads to the end");
+        (status.code(), std::mem::take(&mut *self.log.lock().expect("nobody panics with it")))
     }
 }
 

@@ -1,13 +1,19 @@
 //! What the program can be told: flags, each with an environment variable behind it.
 
+mod jobs;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
 use crate::demo::DemoArgs;
 use crate::http::Limits;
+use crate::jobs::JobSettings;
 use crate::telemetry::LogFormat;
+
+pub use jobs::JobArgs;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -25,6 +31,21 @@ pub enum Command {
     Serve(ServeArgs),
     /// Show the whole job on a virtual rig: upload, fit, predict, compare.
     Demo(DemoArgs),
+    /// Do one job for the `rigcast serve` that starts this process.
+    #[command(hide = true)]
+    Work(LogArgs),
+}
+
+/// How a process logs.
+#[derive(Debug, Clone, Args)]
+pub struct LogArgs {
+    /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
+    #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
+    pub log: String,
+
+    /// How log lines look.
+    #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
 }
 
 /// How `rigcast serve` runs.
@@ -38,17 +59,13 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
 
-    /// Jobs that run at the same time; a fit uses all cores by itself.
-    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub workers: u16,
+    /// Jobs.
+    #[command(flatten)]
+    pub jobs: JobArgs,
 
-    /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
-    #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
-    pub log: String,
-
-    /// How log lines look.
-    #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
-    pub log_format: LogFormat,
+    /// Logs.
+    #[command(flatten)]
+    pub log: LogArgs,
 
     /// Largest upload (run file or weights), bytes.
     #[arg(long, env = "RIGCAST_UPLOAD_LIMIT_BYTES", default_value_t = Limits::default().upload_bytes)]
@@ -73,8 +90,8 @@ pub struct ServeArgs {
 pub struct Config {
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
-    /// Jobs that run at the same time.
-    pub workers: u16,
+    /// How jobs are done.
+    pub jobs: JobSettings,
     /// Largest bodies that are read.
     pub limits: Limits,
 }
@@ -88,6 +105,17 @@ pub enum ConfigError {
          could read and delete everything; listen on 127.0.0.1, or say --allow-unauthenticated"
     )]
     OpenToNetwork(SocketAddr),
+    /// A lease must outlast heartbeats that fail.
+    #[error(
+        "--heartbeat-s {} and --lease-s {} do not go together: a heartbeat is at most a third of the lease",
+        heartbeat.as_secs_f64(), lease.as_secs_f64()
+    )]
+    Heartbeat {
+        /// Most time between two heartbeats.
+        heartbeat: Duration,
+        /// The lease.
+        lease: Duration,
+    },
 }
 
 impl ServeArgs {
@@ -95,14 +123,14 @@ impl ServeArgs {
     ///
     /// # Errors
     /// [`ConfigError::OpenToNetwork`] for a listen address beyond loopback that was not asked for
-    /// in so many words.
+    /// in so many words; [`ConfigError::Heartbeat`].
     pub fn check(&self) -> Result<Config, ConfigError> {
         if !self.listen.ip().is_loopback() && !self.allow_unauthenticated {
             return Err(ConfigError::OpenToNetwork(self.listen));
         }
         Ok(Config {
             data_dir: self.data_dir.clone(),
-            workers: self.workers,
+            jobs: self.jobs.check(&self.log)?,
             limits: Limits {
                 json_bytes: self.json_limit_bytes,
                 drive_bytes: self.drive_limit_bytes,
@@ -147,5 +175,23 @@ mod tests {
     #[test]
     fn no_workers_at_all_is_refused() {
         assert!(Cli::try_parse_from(["rigcast", "serve", "--workers", "0"]).is_err());
+    }
+
+    #[test]
+    fn jobs_get_processes_that_log_as_the_service_does() {
+        let jobs = serve(&["--log", "debug", "--job-memory-mib", "7"]).check().expect("sound").jobs;
+        let program = jobs.program.expect("a process for each job");
+        assert_eq!(program.arguments, ["work", "--log", "debug", "--log-format", "text"]);
+        assert_eq!(program.memory_bytes, 7 << 20);
+        let work = Cli::try_parse_from(["rigcast".into()].into_iter().chain(program.arguments));
+        assert!(matches!(work.expect("its arguments are read").command, Command::Work(_)));
+    }
+
+    #[test]
+    fn a_lease_outlasts_heartbeats_that_fail() {
+        assert!(serve(&["--lease-s", "3", "--heartbeat-s", "1"]).check().is_ok());
+        let message = serve(&["--lease-s", "3"]).check().expect_err("refused").to_string();
+        assert!(message.contains("--heartbeat-s 5 and --lease-s 3"), "{message}");
+        assert!(Cli::try_parse_from(["rigcast", "serve", "--lease-s", "NaN"]).is_err());
     }
 }
