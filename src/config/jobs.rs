@@ -29,6 +29,10 @@ pub struct JobArgs {
     #[arg(long, env = "RIGCAST_SWEEP_S", default_value = "10", value_parser = seconds)]
     pub sweep_s: Duration,
 
+    /// Most time between two checkpoints of a fit, seconds.
+    #[arg(long, env = "RIGCAST_CHECKPOINT_S", default_value = "30", value_parser = at_most_a_minute)]
+    pub checkpoint_s: Duration,
+
     /// Memory that the process of one job may hold, MiB [default: three quarters of the machine's, shared by
     /// the workers].
     #[arg(long, env = "RIGCAST_JOB_MEMORY_MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
@@ -44,6 +48,12 @@ fn seconds(text: &str) -> Result<Duration, String> {
     let limit = "a number of seconds from 0.1 to 31536000";
     let seconds: f64 = text.parse().map_err(|_| limit.to_owned())?;
     if (0.1..=31_536_000.0).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(limit.into()) }
+}
+
+/// A time of a tenth of a second to a minute: a crash costs two of them at most.
+fn at_most_a_minute(text: &str) -> Result<Duration, String> {
+    let minute = Duration::from_secs(60);
+    seconds(text).ok().filter(|time| *time <= minute).ok_or_else(|| "a number of seconds from 0.1 to 60".into())
 }
 
 impl JobArgs {
@@ -64,6 +74,7 @@ impl JobArgs {
             lease: self.lease_s,
             heartbeat: self.heartbeat_s,
             sweep: self.sweep_s,
+            checkpoint_every: self.checkpoint_s,
             program: Some(program),
             ..JobSettings::default()
         })

@@ -9,23 +9,26 @@ use bytes::Bytes;
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Origin, Rig, Run};
+use crate::engine::checkpoint::Keeper;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
-use crate::storage::{NewModel, StoreError};
+use crate::storage::{Digest, NewModel, StoreError};
 
 use super::activate;
 use super::control::Control;
 use super::order::{MadeModel, Order};
 use super::problem::{JobError, of_engine};
+use super::shelf::Shelf;
 use super::workbench::Workbench;
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
 
 /// The engine's fit; tests of the runner put others in its place.
-pub(super) type FitFunction = fn(&FitData, &FitSettings, Watch<'_>) -> Result<Fitted, EngineError>;
+pub(super) type FitFunction =
+    fn(&FitData, &FitSettings, &dyn Keeper, Watch<'_>) -> Result<Fitted, EngineError>;
 
 impl From<FitProblem> for JobError {
     fn from(problem: FitProblem) -> Self {
@@ -48,12 +51,14 @@ pub(super) async fn make(
     let plan = check(&bench.store, &rig, &request).await?;
     control.report("loading runs", 0.0);
     let data = load(bench, &plan, control).await?;
-    let (model, report, weights) = fit(bench, &plan, data, control).await?;
+    let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
+    let (store, every) = (&bench.store, bench.checkpoint_every);
+    let shelf = Shelf::open(store, order.job, fingerprint(&plan, isa), every, control).await?;
+    let (model, report, weights) = fit(bench, &plan, data, shelf, control).await?;
     let model = Arc::new(model);
     control.report("comparing with the active model", 1.0);
     let activate::Decision { activation, why } =
         activate::decide(bench, &rig, &plan, &model, control).await?;
-    let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
     let model = NewModel {
         kind: model.kind,
         inputs: model.inputs.clone(),
@@ -171,11 +176,20 @@ fn settings(plan: &FitPlan) -> FitSettings {
     }
 }
 
+/// Digest of all that a fit's course depends on: of another program, other settings or other data
+/// no checkpoint is of use.
+fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
+    let all = (env!("CARGO_PKG_VERSION"), isa.name(), &plan.request, plan.lineage());
+    let json = serde_json::to_vec(&all).expect("a request and a lineage always serialise");
+    Digest::of(&json).as_str().to_owned()
+}
+
 /// Fits on the threads for fits, and writes the weights there too.
 async fn fit(
     bench: &Workbench,
     plan: &FitPlan,
     data: FitData,
+    shelf: Shelf,
     control: &Arc<Control>,
 ) -> Result<(RigModel, FitReport, Bytes), JobError> {
     let (settings, watched, function) = (settings(plan), Arc::clone(control), bench.fit);
@@ -183,7 +197,7 @@ async fn fit(
     let fitted = bench
         .compute
         .run(Class::Fit, move || {
-            let fitted = function(&data, &settings, &|progress| watched.watch(progress))?;
+            let fitted = function(&data, &settings, &shelf, &|progress| watched.watch(progress))?;
             let weights = Bytes::from(to_safetensors(&fitted.model));
             Ok((fitted.model, fitted.report, weights))
         })

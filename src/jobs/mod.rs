@@ -15,6 +15,7 @@ mod process;
 mod publish;
 mod runner;
 mod selection;
+mod shelf;
 mod workbench;
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -49,6 +50,8 @@ pub struct JobSettings {
     pub heartbeat: Duration,
     /// How often jobs whose lease has ended, and queued ones that nobody was told of, are looked for.
     pub sweep: Duration,
+    /// Most time between two checkpoints of a fit.
+    pub checkpoint_every: Duration,
     /// How jobs get processes of their own; none: they are done on threads of this one.
     pub program: Option<WorkerProgram>,
     /// Least time between two progress writes of a job.
@@ -62,6 +65,7 @@ impl Default for JobSettings {
             lease: Duration::from_secs(30),
             heartbeat: Duration::from_secs(5),
             sweep: Duration::from_secs(10),
+            checkpoint_every: Duration::from_secs(30),
             program: None,
             progress_every: Duration::from_millis(500),
         }
@@ -86,7 +90,7 @@ impl Jobs {
         clock: Clock,
         settings: JobSettings,
     ) -> Result<Self, StoreError> {
-        Self::start_with(store, compute, clock, settings, crate::engine::model::fit).await
+        Self::start_with(store, compute, clock, settings, crate::engine::model::fit_resumable).await
     }
 
     async fn start_with(
@@ -103,7 +107,10 @@ impl Jobs {
         let count = settings.workers;
         let place = match settings.program.clone() {
             Some(program) => Place::Process(program),
-            None => Place::Here(Workbench { store: store.clone(), compute, fit }),
+            None => {
+                let (store, checkpoint_every) = (store.clone(), settings.checkpoint_every);
+                Place::Here(Workbench { store, compute, fit, checkpoint_every })
+            }
         };
         let runner = Arc::new(Runner::new(store, clock, settings, place));
         let mut workers: Vec<_> =

@@ -184,7 +184,8 @@ impl Runner {
         match &self.place {
             Place::Here(bench) => bench.make(&order, control).await,
             Place::Process(program) => {
-                let begin = Begin { data_dir: self.store.data_dir().to_owned(), order };
+                let (data_dir, checkpoint_every) = (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
+                let begin = Begin { data_dir, order, checkpoint_every };
                 program.make(begin, self.settings.lease, control).await
             }
         }
@@ -205,18 +206,33 @@ impl Runner {
             tokio::select! {
                 biased;
                 end = &mut work => {
+                    self.put_by(claim, control).await;
                     return match end {
                         Ok(end) => end,
                         Err(error) => Err(panicked(&error.to_string())),
                     };
                 }
                 _ = ticks.tick() => {
+                    self.put_by(claim, control).await;
                     let progress = control.progress();
                     if progress != written || at.elapsed() >= self.settings.heartbeat {
                         self.beat(claim, control, &progress).await;
                         (written, at) = (progress, Instant::now());
                     }
                 }
+            }
+        }
+    }
+
+    /// Stores the checkpoints that the work has handed over.
+    async fn put_by(&self, claim: &Claim, control: &Control) {
+        for checkpoint in control.take_kept() {
+            match self.store.keep_checkpoint(&claim.lease, &checkpoint, (self.clock)()).await {
+                Ok(true) => tracing::debug!(part = checkpoint.part, "put a checkpoint by"),
+                // It was cancelled, or is another's: the next heartbeat says so.
+                Ok(false) => {}
+                // The former one is still there, and the work goes on.
+                Err(error) => tracing::warn!(%error, "a checkpoint could not be stored"),
             }
         }
     }

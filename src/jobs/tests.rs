@@ -9,6 +9,7 @@ use super::*;
 use crate::compute::ComputeSettings;
 use crate::domain::fits::Activate;
 use crate::domain::{JobState, Model};
+use crate::engine::checkpoint::Keeper;
 use crate::engine::frf::Frf;
 use crate::engine::model::{FitData, FitSettings, Fitted, ModelKind, RigModel};
 use crate::engine::progress::report;
@@ -82,7 +83,7 @@ fn noise(seed: u32, n: usize) -> Vec<f64> {
 }
 
 /// "Fits" an FRF whose gain is ten times the ridge of the settings, which must be one at most.
-fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+fn gain(data: &FitData, settings: &FitSettings, _: &dyn Keeper, watch: Watch<'_>) -> Result<Fitted, EngineError> {
     report(watch, "FRF", 0.5)?;
     let frf = Frf {
         sample_rate_hz: 100.0,
@@ -111,16 +112,16 @@ fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitt
     Ok(Fitted { model, report: serde_json::from_value(report).unwrap() })
 }
 
-fn fails(_: &FitData, _: &FitSettings, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn fails(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
     Err(EngineError::DeadChannel { what: "training outputs", channel: 0 })
 }
 
-fn panics(_: &FitData, _: &FitSettings, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn panics(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
     panic!("a defect")
 }
 
 /// Goes on until it is told to stop.
-fn endless(_: &FitData, _: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+fn endless(_: &FitData, _: &FitSettings, _: &dyn Keeper, watch: Watch<'_>) -> Result<Fitted, EngineError> {
     for i in 0.. {
         report(watch, "LSTM", 1.0 - 0.9_f64.powi(i))?;
         std::thread::sleep(Duration::from_millis(1));
@@ -342,4 +343,50 @@ async fn a_policy_fits_after_uploads_with_all_their_runs() {
     let states: BTreeMap<_, _> =
         bench.store.count_jobs().await.unwrap().into_iter().map(|(s, n)| (s.as_str(), n)).collect();
     assert_eq!((states["succeeded"], states["queued"], states["running"]), (1, 0, 0));
+}
+
+/// The engine's fit, which takes a while after each progress.
+fn slow(
+    data: &FitData,
+    settings: &FitSettings,
+    keeper: &dyn Keeper,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
+    let slowly = |progress: crate::engine::Progress<'_>| {
+        std::thread::sleep(Duration::from_millis(2));
+        watch(progress)
+    };
+    crate::engine::model::fit_resumable(data, settings, keeper, &slowly)
+}
+
+#[tokio::test]
+async fn a_fit_that_two_stops_interrupted_ends_in_the_same_model_and_leaves_no_checkpoint() {
+    let request = || {
+        let lstm = serde_json::json!({"blocks": [4], "window_len": 32, "epochs": 20, "seeds": [1, 2]});
+        serde_json::json!({"kind": "lstm", "lstm": lstm, "activate": "never"})
+    };
+    let bench = Bench::new(slow).await;
+    let whole = bench.end_of(bench.fit(request()).await).await;
+    assert_eq!(whole.state, JobState::Succeeded, "{whole:?}");
+    let id = bench.fit(request()).await;
+    let Bench { store, rig, mut jobs } = bench;
+    for _ in 0..2 {
+        while store.job(id).await.unwrap().unwrap().progress < 0.2 {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        jobs.shutdown().await;
+        let job = store.job(id).await.unwrap().unwrap();
+        assert_eq!((job.state, job.attempt), (JobState::Queued, 0));
+        assert_eq!(store.count_checkpoints().await, 2, "one a seed");
+        jobs = start(&store, slow).await;
+    }
+    let bench = Bench { store, rig, jobs };
+    let resumed = bench.end_of(id).await;
+    let model = async |job: &Job| {
+        let version = job.result.as_ref().expect("a model").id.parse().unwrap();
+        bench.store.model(&bench.rig.id, version).await.unwrap().unwrap()
+    };
+    let (whole, resumed) = (model(&whole).await, model(&resumed).await);
+    assert_eq!((whole.sha256, whole.report), (resumed.sha256, resumed.report));
+    assert_eq!(bench.store.count_checkpoints().await, 0);
 }

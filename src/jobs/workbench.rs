@@ -1,6 +1,7 @@
 //! Where work is done: what it reads from and computes on. It stores nothing.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::compute::Compute;
 use crate::domain::{JobKind, Problem};
@@ -18,6 +19,8 @@ pub(super) struct Workbench {
     pub store: Store,
     pub compute: Compute,
     pub fit: FitFunction,
+    /// Most time between two checkpoints of a fit.
+    pub checkpoint_every: Duration,
 }
 
 impl Workbench {

@@ -3,6 +3,7 @@
 //! Every SQL string of the program is in this folder. A missing row is `None`, a failure is
 //! `Err`; an update says whether it met the row that it was meant for.
 
+mod checkpoints;
 mod diagnoses;
 mod error;
 mod jobs;
@@ -18,6 +19,7 @@ mod store;
 #[cfg(test)]
 pub(crate) mod testing;
 
+pub use checkpoints::Checkpoint;
 pub use diagnoses::NewDiagnosis;
 pub use error::StoreError;
 pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};

@@ -132,6 +132,10 @@ impl TestStore {
         self.insert_model(&rig.id, model, Activation::Leave, now()).await.unwrap().unwrap()
     }
 
+    pub(crate) async fn count_checkpoints(&self) -> i64 {
+        sqlx::query_scalar("SELECT count(*) FROM checkpoints").fetch_one(self.reader()).await.unwrap()
+    }
+
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {
         let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
         self.insert_fit_job(&rig.id, &request, now()).await.unwrap().unwrap()

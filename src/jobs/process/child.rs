@@ -47,6 +47,7 @@ pub async fn work() -> Result<(), WorkError> {
             _ = ticks.tick() => say_progress(&mut mouth, &control).await?,
         }
     };
+    say_kept(&mut mouth, &control).await?;
     match end {
         Ok(mut made) => {
             let bytes = std::mem::take(made.bytes());
@@ -64,13 +65,28 @@ async fn make(begin: Begin, control: Arc<Control>) -> Result<Made, JobError> {
     let store = Store::open_to_read(&begin.data_dir).await?;
     let settings = ComputeSettings { predict_threads: 1, long_threads: 1, ..ComputeSettings::default() };
     let compute = Compute::new(&settings)?;
-    let bench = Workbench { store, compute, fit: crate::engine::model::fit };
+    let bench = Workbench {
+        store,
+        compute,
+        fit: crate::engine::model::fit_resumable,
+        checkpoint_every: begin.checkpoint_every,
+    };
     bench.make(&begin.order, &control).await
 }
 
 async fn say_progress(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> {
+    say_kept(mouth, control).await?;
     let (stage, fraction) = control.progress();
     frames::write(mouth, &Say::Progress { stage, fraction }, &[]).await
+}
+
+/// Hands on the checkpoints since the last call.
+async fn say_kept(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> {
+    for mut checkpoint in control.take_kept() {
+        let state = std::mem::take(&mut checkpoint.state);
+        frames::write(mouth, &Say::Keep(checkpoint), &state).await?;
+    }
+    Ok(())
 }
 
 /// Stops the work when the server says so, and the process when the server is gone.

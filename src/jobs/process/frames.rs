@@ -3,6 +3,7 @@
 
 use std::io::{Error, ErrorKind};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use bytes::Bytes;
 use serde::de::DeserializeOwned;
@@ -11,6 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
 use crate::jobs::order::{Made, Order};
 use crate::jobs::problem::JobError;
+use crate::storage::Checkpoint;
 
 /// From the server to the worker. An end of the stream means that the server is gone.
 #[derive(Debug, Serialize, Deserialize)]
@@ -26,6 +28,7 @@ pub(super) enum Tell {
 pub(in crate::jobs) struct Begin {
     pub data_dir: PathBuf,
     pub order: Order,
+    pub checkpoint_every: Duration,
 }
 
 /// From the worker to the server.
@@ -33,6 +36,8 @@ pub(in crate::jobs) struct Begin {
 pub(super) enum Say {
     /// How far it is; said several times a second, changed or not, as a sign of life.
     Progress { stage: String, fraction: f64 },
+    /// A checkpoint; its bytes follow.
+    Keep(Checkpoint),
     /// The last word of work that is done; its bytes follow.
     Made(Made),
     /// The last word of work that came to nothing.

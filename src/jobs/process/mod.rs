@@ -22,6 +22,7 @@ use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 
 use crate::domain::Problem;
+use crate::storage::Checkpoint;
 
 use super::control::Control;
 use super::order::Made;
@@ -107,6 +108,7 @@ impl WorkerProgram {
                         watch.heard = Instant::now();
                         control.report(&stage, fraction);
                     }
+                    Some((Say::Keep(checkpoint), state)) => control.keep(Checkpoint { state, ..checkpoint }),
                     Some((Say::Made(mut made), bytes)) => {
                         *made.bytes() = bytes;
                         leave(&mut child).await;
