@@ -4,9 +4,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use rigcast::app::App;
-use rigcast::config::{Cli, Command, LogArgs, ServeArgs};
+use rigcast::config::{Cli, Command, CopyArgs, LogArgs, ServeArgs};
 use rigcast::demo::DemoArgs;
 use rigcast::engine::simd::Isa;
+use rigcast::storage;
 use rigcast::telemetry::{self, LogFormat};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
@@ -18,6 +19,8 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Serve(args) => serve(&args),
         Command::Demo(args) => demo(args),
+        Command::Backup(args) => backup(&args),
+        Command::Restore(args) => restore(&args),
         Command::Work(log) => work(&log),
     };
     match outcome {
@@ -62,6 +65,21 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
 fn demo(args: DemoArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log, LogFormat::Text)?;
     Ok(runtime()?.block_on(rigcast::demo::run(args))?)
+}
+
+fn backup(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::backup(data_dir, backup, jiff::Timestamp::now()))?;
+    println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
+    Ok(())
+}
+
+fn restore(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::restore(backup, data_dir))?;
+    let (n, path) = (made.objects, data_dir.display());
+    println!("restored {n} objects of {} bytes, as of {}, into {path}", made.bytes, made.created_at);
+    Ok(())
 }
 
 fn work(log: &LogArgs) -> Result<(), Failure> {

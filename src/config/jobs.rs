@@ -47,13 +47,20 @@ pub struct JobArgs {
 fn seconds(text: &str) -> Result<Duration, String> {
     let limit = "a number of seconds from 0.1 to 31536000";
     let seconds: f64 = text.parse().map_err(|_| limit.to_owned())?;
-    if (0.1..=31_536_000.0).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(limit.into()) }
+    if (0.1..=31_536_000.0).contains(&seconds) {
+        Ok(Duration::from_secs_f64(seconds))
+    } else {
+        Err(limit.into())
+    }
 }
 
 /// A time of a tenth of a second to a minute: a crash costs two of them at most.
 fn at_most_a_minute(text: &str) -> Result<Duration, String> {
     let minute = Duration::from_secs(60);
-    seconds(text).ok().filter(|time| *time <= minute).ok_or_else(|| "a number of seconds from 0.1 to 60".into())
+    seconds(text)
+        .ok()
+        .filter(|time| *time <= minute)
+        .ok_or_else(|| "a number of seconds from 0.1 to 60".into())
 }
 
 impl JobArgs {
@@ -93,7 +100,8 @@ impl LogArgs {
     /// A subcommand that logs in the same way.
     fn as_arguments(&self, subcommand: &str) -> Vec<OsString> {
         use clap::ValueEnum;
-        let format = self.log_format.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+        let format =
+            self.log_format.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
         [subcommand, "--log", &self.log, "--log-format", &format].map(OsString::from).to_vec()
     }
 }

@@ -1,5 +1,6 @@
 //! What the program can be told: flags, each with an environment variable behind it.
 
+mod copies;
 mod jobs;
 
 use std::net::SocketAddr;
@@ -13,6 +14,7 @@ use crate::http::Limits;
 use crate::jobs::JobSettings;
 use crate::telemetry::LogFormat;
 
+pub use copies::CopyArgs;
 pub use jobs::JobArgs;
 
 /// The `rigcast` command line.
@@ -31,6 +33,10 @@ pub enum Command {
     Serve(ServeArgs),
     /// Show the whole job on a virtual rig: upload, fit, predict, compare.
     Demo(DemoArgs),
+    /// Copy a data directory, which may be in use, into a new directory.
+    Backup(CopyArgs),
+    /// Make a new data directory from a backup.
+    Restore(CopyArgs),
     /// Do one job for the `rigcast serve` that starts this process.
     #[command(hide = true)]
     Work(LogArgs),

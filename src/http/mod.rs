@@ -23,6 +23,7 @@ mod metrics;
 mod models;
 mod negotiate;
 mod observe;
+mod once;
 mod params;
 mod paths;
 mod predict;
@@ -115,6 +116,7 @@ pub fn router(http: Shared) -> Router {
         .fold(Router::new(), |router, route| router.route(route.path, (route.handler)()))
         .fallback(problem::no_route)
         .method_not_allowed_fallback(problem::no_method)
+        .layer(axum::middleware::from_fn_with_state(http.clone(), once::once))
         .layer(axum::middleware::from_fn_with_state(http.clone(), observe::observe))
         .with_state(http)
 }

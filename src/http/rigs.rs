@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::{ETAG, LOCATION};
+use axum::http::header::ETAG;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use serde_json::Value;
@@ -10,11 +10,12 @@ use serde_json::Value;
 use super::etag::{self, if_match};
 use super::json::{self, Json};
 use super::lists::page;
+use super::once::{Key, created};
 use super::params::{NoParams, Params};
 use super::paths::{OfRig, no_rig};
 use super::problem::{Answer, FieldError, Problem};
 use super::{Shared, codes};
-use crate::domain::{Rig, RigDraft};
+use crate::domain::{Created, Rig, RigDraft};
 use crate::storage::RigUpdate;
 
 /// Media types of a merge patch: its own, and the one that everybody sends.
@@ -28,14 +29,18 @@ pub async fn list(State(http): State<Shared>, mut params: Params) -> Answer {
 }
 
 /// `POST /v1/rigs`
-pub async fn create(State(http): State<Shared>, _: NoParams, Json(draft): Json<RigDraft>) -> Answer {
+pub async fn create(
+    State(http): State<Shared>,
+    _: NoParams,
+    key: Key,
+    Json(draft): Json<RigDraft>,
+) -> Answer {
     draft.check().map_err(invalid)?;
-    let Some(rig) = http.store.insert_rig(&draft, http.now()).await? else {
+    let Some(rig) = http.store.insert_rig(&draft, key.once().as_ref(), http.now()).await? else {
         let detail = format!("There is a rig {:?} already.", draft.id.as_str());
         return Err(Problem::new(codes::RIG_EXISTS, detail).with(FieldError::new("/id", "an id of its own")));
     };
-    let head = [(LOCATION, format!("/v1/rigs/{}", rig.id)), (ETAG, rig.etag())];
-    Ok((StatusCode::CREATED, head, json::answer(&rig)?).into_response())
+    created(Created::rig(&rig))
 }
 
 /// `GET /v1/rigs/{rig}`

@@ -28,7 +28,7 @@ use tokio::task::JoinHandle;
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig};
-use crate::storage::{CancelOutcome, Store, StoreError};
+use crate::storage::{CancelOutcome, Once, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
@@ -123,10 +123,16 @@ impl Jobs {
     ///
     /// # Errors
     /// [`FitProblem`]: what is wrong with it, or the store's failure.
-    pub async fn submit_fit(&self, rig: &Rig, request: &FitRequest) -> Result<Job, FitProblem> {
+    pub async fn submit_fit(
+        &self,
+        rig: &Rig,
+        request: &FitRequest,
+        once: Option<&Once>,
+    ) -> Result<Job, FitProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         fit::check(store, rig, request).await?;
-        let job = store.insert_fit_job(&rig.id, request, clock()).await?.ok_or(FitProblem::RigGone)?;
+        let job = store.insert_fit_job(&rig.id, request, once, clock()).await?;
+        let job = job.ok_or(FitProblem::RigGone)?;
         self.wake();
         Ok(job)
     }
@@ -139,10 +145,11 @@ impl Jobs {
         &self,
         rig: &Rig,
         request: &DiagnosisRequest,
+        once: Option<&Once>,
     ) -> Result<Job, DiagnosisProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = diagnosis::check(store, rig, request).await?;
-        let job = store.insert_diagnosis_job(&rig.id, &plan.request, clock()).await?;
+        let job = store.insert_diagnosis_job(&rig.id, &plan.request, once, clock()).await?;
         self.wake();
         job.ok_or(DiagnosisProblem::RigGone)
     }

@@ -18,7 +18,7 @@ use super::JobSettings;
 use super::control::{Control, Stop};
 use super::events::Hub;
 use super::order::{Made, Order};
-use super::problem::{JobError, panicked};
+use super::problem::{JobError, codes, panicked};
 use super::process::{Begin, WorkerProgram};
 use super::publish::publish;
 use super::workbench::Workbench;
@@ -184,7 +184,8 @@ impl Runner {
         match &self.place {
             Place::Here(bench) => bench.make(&order, control).await,
             Place::Process(program) => {
-                let (data_dir, checkpoint_every) = (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
+                let (data_dir, checkpoint_every) =
+                    (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
                 let begin = Begin { data_dir, order, checkpoint_every };
                 program.make(begin, self.settings.lease, control).await
             }
@@ -259,8 +260,19 @@ impl Runner {
         let outcome = match end {
             // Published, and the job ended with it.
             Ok(()) => return Ok(()),
-            Err(JobError::Failed(problem)) => Outcome::Failed(*problem),
-            Err(JobError::Retry(problem)) => Outcome::Retry(*problem),
+            Err(JobError::Failed(problem)) => {
+                if problem.code == codes::STORE_DAMAGED {
+                    // What a worker process has read is not known here.
+                    self.store.verify_rig(&claim.job.rig).await?;
+                }
+                Outcome::Failed(*problem)
+            }
+            Err(JobError::Retry(problem)) => {
+                // What is short now, memory or disk, may not be in a moment.
+                let mut stopping = self.stopping.subscribe();
+                let _ = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
+                Outcome::Retry(*problem)
+            }
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
                 Some(Stop::Shutdown) => Outcome::Released,
@@ -285,6 +297,9 @@ fn note_duration(kind: JobKind, end: &Result<(), JobError>, elapsed: Duration) {
         metrics::histogram!(names::FIT_SECONDS, "outcome" => outcome).record(elapsed.as_secs_f64());
     }
 }
+
+/// Before a job that failed for a reason that may pass goes back into the queue.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// A name for a worker that a person finds again in the process table.
 pub(super) fn worker_name(index: usize) -> String {

@@ -89,7 +89,7 @@ mod tests {
     /// A store with a running job.
     async fn running() -> (TestStore, Lease) {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         store.queue_fit(&rig).await;
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         (store, lease)
@@ -121,7 +121,10 @@ mod tests {
         store.keep_checkpoint(&lease, &checkpoint("a", b"good"), now()).await.unwrap();
         store.keep_checkpoint(&lease, &checkpoint("b", b"good"), now()).await.unwrap();
         let mut writer = store.write_one().await.unwrap();
-        sqlx::query("UPDATE checkpoints SET state = x'00' WHERE part = 'a'").execute(&mut *writer).await.unwrap();
+        sqlx::query("UPDATE checkpoints SET state = x'00' WHERE part = 'a'")
+            .execute(&mut *writer)
+            .await
+            .unwrap();
         drop(writer);
         assert_eq!(store.checkpoints(lease.job, "settings").await.unwrap(), [checkpoint("b", b"good")]);
         assert!(store.delete_rig(&"bench".parse().unwrap()).await.unwrap());

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use super::jobs::{JobOrigin, insert, succeed};
 use super::rigs::rig_in;
 use super::rows::{DiagnosisRow, all, int, json, us, word};
-use super::{Digest, Lease, Store, StoreError};
+use super::{Digest, Lease, Once, Store, StoreError, once};
 use crate::domain::diagnosis::{DiagnosedModel, VerdictSummary};
 use crate::domain::{
-    DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest, RigId,
-    StoredDiagnosis, new_id,
+    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest,
+    RigId, StoredDiagnosis, new_id,
 };
 
 /// A diagnosis on its way into the store.
@@ -39,13 +39,16 @@ impl Store {
         &self,
         rig: &RigId,
         request: &DiagnosisRequest,
+        once: Option<&Once>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
         let job = insert(&mut tx, rig, JobKind::Diagnosis, request, JobOrigin::Request, now).await?;
+        once::end(&mut tx, once, || Created::job(&job), now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -204,7 +207,7 @@ mod tests {
     }
 
     async fn published(store: &TestStore, rig: &Rig, findings: &'static [u8]) -> DiagnosisId {
-        store.insert_diagnosis_job(&rig.id, &request(), now()).await.unwrap().unwrap();
+        store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         store.publish_diagnosis(&lease, new(findings), "found", now()).await.unwrap().unwrap()
     }
@@ -212,8 +215,8 @@ mod tests {
     #[tokio::test]
     async fn a_diagnosis_is_stored_once_with_the_end_of_its_job_and_goes_with_its_rig() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
-        let job = store.insert_diagnosis_job(&rig.id, &request(), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+        let job = store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
         assert_eq!(job.kind, JobKind::Diagnosis);
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         let lost = Lease { token: lease.token + 1, ..lease.clone() };
@@ -241,7 +244,7 @@ mod tests {
     #[tokio::test]
     async fn diagnoses_are_listed_in_pages_newest_first() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let (first, second) = (published(&store, &rig, b"1").await, published(&store, &rig, b"1").await);
         let mut page = PageRequest { limit: 1, cursor: None };
         let listed = store.diagnoses(&rig.id, &page).await.unwrap().unwrap();

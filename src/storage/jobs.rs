@@ -8,10 +8,12 @@ use sqlx::SqliteConnection;
 
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
-use super::{Store, StoreError};
+use super::{Once, Store, StoreError, once};
 use crate::domain::fits::FitRequest;
 use crate::domain::job::{MAX_ATTEMPTS, eta_s};
-use crate::domain::{Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id};
+use crate::domain::{
+    Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id,
+};
 
 /// Which jobs are wanted; empty: all.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -146,13 +148,16 @@ impl Store {
         &self,
         rig: &RigId,
         request: &FitRequest,
+        once: Option<&Once>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
         let job = insert(&mut tx, rig, JobKind::Fit, request, JobOrigin::Request, now).await?;
+        once::end(&mut tx, once, || Created::job(&job), now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -403,7 +408,7 @@ mod tests {
     use super::*;
 
     async fn queued(store: &TestStore, n: usize) -> Vec<Job> {
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let mut jobs = Vec::new();
         for _ in 0..n {
             jobs.push(store.queue_fit(&rig).await);

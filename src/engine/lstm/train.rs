@@ -165,7 +165,11 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run<const R: usize, const WIDE: bool>(&self, row: Vec<f32>, seed: u64) -> Result<Trained, EngineError> {
+    fn run<const R: usize, const WIDE: bool>(
+        &self,
+        row: Vec<f32>,
+        seed: u64,
+    ) -> Result<Trained, EngineError> {
         let settings = self.settings;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut weights = TrainWeights::<R>::new(&self.shape, &row);
@@ -217,8 +221,8 @@ impl Job<'_> {
                     return Err(EngineError::Diverged { epoch: state.epoch });
                 }
                 let first = index * settings.batch_size;
-                let done = ((state.epoch - 1) as f64 + first as f64 / windows.len() as f64)
-                    / settings.epochs as f64;
+                let done =
+                    ((state.epoch - 1) as f64 + first as f64 / windows.len() as f64) / settings.epochs as f64;
                 let rate = settings.learning_rate
                     * relative_rate(settings.schedule, settings.warmup_steps, state.step, done);
                 state.descent.step(&mut state.row, &gradient, rate);

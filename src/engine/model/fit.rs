@@ -341,7 +341,8 @@ fn fit_lstm(
         .collect();
     let (training, validation) = stretches.split_at(n);
 
-    let trained = train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, keeper, watch)?;
+    let trained =
+        train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, keeper, watch)?;
     let reports: Vec<SeedReport> =
         trained.iter().zip(&settings.seeds).map(|(t, &seed)| seed_report(seed, t)).collect();
     drop(stretches);

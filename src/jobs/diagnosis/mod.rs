@@ -20,8 +20,8 @@ use crate::storage::NewDiagnosis;
 
 use super::control::Control;
 use super::fit::pair;
-use super::problem::{JobError, codes};
 use super::order::{MadeDiagnosis, Order};
+use super::problem::{JobError, codes};
 use super::workbench::Workbench;
 use plan::DiagnosisPlan;
 use problem::of_diagnosis;
@@ -71,7 +71,11 @@ async fn sim(bench: &Workbench, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
 }
 
 /// Loads every run and simulates those that are to be explained.
-async fn load(bench: &Workbench, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>) -> Result<Input, JobError> {
+async fn load(
+    bench: &Workbench,
+    plan: &Arc<DiagnosisPlan>,
+    control: &Arc<Control>,
+) -> Result<Input, JobError> {
     control.report("loading runs", 0.0);
     let sim = Arc::new(sim(bench, plan).await?);
     let places = times(&plan.runs);

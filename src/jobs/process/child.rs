@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::io::{Stdin, Stdout};
+use tokio::signal::unix::{SignalKind, signal};
 
 use crate::compute::{Compute, ComputeSettings};
 use crate::storage::Store;
@@ -35,8 +36,12 @@ pub enum WorkError {
 /// See [`WorkError`]; what becomes of the work is told to the server.
 pub async fn work() -> Result<(), WorkError> {
     die_with_the_server();
+    // A terminal and a service manager tell all processes to stop: here the server is the one to do so.
+    let _not_ours = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let (mut ears, mut mouth) = (tokio::io::stdin(), tokio::io::stdout());
-    let Some((Tell::Begin(begin), _)) = frames::read(&mut ears).await? else { return Err(WorkError::Nothing) };
+    let Some((Tell::Begin(begin), _)) = frames::read(&mut ears).await? else {
+        return Err(WorkError::Nothing);
+    };
     let control = Arc::new(Control::default());
     tokio::spawn(obey(ears, Arc::clone(&control)));
     let mut work = tokio::spawn(make(begin, Arc::clone(&control)));

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use super::LOOK_EVERY;
 use crate::domain::Problem;
 use crate::jobs::problem::{JobError, codes};
 
@@ -21,7 +22,8 @@ pub(super) enum Cut {
 impl Cut {
     /// As the end of an attempt.
     pub(super) fn ends(self) -> JobError {
-        let retry = |code, title: &str, detail: String| JobError::retry(Problem::new(500, code, title, detail));
+        let retry =
+            |code, title: &str, detail: String| JobError::retry(Problem::new(500, code, title, detail));
         match self {
             Self::Memory { limit_bytes } => {
                 let detail = format!(
@@ -54,21 +56,27 @@ pub(super) struct Watch {
     pub time_limit: Duration,
     pub silence: Duration,
     pub started: Instant,
-    pub heard: Instant,
+    /// When it was last looked at.
+    pub looked: Instant,
+    /// How long nothing was heard while somebody listened: a server that was frozen itself heard
+    /// nothing either.
+    pub silent_for: Duration,
     /// Until when it has to end, once it was told to stop.
     pub stop_by: Option<Instant>,
 }
 
 impl Watch {
-    /// Whether it must be killed now.
-    pub(super) fn cut(&self) -> Option<Cut> {
+    /// Looks at it; whether it must be killed now.
+    pub(super) fn look(&mut self) -> Option<Cut> {
+        self.silent_for += self.looked.elapsed().min(2 * LOOK_EVERY);
+        self.looked = Instant::now();
         if self.stop_by.is_some_and(|by| Instant::now() >= by) {
             return Some(Cut::Disobedient);
         }
         if self.started.elapsed() > self.time_limit {
             return Some(Cut::Time { limit: self.time_limit });
         }
-        if self.heard.elapsed() > self.silence {
+        if self.silent_for > self.silence {
             return Some(Cut::Silent { limit: self.silence });
         }
         let resident = self.pid.and_then(resident_bytes);
@@ -116,22 +124,27 @@ mod tests {
             time_limit: limit,
             silence: limit,
             started: now,
-            heard: now,
+            looked: now,
+            silent_for: Duration::ZERO,
             stop_by: None,
         }
     }
 
     #[test]
     fn each_limit_is_seen_and_named() {
-        assert_eq!(watch().cut(), None);
+        assert_eq!(watch().look(), None);
         let zero = Duration::ZERO;
-        let code = |watch: Watch| match watch.cut().expect("a limit is passed").ends() {
+        let code = |mut watch: Watch| match watch.look().expect("a limit is passed").ends() {
             JobError::Retry(problem) => problem.code,
             JobError::Stopped => "stopped".into(),
             other => panic!("{other:?}"),
         };
         assert_eq!(code(Watch { time_limit: zero, ..watch() }), codes::JOB_TIME_LIMIT);
-        assert_eq!(code(Watch { silence: zero, ..watch() }), codes::JOB_CRASHED);
+        let silent = || Watch { silent_for: Duration::from_secs(61), ..watch() };
+        assert_eq!(code(silent()), codes::JOB_CRASHED);
+        // Frozen together with its server.
+        let looked = Instant::now().checked_sub(Duration::from_secs(61)).unwrap();
+        assert_eq!(Watch { looked, ..watch() }.look(), None);
         assert_eq!(code(Watch { stop_by: Some(Instant::now()), ..watch() }), "stopped");
         if cfg!(target_os = "linux") {
             assert_eq!(code(Watch { memory_bytes: 1 << 16, ..watch() }), codes::JOB_MEMORY);

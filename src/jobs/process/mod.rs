@@ -94,7 +94,8 @@ impl WorkerProgram {
             time_limit: self.time_limit,
             silence,
             started: now,
-            heard: now,
+            looked: now,
+            silent_for: Duration::ZERO,
             stop_by: None,
         };
         let mut looks = tokio::time::interval(LOOK_EVERY);
@@ -105,7 +106,7 @@ impl WorkerProgram {
                 biased;
                 message = heard.recv() => match message {
                     Some((Say::Progress { stage, fraction }, _)) => {
-                        watch.heard = Instant::now();
+                        watch.silent_for = Duration::ZERO;
                         control.report(&stage, fraction);
                     }
                     Some((Say::Keep(checkpoint), state)) => control.keep(Checkpoint { state, ..checkpoint }),
@@ -126,7 +127,7 @@ impl WorkerProgram {
                         let _ = frames::write(&mut ears, &Tell::Stop, &[]).await;
                     }
                     if cut.is_none() {
-                        cut = watch.cut();
+                        cut = watch.look();
                         // An error means that it is gone; its output ends either way.
                         if cut.is_some() {
                             let _ = child.start_kill();

@@ -176,7 +176,7 @@ impl TestApp {
 fn jobs() -> JobSettings {
     let program = WorkerProgram {
         program: env!("CARGO_BIN_EXE_rigcast").into(),
-        arguments: vec!["work".into()],
+        arguments: ["work", "--log", "error"].map(Into::into).to_vec(),
         memory_bytes: 4 << 30,
         time_limit: Duration::from_secs(600),
     };

@@ -1,6 +1,7 @@
 //! The real program as a process of its own.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -17,6 +18,30 @@ pub fn rigcast(arguments: &[&str]) -> Command {
     command
 }
 
+/// State and parent of a process.
+fn state(pid: u32) -> Option<(char, u32)> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The name in brackets may hold anything.
+    let mut words = stat.rsplit(')').next()?.split_whitespace();
+    Some((words.next()?.chars().next()?, words.next()?.parse().ok()?))
+}
+
+/// Whether a process is there, and more than the memory of one that has ended.
+pub fn lives(pid: u32) -> bool {
+    state(pid).is_some_and(|(state, _)| state != 'Z')
+}
+
+/// Sends `-TERM`, say, to a process.
+pub fn signal(name: &str, pid: u32) {
+    assert!(try_signal(name, pid), "there is no process {pid}");
+}
+
+/// The same; whether the process was there.
+pub fn try_signal(name: &str, pid: u32) -> bool {
+    let sent = Command::new("kill").args([name, &pid.to_string()]).stderr(Stdio::null()).status();
+    sent.expect("kill is there").success()
+}
+
 /// A started program that is killed if the test fails.
 pub struct Program {
     child: Child,
@@ -28,7 +53,12 @@ pub struct Program {
 impl Program {
     /// `rigcast serve` on `data_dir` and a free port, with `environment` set.
     pub fn start(data_dir: &TempDir, environment: &[(&str, &str)]) -> Self {
-        let directory = data_dir.path().to_str().expect("UTF-8");
+        Self::start_on(data_dir.path(), environment)
+    }
+
+    /// The same on any directory.
+    pub fn start_on(data_dir: &Path, environment: &[(&str, &str)]) -> Self {
+        let directory = data_dir.to_str().expect("UTF-8");
         let arguments = ["serve", "--listen", "127.0.0.1:0", "--data-dir", directory, "--log-format", "json"];
         let mut child =
             rigcast(&arguments).envs(environment.iter().copied()).spawn().expect("the program starts");
@@ -58,14 +88,9 @@ impl Program {
 
     /// Process ids of its children.
     pub fn children(&self) -> Vec<u32> {
-        let parent = |pid: u32| -> Option<u32> {
-            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-            // The name in brackets may hold anything; behind it come the state and the parent.
-            stat.rsplit(')').next()?.split_whitespace().nth(1)?.parse().ok()
-        };
         let processes = std::fs::read_dir("/proc").expect("Linux");
         let ids = processes.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-        ids.filter(|pid| parent(*pid) == Some(self.id())).collect()
+        ids.filter(|pid| state(*pid).is_some_and(|(_, parent)| parent == self.id())).collect()
     }
 
     /// Ends it at once, as a power cut would.
@@ -81,8 +106,7 @@ impl Program {
 
     /// Sends `-TERM`, say.
     pub fn signal(&self, name: &str) {
-        let sent = Command::new("kill").args([name, &self.child.id().to_string()]).status();
-        assert!(sent.expect("kill is there").success());
+        signal(name, self.id());
     }
 
     /// Waits for the end, at most 30 s; gives the log.
