@@ -21,6 +21,8 @@ mod runs;
 mod store;
 #[cfg(test)]
 pub(crate) mod testing;
+#[cfg(test)]
+mod tests;
 
 pub use checkpoints::Checkpoint;
 pub use damage::Of;

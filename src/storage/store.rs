@@ -343,12 +343,7 @@ mod tests {
     async fn a_full_database_refuses_writes_loses_nothing_and_works_again_with_more_room() {
         let store = TestStore::open().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-        let limit = async |pages: i64| {
-            let mut writer = store.write_one().await.unwrap();
-            let limit = format!("PRAGMA max_page_count = {pages}");
-            sqlx::query(sqlx::AssertSqlSafe(limit)).execute(&mut *writer).await.unwrap();
-        };
-        limit(1).await;
+        store.limit_pages(1).await;
         let mut accepted = 0;
         let refused = loop {
             match store.import_again(&rig, accepted).await {
@@ -361,7 +356,7 @@ mod tests {
         let models =
             async || store.models(&rig.id, &crate::domain::PageRequest::default()).await.unwrap().unwrap();
         assert_eq!(models().await.items.len(), accepted);
-        limit(1 << 30).await;
+        store.limit_pages(1 << 30).await;
         store.import_again(&rig, accepted).await.unwrap();
         assert_eq!(models().await.items.len(), accepted + 1);
     }

@@ -125,6 +125,13 @@ impl TestStore {
         self.insert_model(&rig.id, imported(weights), Activation::Leave, None, now()).await.unwrap().unwrap()
     }
 
+    /// Most pages that the database may have: below those that it has, its disk is as good as full.
+    pub(crate) async fn limit_pages(&self, pages: i64) {
+        let mut writer = self.write_one().await.unwrap();
+        let limit = sqlx::AssertSqlSafe(format!("PRAGMA max_page_count = {pages}"));
+        sqlx::query(limit).execute(&mut *writer).await.unwrap();
+    }
+
     /// A model that fills some pages of the database, or the store's refusal.
     pub(crate) async fn import_again(&self, rig: &Rig, n: usize) -> Result<Model, StoreError> {
         let mut model = imported(n.to_string().as_bytes());

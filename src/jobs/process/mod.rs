@@ -17,8 +17,9 @@ use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use tokio::process::{Child, ChildStdout, Command};
-use tokio::sync::mpsc;
+use tokio::process::{Child, ChildStdin, ChildStdout, Command};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 
 use crate::domain::Problem;
@@ -80,13 +81,16 @@ impl WorkerProgram {
     ) -> Result<Made, JobError> {
         let killed_before = out_of_memory_kills();
         let mut child = self.start().map_err(|error| not_started(&error))?;
-        let (Some(mut ears), Some(mouth)) = (child.stdin.take(), child.stdout.take()) else {
+        let (Some(ears), Some(mouth)) = (child.stdin.take(), child.stdout.take()) else {
             unreachable!("both were asked for as pipes")
         };
         let (said, mut heard) = mpsc::channel(8);
         tokio::spawn(listen(mouth, said));
-        // A worker that is gone already is seen below.
-        let _ = frames::write(&mut ears, &Tell::Begin(begin), &[]).await;
+        let (stop, told_to_stop) = oneshot::channel();
+        let mut stop = Some(stop);
+        // A task of its own, which ends with this work: a frozen worker does not even take its order.
+        let mut telling = JoinSet::new();
+        telling.spawn(tell(ears, begin, told_to_stop));
         let now = Instant::now();
         let mut watch = Watch {
             pid: child.id(),
@@ -112,11 +116,11 @@ impl WorkerProgram {
                     Some((Say::Keep(checkpoint), state)) => control.keep(Checkpoint { state, ..checkpoint }),
                     Some((Say::Made(mut made), bytes)) => {
                         *made.bytes() = bytes;
-                        leave(&mut child).await;
+                        let _ = leave(&mut child).await;
                         return Ok(made);
                     }
                     Some((Say::Ended(error), _)) => {
-                        leave(&mut child).await;
+                        let _ = leave(&mut child).await;
                         return Err(error);
                     }
                     None => break,
@@ -124,7 +128,8 @@ impl WorkerProgram {
                 _ = looks.tick() => {
                     if watch.stop_by.is_none() && control.stopped().is_some() {
                         watch.stop_by = Some(Instant::now() + OBEY);
-                        let _ = frames::write(&mut ears, &Tell::Stop, &[]).await;
+                        // Nobody there to be told is one that has ended.
+                        let _ = stop.take().map(|stop| stop.send(()));
                     }
                     if cut.is_none() {
                         cut = watch.look();
@@ -136,7 +141,7 @@ impl WorkerProgram {
                 }
             }
         }
-        let status = child.wait().await;
+        let status = leave(&mut child).await;
         tracing::warn!(worker.pid = watch.pid, ?status, ?cut, "a worker process ended without a last word");
         if let Some(cut) = cut {
             return Err(cut.ends());
@@ -145,6 +150,15 @@ impl WorkerProgram {
             && out_of_memory_kills() > killed_before;
         Err(died(status.ok(), killed_for_memory))
     }
+}
+
+/// Gives a worker its order and, when the time comes, the word to stop; its input stays open, for its
+/// end would mean that the server is gone. A worker that is gone is noticed by its silence.
+async fn tell(mut ears: ChildStdin, begin: Begin, stop: oneshot::Receiver<()>) {
+    if frames::write(&mut ears, &Tell::Begin(begin), &[]).await.is_ok() && stop.await.is_ok() {
+        let _ = frames::write(&mut ears, &Tell::Stop, &[]).await;
+    }
+    std::future::pending().await
 }
 
 /// Passes on what a worker says until it says no more.
@@ -165,13 +179,14 @@ async fn listen(mut mouth: ChildStdout, said: mpsc::Sender<(Say, Bytes)>) {
     }
 }
 
-/// Waits for the end of a worker that has said its last word.
-async fn leave(child: &mut Child) {
-    drop(child.stdin.take());
-    if tokio::time::timeout(LEAVE, child.wait()).await.is_err() {
-        tracing::warn!("a worker process did not end by itself");
-        let _ = child.kill().await;
+/// Waits for the end of a worker that says no more, and sees to it.
+async fn leave(child: &mut Child) -> std::io::Result<ExitStatus> {
+    if let Ok(ended) = tokio::time::timeout(LEAVE, child.wait()).await {
+        return ended;
     }
+    tracing::warn!("a worker process did not end by itself");
+    child.start_kill()?;
+    child.wait().await
 }
 
 fn not_started(error: &std::io::Error) -> JobError {
