@@ -29,7 +29,7 @@ pub use damage::Of;
 pub use diagnoses::NewDiagnosis;
 pub use error::StoreError;
 pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};
-pub use models::{Activation, ActiveUpdate, ModelDelete, NewModel};
+pub use models::{Activation, ActiveUpdate, ModelDelete, NewModel, OnceModel};
 pub use objects::{Digest, Objects};
 pub use once::{Before, Once};
 pub use prepare::PreparedRun;

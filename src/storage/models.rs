@@ -44,6 +44,9 @@ pub struct NewModel {
     pub instruction_set: String,
 }
 
+/// A request under a key that makes a model, and the form of its answer.
+pub type OnceModel = (Once, fn(&Model) -> Created);
+
 /// What a new model wants done with the active one, decided against the version it was compared to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activation {
@@ -103,7 +106,7 @@ impl Store {
         rig: &RigId,
         model: NewModel,
         activation: Activation,
-        once: Option<(Once, fn(&Model) -> Created)>,
+        once: Option<OnceModel>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
@@ -124,7 +127,7 @@ impl Store {
         digest: &Digest,
         model: NewModel,
         activation: Activation,
-        once: Option<(Once, fn(&Model) -> Created)>,
+        once: Option<OnceModel>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let _kept = self.objects_gate().read().await;

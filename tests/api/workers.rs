@@ -77,7 +77,7 @@ fn frf() -> Value {
 
 /// Some seconds of training.
 fn seconds() -> Value {
-    json!({"kind": "lstm", "lstm": {"blocks": [24], "window_len": 128, "epochs": 150, "seeds": [1]}})
+    json!({"kind": "lstm", "lstm": {"blocks": [24], "window_len": 128, "epochs": 600, "seeds": [1]}})
 }
 
 fn endless() -> Value {
@@ -180,7 +180,7 @@ async fn a_worker_that_freezes_past_its_lease_never_makes_a_second_model() {
     let lab = Lab::start(&environment).await;
     for round in 1..=rounds {
         let job = lab.fit("good", &seconds()).await;
-        lab.once(&job, 0.1 + 0.5 * (round as f64 / rounds as f64)).await;
+        lab.once(&job, 0.05 + 0.4 * (round as f64 / rounds as f64)).await;
         // The worker, or every other time the server itself.
         let server = round % 2 == 0;
         let frozen = if server { vec![lab.program.id()] } else { lab.program.children() };

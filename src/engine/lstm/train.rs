@@ -270,7 +270,7 @@ impl Job<'_> {
         values: f64,
     ) -> Result<(), EngineError> {
         let epoch = state.epoch;
-        if epoch % every != 0 && epoch != self.settings.epochs {
+        if !epoch.is_multiple_of(every) && epoch != self.settings.epochs {
             return Ok(());
         }
         let record = EpochRecord {
