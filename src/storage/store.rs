@@ -180,6 +180,7 @@ async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
 /// Makes the directories, takes the lock, empties the scratch directory.
 fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
+    let new = !data_dir.exists();
     std::fs::create_dir_all(data_dir).map_err(failed)?;
     let lock = File::options()
         .create(true)
@@ -199,7 +200,7 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     std::fs::create_dir_all(&scratch).map_err(failed)?;
     std::fs::create_dir_all(data_dir.join("objects")).map_err(failed)?;
     // Else a power cut could take a new directory, and all that was acknowledged, along.
-    let parent = data_dir.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
     for directory in [Some(data_dir), parent].into_iter().flatten() {
         File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
     }

@@ -7,6 +7,7 @@ mod contract;
 mod damage;
 mod diagnoses;
 mod fits;
+mod flips;
 mod full_disk;
 mod idempotency;
 mod isa;
