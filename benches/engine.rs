@@ -3,6 +3,7 @@
 use std::slice::from_ref;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use rigcast::engine::checkpoint::Forget;
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
 use rigcast::engine::frf::estimate;
 use rigcast::engine::lstm::{Recombine, predict, train};
@@ -37,8 +38,15 @@ fn training(c: &mut Criterion) {
         let settings = works::training_settings(batch_size, 1);
         group.bench_function(format!("b{batch_size}"), |b| {
             b.iter(|| {
-                train(from_ref(&stretch), from_ref(&validation), &works::net(), &settings, 1, &unwatched)
-                    .expect("the data suit the network")
+                train(
+                    from_ref(&stretch),
+                    from_ref(&validation),
+                    &works::net(),
+                    (&settings, 1),
+                    (&Forget, ""),
+                    &unwatched,
+                )
+                .expect("the data suit the network")
             });
         });
     }

@@ -16,7 +16,7 @@ use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::Config;
 use crate::domain::TokenRole;
 use crate::http::{self, Connection, Doors, Http, Shared};
-use crate::jobs::{JobSettings, Jobs};
+use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry;
@@ -87,11 +87,10 @@ impl App {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));
         }
-        let settings = ComputeSettings { fit_permits: config.workers.into(), ..ComputeSettings::default() };
+        let settings = ComputeSettings { fit_permits: config.jobs.workers, ..ComputeSettings::default() };
         let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
-        let settings = JobSettings { workers: config.workers.into(), ..JobSettings::default() };
-        let jobs = Jobs::start(store.clone(), compute.clone(), now, settings).await?;
+        let jobs = Jobs::start(store.clone(), compute.clone(), now, config.jobs.clone()).await?;
         let (draining, seen) = watch::channel(false);
         let http = Arc::new(Http {
             store: store.clone(),

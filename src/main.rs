@@ -4,9 +4,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use rigcast::app::{self, App};
-use rigcast::config::{Cli, Command, ServeArgs};
+use rigcast::config::{Cli, Command, CopyArgs, LogArgs, ServeArgs};
 use rigcast::demo::DemoArgs;
 use rigcast::engine::simd::Isa;
+use rigcast::storage;
 use rigcast::telemetry::{self, LogFormat};
 use rigcast::token::{self, CreateArgs, TokenCommand};
 use rustix::process::{Resource, Rlimit, setrlimit};
@@ -21,6 +22,9 @@ fn main() -> ExitCode {
         Command::Serve(args) => serve(&args),
         Command::Demo(args) => demo(args),
         Command::Token(TokenCommand::Create(args)) => create_token(&args),
+        Command::Backup(args) => backup(&args),
+        Command::Restore(args) => restore(&args),
+        Command::Work(log) => work(&log),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -32,8 +36,8 @@ fn main() -> ExitCode {
 }
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
-    telemetry::init_logging(&args.log, args.log_format)?;
-    let config = args.config();
+    telemetry::init_logging(&args.log.log, args.log.log_format)?;
+    let config = args.check()?;
     // A core would hold secrets that requests showed.
     setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
     // A wrong instruction set is told now, not by the first prediction.
@@ -74,6 +78,30 @@ fn create_token(args: &CreateArgs) -> Result<(), Failure> {
     eprintln!("token {}, role {}. Its secret is shown this once:", token.id, token.role.as_str());
     println!("{}", secret.reveal());
     Ok(())
+}
+
+fn backup(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::backup(data_dir, backup, jiff::Timestamp::now()))?;
+    println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
+    Ok(())
+}
+
+fn restore(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::restore(backup, data_dir))?;
+    let (n, path) = (made.objects, data_dir.display());
+    println!("restored {n} objects of {} bytes, as of {}, into {path}", made.bytes, made.created_at);
+    Ok(())
+}
+
+fn work(log: &LogArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&log.log, log.log_format)?;
+    let runtime = runtime()?;
+    let ended = runtime.block_on(rigcast::jobs::work());
+    // A thread still waits for the server's next word.
+    runtime.shutdown_background();
+    Ok(ended?)
 }
 
 /// At least two threads, so that one handler that takes long never stops the health check.

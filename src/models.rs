@@ -10,10 +10,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::OnceCell;
 
 use crate::compute::{Class, Compute, ComputeError};
-use crate::domain::{Model, RigId};
+use crate::domain::{DiagnosisId, Model, RigId, RunId};
 use crate::engine::EngineError;
 use crate::engine::model::{Predictor, RigModel, from_safetensors};
-use crate::storage::{Store, StoreError};
+use crate::storage::{Of, Store, StoreError};
 use crate::telemetry::names;
 
 /// A model in memory. A prediction holds one of these from start to end.
@@ -55,13 +55,31 @@ pub enum ModelError {
     Compute(#[from] ComputeError),
 }
 
-/// A model that could not be loaded when it was last wanted: what `readyz` calls degraded.
+impl ModelError {
+    /// Whether the model itself is unfit, and will be the next time.
+    fn is_damage(&self) -> bool {
+        matches!(
+            self,
+            Self::Weights { .. }
+                | Self::Store(StoreError::ObjectDamaged { .. } | StoreError::ObjectMissing { .. })
+        )
+    }
+}
+
+/// Something of a rig that could not be read when it was last wanted: what `readyz` calls degraded.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Degraded {
     /// Rig.
     pub rig: RigId,
-    /// Version.
-    pub version: u32,
+    /// Model version.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub version: Option<u32>,
+    /// Run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub run: Option<RunId>,
+    /// Diagnosis.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub diagnosis: Option<DiagnosisId>,
     /// Why.
     pub reason: String,
 }
@@ -101,15 +119,39 @@ impl Models {
         Self { store, compute, cache: Arc::new(Mutex::new(cache)) }
     }
 
-    /// The rig's active model; `None` when there is none, or no such rig.
+    /// The rig's active model, or in the place of a damaged one the last version before it that is
+    /// whole and forward; `None` when none is active, or no such rig.
     ///
     /// # Errors
     /// See [`ModelError`].
     pub async fn active(&self, rig: &RigId) -> Result<Option<Arc<LoadedModel>>, ModelError> {
-        match self.store.active_model(rig).await?.and_then(|active| active.version) {
-            Some(version) => self.version(rig, version).await,
-            None => Ok(None),
+        let active = self.store.active_model(rig).await?.and_then(|active| active.version);
+        let Some(version) = active else { return Ok(None) };
+        match self.version(rig, version).await {
+            Err(damage) if damage.is_damage() => match self.last_good(rig, version).await? {
+                Some(good) => {
+                    tracing::error!(
+                        rig.id = %rig, error = %damage, model.version = good.version,
+                        "the active model is damaged: an earlier version answers"
+                    );
+                    Ok(Some(good))
+                }
+                None => Err(damage),
+            },
+            found => found,
         }
+    }
+
+    async fn last_good(&self, rig: &RigId, before: u32) -> Result<Option<Arc<LoadedModel>>, ModelError> {
+        let Some(row) = self.store.rig(rig).await? else { return Ok(None) };
+        for model in self.store.models_before(rig, before).await? {
+            if model.is_forward(&row)
+                && let Ok(Some(good)) = self.version(rig, model.version).await
+            {
+                return Ok(Some(good));
+            }
+        }
+        Ok(None)
     }
 
     /// One version; `None` when there is no such one.
@@ -134,20 +176,42 @@ impl Models {
         loaded.map(Some)
     }
 
-    /// Models that could not be loaded when they were last wanted, and are wanted still.
-    pub fn degraded(&self) -> Vec<Degraded> {
-        let cache = self.lock();
-        let mut degraded: Vec<Degraded> = cache
+    /// Models that could not be loaded when they were last wanted, and are wanted still; runs and
+    /// diagnoses whose objects were found damaged.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn degraded(&self) -> Result<Vec<Degraded>, StoreError> {
+        let damaged = self.store.damaged().await?;
+        let new = |rig: &RigId, reason: &str| Degraded {
+            rig: rig.clone(),
+            version: None,
+            run: None,
+            diagnosis: None,
+            reason: reason.to_owned(),
+        };
+        let mut degraded: Vec<Degraded> = self
+            .lock()
             .degraded
             .iter()
-            .map(|((rig, version), reason)| Degraded {
-                rig: rig.clone(),
-                version: *version,
-                reason: reason.clone(),
-            })
+            .map(|((rig, version), reason)| Degraded { version: Some(*version), ..new(rig, reason) })
             .collect();
-        degraded.sort_by(|a, b| (&a.rig, a.version).cmp(&(&b.rig, b.version)));
-        degraded
+        for (rig, of) in damaged {
+            let found = new(&rig, "its object is damaged or missing");
+            match of {
+                Of::Run(run) => degraded.push(Degraded { run: Some(run), ..found }),
+                Of::Diagnosis(id) => degraded.push(Degraded { diagnosis: Some(id), ..found }),
+                Of::Model(version) => {
+                    if !degraded.iter().any(|d| d.rig == rig && d.version == Some(version)) {
+                        degraded.push(Degraded { version: Some(version), ..found });
+                    }
+                }
+            }
+        }
+        degraded.sort_by(|a, b| {
+            (&a.rig, a.version, a.run, a.diagnosis).cmp(&(&b.rig, b.version, b.run, b.diagnosis))
+        });
+        Ok(degraded)
     }
 
     /// Forgets what is known of a rig's model that was deleted, or of all of a deleted rig.
@@ -223,7 +287,7 @@ mod tests {
         let store = TestStore::open().await;
         let compute = Compute::new(&ComputeSettings::default()).unwrap();
         let models = Models::new(store.clone(), compute, 4);
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         assert_eq!(models.active(&rig.id).await.unwrap(), None);
         assert_eq!(models.version(&rig.id, 1).await.unwrap(), None);
         let model = store.import(&rig, b"weights").await;
@@ -231,11 +295,12 @@ mod tests {
         std::fs::write(path, b"Weights").unwrap();
         let loaded = models.version(&rig.id, 1).await;
         assert!(matches!(loaded, Err(ModelError::Store(StoreError::ObjectDamaged { .. }))));
-        let degraded = models.degraded();
-        assert_eq!((degraded.len(), degraded[0].version), (1, 1));
+        let degraded = models.degraded().await.unwrap();
+        assert_eq!((degraded.len(), degraded[0].version), (1, Some(1)));
         models.forget(&rig.id, Some(2));
-        assert_eq!(models.degraded().len(), 1);
+        assert_eq!(models.degraded().await.unwrap().len(), 1);
+        store.delete_model(&rig.id, 1).await.unwrap();
         models.forget(&rig.id, None);
-        assert_eq!(models.degraded(), []);
+        assert_eq!(models.degraded().await.unwrap(), []);
     }
 }

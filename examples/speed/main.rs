@@ -11,6 +11,7 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use rigcast::engine::EngineError;
+use rigcast::engine::checkpoint::Forget;
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
 use rigcast::engine::frf::estimate;
 use rigcast::engine::lstm::{Recombine, predict, train};
@@ -124,7 +125,14 @@ fn training(report: &Report) -> Result<(), EngineError> {
             ControlFlow::Continue(())
         };
         let settings = works::training_settings(batch_size, EPOCHS);
-        train(from_ref(&stretch), from_ref(&validation), &works::net(), &settings, 1, &watch)?;
+        train(
+            from_ref(&stretch),
+            from_ref(&validation),
+            &works::net(),
+            (&settings, 1),
+            (&Forget, ""),
+            &watch,
+        )?;
         let calls = calls.into_inner().unwrap_or_else(PoisonError::into_inner);
         let epoch = |fraction: f64| (fraction * EPOCHS as f64 + 1e-9).floor();
         let rates: Vec<f64> = calls

@@ -131,7 +131,7 @@ fn word(family: &Family) -> String {
 }
 
 /// The model that was diagnosed.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DiagnosedModel {
     /// Version.
     pub version: u32,

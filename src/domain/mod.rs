@@ -1,5 +1,6 @@
 //! The service's nouns and their legal moves: rigs, runs, fits, jobs, models, diagnoses, tokens.
 
+mod created;
 pub mod diagnosis;
 mod fit_check;
 pub mod fits;
@@ -15,6 +16,7 @@ pub mod run;
 pub mod token;
 
 pub use crate::engine::Quantity;
+pub use created::Created;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
 pub use fit_check::FitChannels;
 pub use ids::{DiagnosisId, JobId, RigId, RunId, new_id};

@@ -2,6 +2,7 @@
 //!
 //! Arrays are `[channel, sample]`; spectra and damage are `f64`, the LSTM is `f32`.
 
+pub mod checkpoint;
 pub mod diagnosis;
 pub mod error;
 pub mod fatigue;

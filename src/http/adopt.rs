@@ -1,14 +1,12 @@
 //! Adopting an effect: the model that was diagnosed, with a hypothesis of the report added to it.
 
 use axum::extract::State;
-use axum::http::StatusCode;
-use axum::http::header::LOCATION;
-use axum::response::IntoResponse;
 use bytes::Bytes;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use super::diagnoses::find;
-use super::json::{self, Json};
+use super::json::Json;
+use super::once::{Key, created};
 use super::params::NoParams;
 use super::paths::{OfDiagnosis, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
@@ -16,7 +14,7 @@ use super::{Shared, codes, errors};
 use crate::compute::Class;
 use crate::domain::diagnosis::Findings;
 use crate::domain::fits::Activate;
-use crate::domain::{Adopted, Model, Origin, Rig, RigId, Role, StoredDiagnosis};
+use crate::domain::{Adopted, Created, Model, Origin, Rig, RigId, Role, StoredDiagnosis};
 use crate::engine::diagnosis::{HeldOut, VerdictKind};
 use crate::engine::model::{AddedEffect, from_safetensors, to_safetensors};
 use crate::engine::simd::Isa;
@@ -41,18 +39,12 @@ fn never() -> Activate {
     Activate::Never
 }
 
-/// The new version.
-#[derive(Debug, Serialize)]
-struct NewVersion {
-    version: u32,
-    href: String,
-}
-
 /// `POST /v1/rigs/{rig}/diagnoses/{diagnosis}/adopt`
 pub async fn adopt(
     State(http): State<Shared>,
     OfDiagnosis(rig_id, id): OfDiagnosis,
     _: NoParams,
+    key: Key,
     Json(request): Json<AdoptRequest>,
 ) -> Answer {
     let rig = http.store.rig(&rig_id).await?.ok_or_else(|| no_rig(rig_id.as_str()))?;
@@ -68,11 +60,9 @@ pub async fn adopt(
     let held_out = hypothesis(&findings, request.hypothesis)?.clone();
     let activation = activation(&http, &rig, &base, request.activate, &held_out).await?;
     let model = make(&http, &rig, &diagnosis, findings, base, request.hypothesis).await?;
-    let inserted = http.store.insert_model(&rig_id, model, activation, http.now()).await?;
-    let version = inserted.ok_or_else(|| no_rig(rig_id.as_str()))?.version;
-    let href = format!("/v1/rigs/{rig_id}/models/{version}");
-    let location = [(LOCATION, href.clone())];
-    Ok((StatusCode::CREATED, location, json::answer(&NewVersion { version, href })?).into_response())
+    let once = key.once().map(|once| (once, Created::adopted as fn(&Model) -> Created));
+    let inserted = http.store.insert_model(&rig_id, model, activation, once, http.now()).await?;
+    created(Created::adopted(&inserted.ok_or_else(|| no_rig(rig_id.as_str()))?))
 }
 
 /// The model that was diagnosed, if it is still there.

@@ -62,6 +62,9 @@ codes! {
     IF_MATCH_MALFORMED = "if_match.malformed", 400, "If-Match cannot be read";
     IF_MATCH_STALE = "if_match.stale", 412, "The resource has changed";
     IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
+    IDEMPOTENCY_KEY_MALFORMED = "idempotency_key.malformed", 400, "Idempotency-Key cannot be read";
+    IDEMPOTENCY_KEY_IN_USE = "idempotency_key.in_use", 409, "A request under the same key is being done";
+    IDEMPOTENCY_KEY_REUSED = "idempotency_key.reused", 422, "The key belongs to another request";
 
     // Rigs.
     RIG_NOT_FOUND = "rig.not_found", 404, "No such rig";
@@ -110,6 +113,9 @@ codes! {
     FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
     JOB_PANICKED = "job.panicked", 500, "The job failed by a defect";
     JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
+    JOB_CRASHED = "job.crashed", 500, "The worker process died";
+    JOB_MEMORY = "job.memory", 500, "The job took too much memory";
+    JOB_TIME_LIMIT = "job.time_limit", 500, "The job took too long";
     JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
 
     // Diagnoses.

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use axum::extract::State;
-use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE, LOCATION};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::HeaderMap;
+use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::IntoResponse;
 use jiff::Timestamp;
 use serde::Serialize;
@@ -12,13 +12,16 @@ use serde::Serialize;
 use super::headers::SCRIPT_FREE_PAGE;
 use super::json::{self, Json};
 use super::lists::page;
+use super::once::{Key, created};
 use super::params::{NoParams, Params};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
 use super::{Shared, negotiate};
 use crate::compute::Class;
 use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::{DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis};
+use crate::domain::{
+    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis,
+};
 use crate::engine::diagnosis::Report;
 use crate::ui::diagnosis::{self as ui, Heading, Simulation};
 
@@ -44,12 +47,12 @@ pub async fn start(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     _: NoParams,
+    key: Key,
     Json(request): Json<DiagnosisRequest>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let job = http.jobs.submit_diagnosis(&rig, &request).await?;
-    let location = [(LOCATION, format!("/v1/jobs/{}", job.id))];
-    Ok((StatusCode::ACCEPTED, location, json::answer(&job)?).into_response())
+    let job = http.jobs.submit_diagnosis(&rig, &request, key.once().as_ref()).await?;
+    created(Created::job(&job))
 }
 
 /// `GET /v1/rigs/{rig}/diagnoses`

@@ -19,6 +19,15 @@ impl From<StoreError> for Problem {
                 Self::new(codes::STORE_DAMAGED, "Stored data are damaged; they are not served.")
                     .because(error)
             }
+            StoreError::Repeated => {
+                let detail = "A request under the same Idempotency-Key is being done; ask again.";
+                Self::new(codes::IDEMPOTENCY_KEY_IN_USE, detail).retry_after(1)
+            }
+            error if error.is_unavailable() => {
+                Self::new(codes::STORE_UNAVAILABLE, "The store cannot be reached; nothing was stored.")
+                    .because(error)
+                    .retry_after(5)
+            }
             error => Self::internal(error),
         }
     }
@@ -236,6 +245,17 @@ mod tests {
         let problem = document(&format(&error, &["u".into(), "y".into()]));
         assert_eq!(problem["code"], "run.non_finite");
         assert_eq!(problem["errors"][0], serde_json::json!({"pointer": "", "channel": "y", "sample": 4}));
+    }
+
+    #[test]
+    fn a_full_disk_and_one_that_fails_are_told_apart_from_defects() {
+        use std::io::ErrorKind::{Other, StorageFull};
+        let failed = |kind: std::io::ErrorKind| {
+            Problem::from(StoreError::DataDir { path: "secret".into(), source: kind.into() })
+        };
+        assert_eq!(failed(StorageFull).code(), "store.full");
+        assert_eq!(failed(Other).code(), "store.unavailable");
+        assert!(!document(&failed(Other)).to_string().contains("secret"));
     }
 
     #[test]

@@ -31,17 +31,17 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     if *http.draining.borrow() {
         return Err(Problem::new(codes::DRAINING, "The service is shutting down.").retry_after(5));
     }
-    http.store.ping().await.map_err(|error| {
+    let room = http.store.ping().await.map_err(|error| {
         Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
     })?;
-    let checks = if verbose { Some(checks(&http).await?) } else { None };
-    let mut degraded = http.models.degraded();
+    let checks = if verbose { Some(checks(&http, room).await?) } else { None };
+    let mut degraded = http.models.degraded().await?;
     let degraded_models = degraded.len();
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
     json::answer(&Ready { status: "ready", degraded, degraded_models, checks })
 }
 
-async fn checks(http: &Shared) -> Answer<serde_json::Value> {
+async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
     let jobs: serde_json::Map<_, _> = http
         .store
         .count_jobs()
@@ -49,5 +49,6 @@ async fn checks(http: &Shared) -> Answer<serde_json::Value> {
         .into_iter()
         .map(|(state, n)| (state.as_str().to_owned(), n.into()))
         .collect();
-    Ok(json!({"store": "ok", "draining": false, "jobs": jobs}))
+    let store = if room { "ok" } else { "full" };
+    Ok(json!({"store": store, "draining": false, "jobs": jobs}))
 }

@@ -26,6 +26,7 @@ mod metrics;
 mod models;
 mod negotiate;
 mod observe;
+mod once;
 mod params;
 mod paths;
 mod predict;
@@ -130,7 +131,9 @@ pub fn router(http: Shared) -> Router {
         .iter()
         .fold(Router::new(), |router, route| {
             let guard = from_fn_with_state((http.clone(), route.right), doors::guard);
-            router.route(route.path, (route.handler)().route_layer(guard))
+            // Inside the guard: an answer is given again to whom it was given before.
+            let once = from_fn_with_state(http.clone(), once::once);
+            router.route(route.path, (route.handler)().route_layer(once).route_layer(guard))
         })
         .fallback(problem::no_route)
         .method_not_allowed_fallback(problem::no_method)

@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, ETAG, LOCATION};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, ETAG};
 use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::IntoResponse;
 use base64::Engine as _;
@@ -11,12 +11,13 @@ use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::lists::page;
+use super::once::{Key, created};
 use super::params::{NoParams, Params};
 use super::paths::{OfModel, OfRig, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
 use super::{Shared, body, codes, errors, json, upload};
 use crate::compute::Class;
-use crate::domain::{Lineage, Origin, Rig};
+use crate::domain::{Created, Lineage, Model, Origin, Rig};
 use crate::engine::Signal;
 use crate::engine::model::{RigModel, from_safetensors};
 use crate::storage::{Activation, ModelDelete, NewModel};
@@ -76,6 +77,7 @@ pub async fn import(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     _: NoParams,
+    key: Key,
     headers: HeaderMap,
     request: Body,
 ) -> Answer {
@@ -89,10 +91,9 @@ pub async fn import(
     let class = Class::of_bytes(upload.size());
     let new =
         http.off_thread(class, move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
-    let inserted = http.store.insert_model(&id, new, Activation::Leave, http.now()).await?;
-    let model = inserted.ok_or_else(|| no_rig(id.as_str()))?;
-    let location = [(LOCATION, format!("/v1/rigs/{id}/models/{}", model.version))];
-    Ok((StatusCode::CREATED, location, json::answer(&model)?).into_response())
+    let once = key.once().map(|once| (once, Created::model as fn(&Model) -> Created));
+    let inserted = http.store.insert_model(&id, new, Activation::Leave, once, http.now()).await?;
+    created(Created::model(&inserted.ok_or_else(|| no_rig(id.as_str()))?))
 }
 
 /// Reads a weight file and holds it against the rig. What is stored is our own form of it, so

@@ -2,7 +2,7 @@
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::{ETAG, LOCATION};
+use axum::http::header::ETAG;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use serde_json::Value;
@@ -11,11 +11,12 @@ use super::doors::Caller;
 use super::etag::{self, if_match};
 use super::json::{self, Json};
 use super::lists::page;
+use super::once::{Key, created};
 use super::params::{NoParams, Params};
 use super::paths::{OfRig, no_rig};
 use super::problem::{Answer, FieldError, Problem};
 use super::{Shared, codes};
-use crate::domain::{Rig, RigDraft};
+use crate::domain::{Created, Rig, RigDraft};
 use crate::storage::RigUpdate;
 
 /// Media types of a merge patch: its own, and the one that everybody sends.
@@ -33,6 +34,7 @@ pub async fn create(
     State(http): State<Shared>,
     caller: Caller,
     _: NoParams,
+    key: Key,
     Json(draft): Json<RigDraft>,
 ) -> Answer {
     if !caller.reaches(&draft.id) {
@@ -41,12 +43,11 @@ pub async fn create(
             .with(FieldError::new("/id", limit)));
     }
     draft.check().map_err(invalid)?;
-    let Some(rig) = http.store.insert_rig(&draft, http.now()).await? else {
+    let Some(rig) = http.store.insert_rig(&draft, key.once().as_ref(), http.now()).await? else {
         let detail = format!("There is a rig {:?} already.", draft.id.as_str());
         return Err(Problem::new(codes::RIG_EXISTS, detail).with(FieldError::new("/id", "an id of its own")));
     };
-    let head = [(LOCATION, format!("/v1/rigs/{}", rig.id)), (ETAG, rig.etag())];
-    Ok((StatusCode::CREATED, head, json::answer(&rig)?).into_response())
+    created(Created::rig(&rig))
 }
 
 /// `GET /v1/rigs/{rig}`

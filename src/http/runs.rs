@@ -2,12 +2,12 @@
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 
 use super::jobs::word;
 use super::lists::page;
+use super::once::{Key, created};
 use super::params::{NoParams, Params, invalid};
 use super::paths::{OfRig, OfRun, no_rig, no_run};
 use super::problem::{Answer, FieldError, Problem};
@@ -15,7 +15,7 @@ use super::run_file::{Format, RunFile};
 use super::{Shared, body, codes, errors, json, rigs, upload};
 use crate::compute::Class;
 use crate::domain::run::RunMeta;
-use crate::domain::{RunKind, RunPatch, Split};
+use crate::domain::{Created, RunKind, RunPatch, Split};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
 
 const KINDS: &str = "noise, service, sine, sweep or other";
@@ -38,6 +38,7 @@ pub async fn upload(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     mut params: Params,
+    key: Key,
     headers: HeaderMap,
     request: Body,
 ) -> Answer {
@@ -50,13 +51,12 @@ pub async fn upload(
         upload::receive(&headers, request, http.limits.upload_bytes, &http.store.scratch_dir()).await?;
     let class = Class::of_bytes(upload.size());
     let run = http.off_thread(class, move || file.prepare(&rig, meta, format, &upload)).await??;
-    match http.store.insert_run(&id, run, http.now()).await? {
+    match http.store.insert_run(&id, run, key.once(), http.now()).await? {
         RunInsert::Inserted(inserted) => {
             if !inserted.jobs.is_empty() {
                 http.jobs.wake();
             }
-            let location = [(LOCATION, format!("/v1/rigs/{id}/runs/{}", inserted.run.id))];
-            Ok((StatusCode::CREATED, location, json::answer(&*inserted)?).into_response())
+            created(Created::run(&inserted))
         }
         RunInsert::MissingRig => Err(no_rig(id.as_str())),
         RunInsert::RigChanged => {

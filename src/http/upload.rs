@@ -14,6 +14,7 @@ use tokio::io::{AsyncWriteExt, BufWriter};
 use super::body::Limited;
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use crate::storage::StoreError;
 
 /// Bytes that gather before a write to disk.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -101,11 +102,7 @@ fn malformed() -> Problem {
 }
 
 fn disk(error: std::io::Error) -> Problem {
-    if error.kind() == std::io::ErrorKind::StorageFull {
-        Problem::new(codes::STORE_FULL, "The disk has no room for this upload.").because(error)
-    } else {
-        Problem::internal(error)
-    }
+    StoreError::DataDir { path: "scratch".into(), source: error }.into()
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use crate::storage::{Activation, StoreError};
 use super::control::Control;
 use super::fit::{FitPlan, is_forward, pair};
 use super::problem::{JobError, of_engine};
-use super::runner::Runner;
+use super::workbench::Workbench;
 
 /// A new model must have this much of the active one's error or less.
 const BETTER: f64 = 0.99;
@@ -44,7 +44,7 @@ pub(super) fn last_words(version: u32, active: bool, why: &str) -> String {
 
 /// Decides about a fitted model before it has a number.
 pub(super) async fn decide(
-    runner: &Runner,
+    bench: &Workbench,
     rig: &Rig,
     plan: &FitPlan,
     fitted: &Arc<RigModel>,
@@ -59,34 +59,34 @@ pub(super) async fn decide(
     if plan.request.activate == Activate::Always {
         return Ok(Decision { activation: Activation::Always, why: "the fit was told to activate".into() });
     }
-    let active = runner.store.active_model(&rig.id).await?.and_then(|active| active.version);
+    let active = bench.store.active_model(&rig.id).await?.and_then(|active| active.version);
     let Some(version) = active else {
         return Ok(Decision { activation: Activation::IfStill(None), why: "no model was active".into() });
     };
-    let Some(row) = runner.store.model(&rig.id, version).await? else {
+    let Some(row) = bench.store.model(&rig.id, version).await? else {
         return Ok(Decision::leave("the active model changed meanwhile"));
     };
-    compare(runner, plan, fitted, &row, control).await
+    compare(bench, plan, fitted, &row, control).await
 }
 
 async fn compare(
-    runner: &Runner,
+    bench: &Workbench,
     plan: &FitPlan,
     fitted: &Arc<RigModel>,
     active: &Model,
     control: &Arc<Control>,
 ) -> Result<Decision, JobError> {
     let version = active.version;
-    let stretches = stretches(runner, plan, active).await?;
+    let stretches = stretches(bench, plan, active).await?;
     if stretches.is_empty() {
         return Ok(Decision::leave(format!(
             "there are no validation data that neither it nor active model {version} was trained on"
         )));
     }
-    let weights = runner.store.weights(active).await?;
+    let weights = bench.store.weights(active).await?;
     let (fitted, watched) = (Arc::clone(fitted), Arc::clone(control));
     let seconds: f64 = stretches.iter().map(Stretch::scored_s).sum();
-    let scored = runner
+    let scored = bench
         .compute
         .run(Class::Fit, move || {
             let active = from_safetensors(&weights)?;
@@ -145,9 +145,9 @@ fn common_spans(new: &Lineage, old: &Lineage) -> Vec<Span> {
     common
 }
 
-async fn stretches(runner: &Runner, plan: &FitPlan, active: &Model) -> Result<Vec<Stretch>, StoreError> {
+async fn stretches(bench: &Workbench, plan: &FitPlan, active: &Model) -> Result<Vec<Stretch>, StoreError> {
     let channels = plan.channels();
-    let runs = runner.store.all_runs(&active.rig).await?;
+    let runs = bench.store.all_runs(&active.rig).await?;
     let mut stretches = Vec::new();
     for span in common_spans(&plan.lineage(), &active.lineage) {
         // A deleted run may have left a duplicate.
@@ -157,7 +157,7 @@ async fn stretches(runner: &Runner, plan: &FitPlan, active: &Model) -> Result<Ve
         if span.to_sample > run.samples || !needed.all(|name| run.channels.contains(name)) {
             continue;
         }
-        let signal = runner.store.load_signal(run).await?;
+        let signal = bench.store.load_signal(run).await?;
         let whole = pair(run, signal, &channels.inputs, &channels.outputs)?;
         let index = |sample: u64| usize::try_from(sample).unwrap_or(usize::MAX).min(whole.x.n_samples());
         let first = index(span.from_sample.saturating_sub(CONTEXT_SAMPLES));

@@ -1,10 +1,13 @@
-//! The thread between a job's worker and its work: progress one way, the wish to stop the other.
+//! The thread between a job's worker and its work: progress and checkpoints one way, the wish to stop
+//! the other.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::engine::Progress;
+use crate::storage::Checkpoint;
 
 /// Why work must stop before its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,6 +27,8 @@ pub(super) struct Control {
     /// 0, or the first [`Stop`].
     stop: AtomicU8,
     progress: Mutex<(String, f64)>,
+    /// Checkpoints that nobody has taken yet, the latest of each part.
+    kept: Mutex<BTreeMap<String, Checkpoint>>,
 }
 
 impl Control {
@@ -53,6 +58,17 @@ impl Control {
             stage.clone_into(&mut progress.0);
         }
         progress.1 = fraction;
+    }
+
+    /// Hands a checkpoint over to whoever stores it.
+    pub(super) fn keep(&self, checkpoint: Checkpoint) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.insert(checkpoint.part.clone(), checkpoint);
+    }
+
+    /// Checkpoints since the last call.
+    pub(super) fn take_kept(&self) -> Vec<Checkpoint> {
+        std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner)).into_values().collect()
     }
 
     /// Stage and fraction as last reported.

@@ -8,23 +8,27 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Model, Origin, Rig, Run};
+use crate::domain::{Origin, Rig, Run};
+use crate::engine::checkpoint::Keeper;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
-use crate::storage::{Claim, NewModel, StoreError};
+use crate::storage::{Digest, NewModel, StoreError};
 
 use super::activate;
 use super::control::Control;
-use super::problem::{JobError, codes, of_engine};
-use super::runner::Runner;
+use super::order::{MadeModel, Order};
+use super::problem::{JobError, of_engine};
+use super::shelf::Shelf;
+use super::workbench::Workbench;
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
 
 /// The engine's fit; tests of the runner put others in its place.
-pub(super) type FitFunction = fn(&FitData, &FitSettings, Watch<'_>) -> Result<Fitted, EngineError>;
+pub(super) type FitFunction =
+    fn(&FitData, &FitSettings, &dyn Keeper, Watch<'_>) -> Result<Fitted, EngineError>;
 
 impl From<FitProblem> for JobError {
     fn from(problem: FitProblem) -> Self {
@@ -35,35 +39,44 @@ impl From<FitProblem> for JobError {
     }
 }
 
-/// Sees a fit through, from its request to the published model.
-pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) -> Result<(), JobError> {
-    let request: FitRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
-        let detail = format!("This version of the program cannot read the job: {error}.");
-        JobError::failed(crate::domain::Problem::new(
-            500,
-            codes::JOB_UNKNOWN,
-            "The job cannot be read",
-            detail,
-        ))
-    })?;
-    let rig = runner.store.rig(&claim.job.rig).await?.ok_or(FitProblem::RigGone)?;
+/// Fits, from the request to a model that is ready to be published.
+pub(super) async fn make(
+    bench: &Workbench,
+    order: &Order,
+    control: &Arc<Control>,
+) -> Result<MadeModel, JobError> {
+    let request: FitRequest = order.request()?;
+    let rig = bench.store.rig(&order.rig).await?.ok_or(FitProblem::RigGone)?;
     // Again, because runs came and went since it was queued.
-    let plan = check(&runner.store, &rig, &request).await?;
+    let plan = check(&bench.store, &rig, &request).await?;
     control.report("loading runs", 0.0);
-    let data = load(runner, &plan, control).await?;
-    let (model, report, weights) = fit(runner, &plan, data, control).await?;
+    let data = load(bench, &plan, control).await?;
+    let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
+    let (store, every) = (&bench.store, bench.checkpoint_every);
+    let shelf = Shelf::open(store, order.job, fingerprint(&plan, isa), every, control).await?;
+    let (model, report, weights) = fit(bench, &plan, data, shelf, control).await?;
     let model = Arc::new(model);
     control.report("comparing with the active model", 1.0);
-    let decision = activate::decide(runner, &rig, &plan, &model, control).await?;
-    if control.stopped().is_some() {
-        return Err(JobError::Stopped);
-    }
-    control.report("publishing", 1.0);
-    publish(runner, claim, &plan, &model, report, weights, decision).await
+    let activate::Decision { activation, why } =
+        activate::decide(bench, &rig, &plan, &model, control).await?;
+    let model = NewModel {
+        kind: model.kind,
+        inputs: model.inputs.clone(),
+        outputs: model.outputs.clone(),
+        sample_rate_hz: model.sample_rate_hz,
+        weights,
+        origin: Origin::Fit,
+        job: Some(order.job),
+        request: Some(plan.request.clone()),
+        report: Some(report),
+        lineage: plan.lineage(),
+        instruction_set: isa.name().into(),
+    };
+    Ok(MadeModel { model, activation, why })
 }
 
 /// Loads every run once and cuts it to the fit's channels.
-async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
+async fn load(bench: &Workbench, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
     // Each run with the number of its uses.
     let mut pairs: HashMap<_, (Pair, usize)> = HashMap::new();
     let runs = plan.training.iter().chain(plan.frf.iter().flatten()).chain(&plan.validation);
@@ -73,7 +86,7 @@ async fn load(runner: &Runner, plan: &FitPlan, control: &Control) -> Result<FitD
         }
         match pairs.entry(run.id) {
             Entry::Vacant(place) => {
-                let signal = runner.store.load_signal(run).await?;
+                let signal = bench.store.load_signal(run).await?;
                 place.insert((pair(run, signal, &plan.inputs, &plan.outputs)?, 1));
             }
             Entry::Occupied(mut place) => place.get_mut().1 += 1,
@@ -163,19 +176,28 @@ fn settings(plan: &FitPlan) -> FitSettings {
     }
 }
 
+/// Digest of all that a fit's course depends on: of another program, other settings or other data
+/// no checkpoint is of use.
+fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
+    let all = (env!("CARGO_PKG_VERSION"), isa.name(), &plan.request, plan.lineage());
+    let json = serde_json::to_vec(&all).expect("a request and a lineage always serialise");
+    Digest::of(&json).as_str().to_owned()
+}
+
 /// Fits on the threads for fits, and writes the weights there too.
 async fn fit(
-    runner: &Runner,
+    bench: &Workbench,
     plan: &FitPlan,
     data: FitData,
+    shelf: Shelf,
     control: &Arc<Control>,
 ) -> Result<(RigModel, FitReport, Bytes), JobError> {
-    let (settings, watched, function) = (settings(plan), Arc::clone(control), runner.fit);
+    let (settings, watched, function) = (settings(plan), Arc::clone(control), bench.fit);
     let started = std::time::Instant::now();
-    let fitted = runner
+    let fitted = bench
         .compute
         .run(Class::Fit, move || {
-            let fitted = function(&data, &settings, &|progress| watched.watch(progress))?;
+            let fitted = function(&data, &settings, &shelf, &|progress| watched.watch(progress))?;
             let weights = Bytes::from(to_safetensors(&fitted.model));
             Ok((fitted.model, fitted.report, weights))
         })
@@ -184,45 +206,6 @@ async fn fit(
     let seconds = started.elapsed().as_secs_f64();
     tracing::info!(fit.kind = ?plan.request.kind, fit.seconds = seconds, "fitted a model");
     Ok(fitted)
-}
-
-/// Stores the model and ends the job, if the job is still ours.
-async fn publish(
-    runner: &Runner,
-    claim: &Claim,
-    plan: &FitPlan,
-    model: &RigModel,
-    report: FitReport,
-    weights: Bytes,
-    decision: activate::Decision,
-) -> Result<(), JobError> {
-    let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
-    let new = NewModel {
-        kind: model.kind,
-        inputs: model.inputs.clone(),
-        outputs: model.outputs.clone(),
-        sample_rate_hz: model.sample_rate_hz,
-        weights,
-        origin: Origin::Fit,
-        job: Some(claim.job.id),
-        request: Some(plan.request.clone()),
-        report: Some(report),
-        lineage: plan.lineage(),
-        instruction_set: isa.name().into(),
-    };
-    let activate::Decision { activation, why } = decision;
-    let stage = move |version, active| activate::last_words(version, active, &why);
-    let now = (runner.clock)();
-    let published: Option<Model> =
-        runner.store.publish_model(&claim.lease, new, activation, stage, now).await?;
-    match published {
-        Some(model) => {
-            tracing::info!(model.version = model.version, model.active = model.active, "published a model");
-            Ok(())
-        }
-        // Somebody else has the job now, or nobody: this work is void.
-        None => Err(JobError::Stopped),
-    }
 }
 
 /// Whether the fit's model can be the rig's active one.

@@ -9,9 +9,14 @@ mod diagnosis;
 mod events;
 pub mod fit;
 mod fit_plan;
+mod order;
 pub mod problem;
+mod process;
+mod publish;
 mod runner;
 mod selection;
+mod shelf;
+mod workbench;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -23,14 +28,16 @@ use tokio::task::JoinHandle;
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig};
-use crate::storage::{CancelOutcome, Store, StoreError};
+use crate::storage::{CancelOutcome, Once, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
-use runner::Runner;
+use runner::{Place, Runner};
+use workbench::Workbench;
 
 pub use diagnosis::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
+pub use process::{WorkError, WorkerProgram, work};
 
 /// How the runner behaves.
 #[derive(Debug, Clone)]
@@ -39,8 +46,14 @@ pub struct JobSettings {
     pub workers: usize,
     /// How long a lease lasts without a heartbeat.
     pub lease: Duration,
-    /// How often an idle worker looks for jobs that it was not told of.
-    pub poll: Duration,
+    /// Most time between two heartbeats.
+    pub heartbeat: Duration,
+    /// How often jobs whose lease has ended, and queued ones that nobody was told of, are looked for.
+    pub sweep: Duration,
+    /// Most time between two checkpoints of a fit.
+    pub checkpoint_every: Duration,
+    /// How jobs get processes of their own; none: they are done on threads of this one.
+    pub program: Option<WorkerProgram>,
     /// Least time between two progress writes of a job.
     pub progress_every: Duration,
 }
@@ -50,7 +63,10 @@ impl Default for JobSettings {
         Self {
             workers: 1,
             lease: Duration::from_secs(30),
-            poll: Duration::from_secs(2),
+            heartbeat: Duration::from_secs(5),
+            sweep: Duration::from_secs(10),
+            checkpoint_every: Duration::from_secs(30),
+            program: None,
             progress_every: Duration::from_millis(500),
         }
     }
@@ -74,7 +90,7 @@ impl Jobs {
         clock: Clock,
         settings: JobSettings,
     ) -> Result<Self, StoreError> {
-        Self::start_with(store, compute, clock, settings, crate::engine::model::fit).await
+        Self::start_with(store, compute, clock, settings, crate::engine::model::fit_resumable).await
     }
 
     async fn start_with(
@@ -85,13 +101,21 @@ impl Jobs {
         fit: FitFunction,
     ) -> Result<Self, StoreError> {
         // The data directory is locked: whoever had these jobs is gone.
-        for id in store.requeue_expired(Timestamp::MAX, clock()).await? {
+        for id in store.requeue_expired(Timestamp::MAX, &[], clock()).await? {
             tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
         }
         let count = settings.workers;
-        let runner = Arc::new(Runner::new(store, compute, clock, settings, fit));
-        let workers =
+        let place = match settings.program.clone() {
+            Some(program) => Place::Process(program),
+            None => {
+                let (store, checkpoint_every) = (store.clone(), settings.checkpoint_every);
+                Place::Here(Workbench { store, compute, fit, checkpoint_every })
+            }
+        };
+        let runner = Arc::new(Runner::new(store, clock, settings, place));
+        let mut workers: Vec<_> =
             (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
+        workers.push(tokio::spawn(Arc::clone(&runner).sweep()));
         Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
     }
 
@@ -99,10 +123,16 @@ impl Jobs {
     ///
     /// # Errors
     /// [`FitProblem`]: what is wrong with it, or the store's failure.
-    pub async fn submit_fit(&self, rig: &Rig, request: &FitRequest) -> Result<Job, FitProblem> {
+    pub async fn submit_fit(
+        &self,
+        rig: &Rig,
+        request: &FitRequest,
+        once: Option<&Once>,
+    ) -> Result<Job, FitProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         fit::check(store, rig, request).await?;
-        let job = store.insert_fit_job(&rig.id, request, clock()).await?.ok_or(FitProblem::RigGone)?;
+        let job = store.insert_fit_job(&rig.id, request, once, clock()).await?;
+        let job = job.ok_or(FitProblem::RigGone)?;
         self.wake();
         Ok(job)
     }
@@ -115,10 +145,11 @@ impl Jobs {
         &self,
         rig: &Rig,
         request: &DiagnosisRequest,
+        once: Option<&Once>,
     ) -> Result<Job, DiagnosisProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = diagnosis::check(store, rig, request).await?;
-        let job = store.insert_diagnosis_job(&rig.id, &plan.request, clock()).await?;
+        let job = store.insert_diagnosis_job(&rig.id, &plan.request, once, clock()).await?;
         self.wake();
         job.ok_or(DiagnosisProblem::RigGone)
     }

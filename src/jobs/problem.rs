@@ -1,5 +1,7 @@
 //! Why a job did not succeed: as a problem that its row keeps, and whether to try again.
 
+use serde::{Deserialize, Serialize};
+
 use crate::compute::ComputeError;
 use crate::domain::{FieldError, FitChannels, Problem};
 use crate::engine::EngineError;
@@ -37,18 +39,26 @@ pub mod codes {
     pub const JOB_PANICKED: &str = "job.panicked";
     /// The job's worker died too often (500).
     pub const JOB_INTERRUPTED: &str = "job.interrupted";
+    /// The worker process died under the job (500).
+    pub const JOB_CRASHED: &str = "job.crashed";
+    /// The job took more memory than it may (500).
+    pub const JOB_MEMORY: &str = "job.memory";
+    /// An attempt took longer than it may (500).
+    pub const JOB_TIME_LIMIT: &str = "job.time_limit";
     /// This version of the program does not know the job's kind or request (500).
     pub const JOB_UNKNOWN: &str = "job.unknown";
     /// Stored data are damaged (500).
     pub const STORE_DAMAGED: &str = "store.damaged";
     /// The store is out of reach (503).
     pub const STORE_UNAVAILABLE: &str = "store.unavailable";
+    /// There were no threads or processes for the job (503).
+    pub const BUSY: &str = "busy";
     /// The disk is full (507).
     pub const STORE_FULL: &str = "store.full";
 }
 
 /// How a job's work ended without a result.
-#[derive(Debug)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) enum JobError {
     /// It was asked to stop.
     Stopped,
@@ -95,7 +105,7 @@ impl From<ComputeError> for JobError {
             ComputeError::Panicked(message) => panicked(&message),
             ComputeError::Busy { .. } | ComputeError::Threads(_) => {
                 tracing::error!(%error, "a job got no threads");
-                Self::retry(Problem::new(503, "busy", "Busy", "There were no threads for the job."))
+                Self::retry(Problem::new(503, codes::BUSY, "Busy", "There were no threads for the job."))
             }
         }
     }

@@ -10,25 +10,34 @@ use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use tracing::Instrument;
 
-use crate::compute::Compute;
-use crate::domain::{Clock, JobId, JobKind, Problem};
+use crate::domain::{Clock, JobId, JobKind};
 use crate::storage::{Beat, Claim, Outcome, Store, StoreError};
 use crate::telemetry::names;
 
 use super::JobSettings;
 use super::control::{Control, Stop};
-use super::diagnosis;
 use super::events::Hub;
-use super::fit::{self, FitFunction};
+use super::order::{Made, Order};
 use super::problem::{JobError, codes, panicked};
+use super::process::{Begin, WorkerProgram};
+use super::publish::publish;
+use super::workbench::Workbench;
+
+/// Where work is done.
+#[derive(Debug)]
+pub(super) enum Place {
+    /// On this process' threads.
+    Here(Workbench),
+    /// In a process of its own for each job.
+    Process(WorkerProgram),
+}
 
 /// What all workers of a process share.
 #[derive(Debug)]
 pub(super) struct Runner {
     pub(super) store: Store,
-    pub(super) compute: Compute,
     pub(super) clock: Clock,
-    pub(super) fit: FitFunction,
+    place: Place,
     pub(super) settings: JobSettings,
     pub(super) hub: Hub,
     /// Rings when a job was queued.
@@ -39,17 +48,11 @@ pub(super) struct Runner {
 }
 
 impl Runner {
-    pub(super) fn new(
-        store: Store,
-        compute: Compute,
-        clock: Clock,
-        settings: JobSettings,
-        fit: FitFunction,
-    ) -> Self {
+    pub(super) fn new(store: Store, clock: Clock, settings: JobSettings, place: Place) -> Self {
         let stopping = watch::Sender::new(false);
         let hub = Hub::new(stopping.clone());
         let (queued, at_work) = (Notify::new(), Mutex::default());
-        Self { store, compute, clock, fit, settings, hub, queued, stopping, at_work }
+        Self { store, clock, place, settings, hub, queued, stopping, at_work }
     }
 
     /// Asks a job that is at work here to stop; whether it is.
@@ -97,24 +100,40 @@ impl Runner {
             tokio::select! {
                 () = queued => {}
                 _ = stopping.wait_for(|stopping| *stopping) => {}
-                () = tokio::time::sleep(self.settings.poll) => {}
+                () = tokio::time::sleep(self.settings.sweep) => {}
+            }
+        }
+    }
+
+    /// Takes jobs from workers that were not heard of, until the service stops. Jobs that are at
+    /// work here are heard of, whatever a clock that jumped says of their leases.
+    pub(super) async fn sweep(self: Arc<Self>) {
+        let mut stopping = self.stopping.subscribe();
+        let mut ticks = tokio::time::interval(self.settings.sweep);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                _ = stopping.wait_for(|stopping| *stopping) => return,
+                _ = ticks.tick() => {}
+            }
+            let here: Vec<JobId> = self.at_work().keys().copied().collect();
+            let now = (self.clock)();
+            match self.store.requeue_expired(now, &here, now).await {
+                Ok(expired) => {
+                    for id in expired {
+                        tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
+                        self.hub.changed(id);
+                        self.queued.notify_one();
+                    }
+                }
+                // One row that cannot be read must not keep the others waiting.
+                Err(error) => tracing::error!(%error, "jobs of lost workers could not be queued again"),
             }
         }
     }
 
     async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
         let now = (self.clock)();
-        // A worker that could not write its job's end left it running.
-        match self.store.requeue_expired(now, now).await {
-            Ok(expired) => {
-                for id in expired {
-                    tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
-                    self.hub.changed(id);
-                }
-            }
-            // One row that cannot be read must not keep the others waiting.
-            Err(error) => tracing::error!(%error, "jobs of lost workers could not be queued again"),
-        }
         self.store.claim_job(name, self.lease_until(now), now).await
     }
 
@@ -152,13 +171,23 @@ impl Runner {
     }
 
     async fn perform(self: Arc<Self>, claim: Claim, control: Arc<Control>) -> Result<(), JobError> {
-        match claim.job.kind {
-            JobKind::Fit => fit::run(&self, &claim, &control).await,
-            JobKind::Diagnosis => diagnosis::run(&self, &claim, &control).await,
-            JobKind::Evaluation | JobKind::Iteration | JobKind::Study => {
-                let detail = "A newer version of the program queued this job.";
-                let title = "The job cannot be read";
-                Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)))
+        let made = self.make(&claim, &control).await?;
+        if control.stopped().is_some() {
+            return Err(JobError::Stopped);
+        }
+        control.report("publishing", 1.0);
+        publish(&self, &claim, made).await
+    }
+
+    async fn make(&self, claim: &Claim, control: &Arc<Control>) -> Result<Made, JobError> {
+        let order = Order::from(claim);
+        match &self.place {
+            Place::Here(bench) => bench.make(&order, control).await,
+            Place::Process(program) => {
+                let (data_dir, checkpoint_every) =
+                    (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
+                let begin = Begin { data_dir, order, checkpoint_every };
+                program.make(begin, self.settings.lease, control).await
             }
         }
     }
@@ -178,19 +207,33 @@ impl Runner {
             tokio::select! {
                 biased;
                 end = &mut work => {
+                    self.put_by(claim, control).await;
                     return match end {
                         Ok(end) => end,
                         Err(error) => Err(panicked(&error.to_string())),
                     };
                 }
                 _ = ticks.tick() => {
+                    self.put_by(claim, control).await;
                     let progress = control.progress();
-                    // A third of the lease leaves room for two that fail.
-                    if progress != written || at.elapsed() > self.settings.lease / 3 {
+                    if progress != written || at.elapsed() >= self.settings.heartbeat {
                         self.beat(claim, control, &progress).await;
                         (written, at) = (progress, Instant::now());
                     }
                 }
+            }
+        }
+    }
+
+    /// Stores the checkpoints that the work has handed over.
+    async fn put_by(&self, claim: &Claim, control: &Control) {
+        for checkpoint in control.take_kept() {
+            match self.store.keep_checkpoint(&claim.lease, &checkpoint, (self.clock)()).await {
+                Ok(true) => tracing::debug!(part = checkpoint.part, "put a checkpoint by"),
+                // It was cancelled, or is another's: the next heartbeat says so.
+                Ok(false) => {}
+                // The former one is still there, and the work goes on.
+                Err(error) => tracing::warn!(%error, "a checkpoint could not be stored"),
             }
         }
     }
@@ -217,8 +260,19 @@ impl Runner {
         let outcome = match end {
             // Published, and the job ended with it.
             Ok(()) => return Ok(()),
-            Err(JobError::Failed(problem)) => Outcome::Failed(*problem),
-            Err(JobError::Retry(problem)) => Outcome::Retry(*problem),
+            Err(JobError::Failed(problem)) => {
+                if problem.code == codes::STORE_DAMAGED {
+                    // What a worker process has read is not known here.
+                    self.store.verify_rig(&claim.job.rig).await?;
+                }
+                Outcome::Failed(*problem)
+            }
+            Err(JobError::Retry(problem)) => {
+                // What is short now, memory or disk, may not be in a moment.
+                let mut stopping = self.stopping.subscribe();
+                let _ = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
+                Outcome::Retry(*problem)
+            }
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
                 Some(Stop::Shutdown) => Outcome::Released,
@@ -243,6 +297,9 @@ fn note_duration(kind: JobKind, end: &Result<(), JobError>, elapsed: Duration) {
         metrics::histogram!(names::FIT_SECONDS, "outcome" => outcome).record(elapsed.as_secs_f64());
     }
 }
+
+/// Before a job that failed for a reason that may pass goes back into the queue.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// A name for a worker that a person finds again in the process table.
 pub(super) fn worker_name(index: usize) -> String {

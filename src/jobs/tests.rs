@@ -9,6 +9,7 @@ use super::*;
 use crate::compute::ComputeSettings;
 use crate::domain::fits::Activate;
 use crate::domain::{JobState, Model};
+use crate::engine::checkpoint::Keeper;
 use crate::engine::frf::Frf;
 use crate::engine::model::{FitData, FitSettings, Fitted, ModelKind, RigModel};
 use crate::engine::progress::report;
@@ -26,7 +27,7 @@ struct Bench {
 impl Bench {
     async fn new(fit: FitFunction) -> Self {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         store.upload(&rig, &noise(1, 2000)).await;
         let jobs = start(&store, fit).await;
         Self { store, rig, jobs }
@@ -34,7 +35,7 @@ impl Bench {
 
     async fn fit(&self, request: serde_json::Value) -> JobId {
         let request = serde_json::from_value(request).unwrap();
-        self.jobs.submit_fit(&self.rig, &request).await.unwrap().id
+        self.jobs.submit_fit(&self.rig, &request, None).await.unwrap().id
     }
 
     /// The job's last state.
@@ -61,7 +62,7 @@ impl Bench {
 
 async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
     let settings = JobSettings {
-        poll: Duration::from_millis(20),
+        sweep: Duration::from_millis(20),
         progress_every: Duration::from_millis(2),
         ..JobSettings::default()
     };
@@ -82,7 +83,12 @@ fn noise(seed: u32, n: usize) -> Vec<f64> {
 }
 
 /// "Fits" an FRF whose gain is ten times the ridge of the settings, which must be one at most.
-fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+fn gain(
+    data: &FitData,
+    settings: &FitSettings,
+    _: &dyn Keeper,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
     report(watch, "FRF", 0.5)?;
     let frf = Frf {
         sample_rate_hz: 100.0,
@@ -111,16 +117,16 @@ fn gain(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitt
     Ok(Fitted { model, report: serde_json::from_value(report).unwrap() })
 }
 
-fn fails(_: &FitData, _: &FitSettings, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn fails(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
     Err(EngineError::DeadChannel { what: "training outputs", channel: 0 })
 }
 
-fn panics(_: &FitData, _: &FitSettings, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn panics(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
     panic!("a defect")
 }
 
 /// Goes on until it is told to stop.
-fn endless(_: &FitData, _: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+fn endless(_: &FitData, _: &FitSettings, _: &dyn Keeper, watch: Watch<'_>) -> Result<Fitted, EngineError> {
     for i in 0.. {
         report(watch, "LSTM", 1.0 - 0.9_f64.powi(i))?;
         std::thread::sleep(Duration::from_millis(1));
@@ -186,7 +192,7 @@ async fn work_for_a_deleted_rig_stops() {
     bench.once(id, JobState::Running).await;
     bench.store.delete_rig(&bench.rig.id).await.unwrap();
     // The one worker is free again.
-    bench.store.insert_rig(&draft("bench"), now()).await.unwrap();
+    bench.store.insert_rig(&draft("bench"), None, now()).await.unwrap();
     bench.store.upload(&bench.rig, &noise(1, 2000)).await;
     let next = bench.fit(serde_json::json!({"kind": "frf"})).await;
     bench.once(next, JobState::Running).await;
@@ -218,7 +224,7 @@ async fn a_shutdown_queues_the_work_at_hand_again_and_the_next_start_does_it() {
 #[tokio::test]
 async fn a_job_that_was_running_when_its_process_died_starts_again() {
     let store = TestStore::open().await;
-    let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+    let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
     store.upload(&rig, &noise(1, 2000)).await;
     let id = store.queue_fit(&rig).await.id;
     let dead = store.claim_job("dead", Timestamp::MAX, now()).await.unwrap().unwrap();
@@ -260,7 +266,7 @@ async fn a_fit_is_refused_before_it_is_queued() {
     let bench = Bench::new(fails).await;
     let refused = async |request: serde_json::Value| {
         let request = serde_json::from_value(request).unwrap();
-        bench.jobs.submit_fit(&bench.rig, &request).await.unwrap_err().problem()
+        bench.jobs.submit_fit(&bench.rig, &request, None).await.unwrap_err().problem()
     };
     let problem = refused(serde_json::json!({"kind": "frf", "inputs": ["nope"]})).await;
     assert_eq!((problem.code.as_str(), problem.status), ("fit.invalid", 422));
@@ -342,4 +348,50 @@ async fn a_policy_fits_after_uploads_with_all_their_runs() {
     let states: BTreeMap<_, _> =
         bench.store.count_jobs().await.unwrap().into_iter().map(|(s, n)| (s.as_str(), n)).collect();
     assert_eq!((states["succeeded"], states["queued"], states["running"]), (1, 0, 0));
+}
+
+/// The engine's fit, which takes a while after each progress.
+fn slow(
+    data: &FitData,
+    settings: &FitSettings,
+    keeper: &dyn Keeper,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
+    let slowly = |progress: crate::engine::Progress<'_>| {
+        std::thread::sleep(Duration::from_millis(2));
+        watch(progress)
+    };
+    crate::engine::model::fit_resumable(data, settings, keeper, &slowly)
+}
+
+#[tokio::test]
+async fn a_fit_that_two_stops_interrupted_ends_in_the_same_model_and_leaves_no_checkpoint() {
+    let request = || {
+        let lstm = serde_json::json!({"blocks": [4], "window_len": 32, "epochs": 20, "seeds": [1, 2]});
+        serde_json::json!({"kind": "lstm", "lstm": lstm, "activate": "never"})
+    };
+    let bench = Bench::new(slow).await;
+    let whole = bench.end_of(bench.fit(request()).await).await;
+    assert_eq!(whole.state, JobState::Succeeded, "{whole:?}");
+    let id = bench.fit(request()).await;
+    let Bench { store, rig, mut jobs } = bench;
+    for _ in 0..2 {
+        while store.job(id).await.unwrap().unwrap().progress < 0.2 {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        jobs.shutdown().await;
+        let job = store.job(id).await.unwrap().unwrap();
+        assert_eq!((job.state, job.attempt), (JobState::Queued, 0));
+        assert!(store.count_checkpoints().await > 0);
+        jobs = start(&store, slow).await;
+    }
+    let bench = Bench { store, rig, jobs };
+    let resumed = bench.end_of(id).await;
+    let model = async |job: &Job| {
+        let version = job.result.as_ref().expect("a model").id.parse().unwrap();
+        bench.store.model(&bench.rig.id, version).await.unwrap().unwrap()
+    };
+    let (whole, resumed) = (model(&whole).await, model(&resumed).await);
+    assert_eq!((whole.sha256, whole.report), (resumed.sha256, resumed.report));
+    assert_eq!(bench.store.count_checkpoints().await, 0);
 }

@@ -2,19 +2,20 @@
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 
 use super::jobs::{JobOrigin, insert, succeed};
 use super::rigs::rig_in;
 use super::rows::{DiagnosisRow, all, int, json, us, word};
-use super::{Digest, Lease, Store, StoreError};
+use super::{Digest, Lease, Once, Store, StoreError, once};
 use crate::domain::diagnosis::{DiagnosedModel, VerdictSummary};
 use crate::domain::{
-    DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest, RigId,
-    StoredDiagnosis, new_id,
+    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest,
+    RigId, StoredDiagnosis, new_id,
 };
 
 /// A diagnosis on its way into the store.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewDiagnosis {
     /// The model that was diagnosed, if it was one of the rig's.
     pub model: Option<DiagnosedModel>,
@@ -22,7 +23,8 @@ pub struct NewDiagnosis {
     pub request: DiagnosisRequest,
     /// The answer in short.
     pub verdict: VerdictSummary,
-    /// JSON of the findings.
+    /// JSON of the findings; travels beside other JSON, not in it.
+    #[serde(skip)]
     pub findings: Bytes,
     /// Seconds that it took.
     pub elapsed_s: f64,
@@ -37,13 +39,16 @@ impl Store {
         &self,
         rig: &RigId,
         request: &DiagnosisRequest,
+        once: Option<&Once>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
         let job = insert(&mut tx, rig, JobKind::Diagnosis, request, JobOrigin::Request, now).await?;
+        once::end(&mut tx, once, || Created::job(&job), now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -202,7 +207,7 @@ mod tests {
     }
 
     async fn published(store: &TestStore, rig: &Rig, findings: &'static [u8]) -> DiagnosisId {
-        store.insert_diagnosis_job(&rig.id, &request(), now()).await.unwrap().unwrap();
+        store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         store.publish_diagnosis(&lease, new(findings), "found", now()).await.unwrap().unwrap()
     }
@@ -210,8 +215,8 @@ mod tests {
     #[tokio::test]
     async fn a_diagnosis_is_stored_once_with_the_end_of_its_job_and_goes_with_its_rig() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
-        let job = store.insert_diagnosis_job(&rig.id, &request(), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+        let job = store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
         assert_eq!(job.kind, JobKind::Diagnosis);
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         let lost = Lease { token: lease.token + 1, ..lease.clone() };
@@ -239,7 +244,7 @@ mod tests {
     #[tokio::test]
     async fn diagnoses_are_listed_in_pages_newest_first() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let (first, second) = (published(&store, &rig, b"1").await, published(&store, &rig, b"1").await);
         let mut page = PageRequest { limit: 1, cursor: None };
         let listed = store.diagnoses(&rig.id, &page).await.unwrap().unwrap();

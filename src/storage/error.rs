@@ -40,6 +40,20 @@ pub enum StoreError {
         /// The digest that they have.
         found: String,
     },
+    /// Another request with the same idempotency key was done first.
+    #[error("the request was done before under its idempotency key")]
+    Repeated,
+    /// A file that is not as it was written.
+    #[error(
+        "{path} is damaged: {what}; nothing was changed. Keep the directory as it is and restore a backup \
+         into another one with `rigcast restore`"
+    )]
+    Damaged {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
     /// The service stops: work was given up before it was done.
     #[error("the service stops")]
     Stopped,
@@ -58,10 +72,10 @@ pub enum StoreError {
 impl StoreError {
     /// Whether the disk is full.
     pub fn is_disk_full(&self) -> bool {
-        /// `SQLITE_FULL`.
-        const FULL: &str = "13";
+        /// `SQLITE_FULL`, and `SQLITE_IOERR_SHMSIZE`: no room for the index of the write-ahead log.
+        const FULL: [u32; 2] = [13, 4874];
         match self {
-            Self::Database(sqlx::Error::Database(error)) => error.code().is_some_and(|c| c == FULL),
+            Self::Database(error) => sqlite_code(error).is_some_and(|code| FULL.contains(&code)),
             Self::DataDir { source, .. } => is_storage_full(source),
             Self::Objects(error) => {
                 let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
@@ -76,6 +90,27 @@ impl StoreError {
             _ => false,
         }
     }
+}
+
+impl StoreError {
+    /// Whether the store is out of reach for a while, by no fault of a request: locks, reads and writes
+    /// that fail, no connection.
+    pub fn is_unavailable(&self) -> bool {
+        /// `SQLITE_BUSY`, `SQLITE_LOCKED`, `SQLITE_READONLY`, `SQLITE_IOERR` and `SQLITE_CANTOPEN`,
+        /// whatever more an extended code says.
+        const UNAVAILABLE: [u32; 5] = [5, 6, 8, 10, 14];
+        match self {
+            Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
+            Self::Database(error) => sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff))),
+            Self::Objects(_) | Self::DataDir { .. } | Self::Stopped => true,
+            _ => false,
+        }
+    }
+}
+
+/// SQLite's extended result code.
+pub(super) fn sqlite_code(error: &sqlx::Error) -> Option<u32> {
+    error.as_database_error()?.code()?.parse().ok()
 }
 
 fn is_storage_full(error: &std::io::Error) -> bool {

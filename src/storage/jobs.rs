@@ -10,10 +10,12 @@ use sqlx::SqliteConnection;
 
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
-use super::{Store, StoreError};
+use super::{Once, Store, StoreError, once};
 use crate::domain::fits::FitRequest;
 use crate::domain::job::{MAX_ATTEMPTS, eta_s};
-use crate::domain::{Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id};
+use crate::domain::{
+    Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id,
+};
 
 /// Which jobs are wanted; empty: all.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -150,13 +152,16 @@ impl Store {
         &self,
         rig: &RigId,
         request: &FitRequest,
+        once: Option<&Once>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
         let job = insert(&mut tx, rig, JobKind::Fit, request, JobOrigin::Request, now).await?;
+        once::end(&mut tx, once, || Created::job(&job), now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -337,14 +342,15 @@ impl Store {
     }
 
     /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them when
-    /// their attempts are used up; which ones. At a start, when no other process can have the data
-    /// directory, every lease is over: [`Timestamp::MAX`].
+    /// their attempts are used up; which ones. Jobs of `held` are left alone. At a start, when no other
+    /// process can have the data directory, every lease is over: [`Timestamp::MAX`].
     ///
     /// # Errors
     /// The store's failures.
     pub async fn requeue_expired(
         &self,
         expired_at: Timestamp,
+        held: &[JobId],
         now: Timestamp,
     ) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write().await?;
@@ -353,7 +359,8 @@ impl Store {
                 .bind(us(expired_at))
                 .fetch_all(&mut *tx)
                 .await?;
-        let jobs: Vec<Job> = all(rows)?;
+        let mut jobs: Vec<Job> = all(rows)?;
+        jobs.retain(|job| !held.contains(&job.id));
         for job in &jobs {
             let detail = format!("the worker died or was stopped {} times while it had the job", job.attempt);
             let problem = Problem::new(500, "job.interrupted", "The job was interrupted too often", detail);
@@ -407,7 +414,7 @@ mod tests {
     use super::*;
 
     async fn queued(store: &TestStore, n: usize) -> Vec<Job> {
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let mut jobs = Vec::new();
         for _ in 0..n {
             jobs.push(store.queue_fit(&rig).await);
@@ -513,8 +520,8 @@ mod tests {
         for attempt in 1..=MAX_ATTEMPTS {
             let claimed = claim(&store, now()).await.unwrap();
             assert_eq!((claimed.job.attempt, claimed.lease.token), (attempt, u64::from(attempt)));
-            assert_eq!(store.requeue_expired(now(), now()).await.unwrap().len(), 0, "its lease lasts");
-            assert_eq!(store.requeue_expired(Timestamp::MAX, now()).await.unwrap(), [id]);
+            assert_eq!(store.requeue_expired(now(), &[], now()).await.unwrap().len(), 0, "its lease lasts");
+            assert_eq!(store.requeue_expired(Timestamp::MAX, &[], now()).await.unwrap(), [id]);
         }
         assert_eq!(claim(&store, now()).await, None);
         let job = store.job(id).await.unwrap().unwrap();

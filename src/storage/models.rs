@@ -2,19 +2,22 @@
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
 use super::jobs::succeed;
 use super::objects::to_the_end;
 use super::rigs::{if_match, rig_in};
 use super::rows::{ModelRow, all, int, json, us, word};
-use super::{Digest, Lease, Store, StoreError};
+use super::{Digest, Lease, Once, Store, StoreError, once};
 use crate::domain::fits::FitRequest;
-use crate::domain::{ActiveModel, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId};
+use crate::domain::{
+    ActiveModel, Created, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId,
+};
 use crate::engine::model::{FitReport, ModelKind};
 
 /// A model on its way into the store.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewModel {
     /// Kind.
     pub kind: ModelKind,
@@ -24,7 +27,8 @@ pub struct NewModel {
     pub outputs: Vec<String>,
     /// Sample rate.
     pub sample_rate_hz: f64,
-    /// The safetensors file.
+    /// The safetensors file; travels beside JSON, not in it.
+    #[serde(skip)]
     pub weights: Bytes,
     /// Fitted, imported or adopted.
     pub origin: Origin,
@@ -40,8 +44,11 @@ pub struct NewModel {
     pub instruction_set: String,
 }
 
+/// A request under a key that makes a model, and the form of its answer.
+pub type OnceModel = (Once, fn(&Model) -> Created);
+
 /// What a new model wants done with the active one, decided against the version it was compared to.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activation {
     /// Nothing.
     Leave,
@@ -89,8 +96,8 @@ macro_rules! select_models {
 }
 
 impl Store {
-    /// Adds a model that no job publishes; `None` when there is no such rig. Goes on to the end when
-    /// the caller goes away.
+    /// Adds a model that no job publishes; `None` when there is no such rig. Under an idempotency key
+    /// its answer is kept too. Goes on to the end when the caller goes away.
     ///
     /// # Errors
     /// The store's failures.
@@ -99,12 +106,13 @@ impl Store {
         rig: &RigId,
         model: NewModel,
         activation: Activation,
+        once: Option<OnceModel>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
             let digest = Digest::of(&model.weights);
-            let inserted = store.insert_model_gated(&rig, &digest, model, activation, now).await;
+            let inserted = store.insert_model_gated(&rig, &digest, model, activation, once, now).await;
             if !matches!(inserted, Ok(Some(_))) {
                 store.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
             }
@@ -119,14 +127,19 @@ impl Store {
         digest: &Digest,
         model: NewModel,
         activation: Activation,
+        once: Option<OnceModel>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let _kept = self.objects_gate().read().await;
         self.objects().put(digest, model.weights.clone()).await?;
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once.as_ref().map(|(once, _)| once)).await?;
         let Some(version) = insert_row(&mut tx, rig, digest, &model, now).await? else { return Ok(None) };
         activate(&mut tx, rig, version, &activation, now).await?;
         let inserted = model_in(&mut tx, rig, version).await?;
+        if let (Some((once, answer)), Some(model)) = (&once, &inserted) {
+            once::end(&mut tx, Some(once), || answer(model), now).await?;
+        }
         tx.commit().await?;
         Ok(inserted)
     }
@@ -215,6 +228,20 @@ impl Store {
                 .fetch_all(&mut *tx)
                 .await?;
         Ok(Some(Page::cut(all(rows)?, page.limit, |model: &Model| model.version.to_string())))
+    }
+
+    /// Model versions before `version`, newest first, a few of them.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn models_before(&self, rig: &RigId, version: u32) -> Result<Vec<Model>, StoreError> {
+        let rows: Vec<ModelRow> =
+            sqlx::query_as(select_models!("WHERE rig = ? AND version < ? ORDER BY version DESC LIMIT 8"))
+                .bind(rig.as_str())
+                .bind(version)
+                .fetch_all(self.reader())
+                .await?;
+        all(rows)
     }
 
     /// The weight file of a model, verified.
@@ -402,7 +429,7 @@ mod tests {
     use crate::domain::{JobState, Rig};
 
     async fn rig(store: &TestStore) -> Rig {
-        store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap()
+        store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap()
     }
 
     #[tokio::test]
@@ -422,7 +449,7 @@ mod tests {
         let nobody = "nobody".parse().unwrap();
         assert_eq!(store.models(&nobody, &page).await.unwrap(), None);
         assert_eq!(
-            store.insert_model(&nobody, imported(b"4"), Activation::Leave, now()).await.unwrap(),
+            store.insert_model(&nobody, imported(b"4"), Activation::Leave, None, now()).await.unwrap(),
             None
         );
         let orphan = store.objects().get(Digest::of(b"4").as_str()).await;
@@ -461,7 +488,8 @@ mod tests {
         let mut sensor = imported(b"1");
         sensor.inputs = vec!["y".into()];
         sensor.outputs = vec!["u".into()];
-        let sensor = store.insert_model(&rig.id, sensor, Activation::Leave, now()).await.unwrap().unwrap();
+        let sensor =
+            store.insert_model(&rig.id, sensor, Activation::Leave, None, now()).await.unwrap().unwrap();
         let update = store.set_active_model(&rig.id, Some(sensor.version), "*", now()).await.unwrap();
         assert_eq!(update, ActiveUpdate::NotForward);
     }
@@ -473,7 +501,7 @@ mod tests {
         let job = store.queue_fit(&rig).await;
         let until = now() + 30.seconds();
         let lost = store.claim_job("w1", until, now()).await.unwrap().unwrap().lease;
-        store.requeue_expired(Timestamp::MAX, now()).await.unwrap();
+        store.requeue_expired(Timestamp::MAX, &[], now()).await.unwrap();
         let lease = store.claim_job("w2", until, now()).await.unwrap().unwrap().lease;
         let publish = async |lease: &Lease, weights: &'static [u8], activation| {
             let words = |version, active| format!("model {version}, active: {active}");

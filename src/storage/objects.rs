@@ -1,5 +1,6 @@
 //! Objects: immutable bytes, named by their SHA-256, verified whenever they are read.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,6 +10,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
 
+use super::damage::Damaged;
 use super::{Store, StoreError};
 
 /// SHA-256 of some bytes, as 64 lower-case hex digits.
@@ -41,6 +43,7 @@ impl Digest {
 pub struct Objects {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
+    damaged: Damaged,
 }
 
 impl Objects {
@@ -48,7 +51,7 @@ impl Objects {
     pub(super) fn open(root: &Path) -> Result<Self, StoreError> {
         // With fsync a put returns after the file, its rename and its directory are on disk.
         let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
-        Ok(Self { files: Arc::new(files), root: root.to_owned() })
+        Ok(Self { files: Arc::new(files), root: root.to_owned(), damaged: Damaged::default() })
     }
 
     /// Stores `bytes` durably under their digest; storing the same bytes again changes nothing,
@@ -58,6 +61,7 @@ impl Objects {
     /// The file system's refusals; nothing half-written is ever visible.
     pub async fn put(&self, digest: &Digest, bytes: Bytes) -> Result<(), StoreError> {
         self.files.put(&key(digest.as_str()), bytes.into()).await?;
+        self.damaged.note(digest.as_str(), false);
         Ok(())
     }
 
@@ -77,19 +81,51 @@ impl Objects {
     ) -> Result<T, StoreError> {
         let found = match self.files.get(&key(digest)).await {
             Err(object_store::Error::NotFound { .. }) => {
+                self.damaged.note(digest, true);
                 return Err(StoreError::ObjectMissing { digest: digest.to_owned() });
             }
             found => found?.bytes().await?,
         };
-        let digest = digest.to_owned();
+        let (digest, damaged) = (digest.to_owned(), self.damaged.clone());
         off_thread(move || {
             let actual = Digest::of(&found);
+            damaged.note(&digest, actual.as_str() != digest);
             if actual.as_str() != digest {
                 return Err(StoreError::ObjectDamaged { digest, found: actual.0 });
             }
             make(found)
         })
         .await
+    }
+
+    /// Removes all objects but these.
+    pub(super) fn retain(&self, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
+        let failed = |source| StoreError::DataDir { path: self.root.clone(), source };
+        for directory in std::fs::read_dir(&self.root).map_err(failed)? {
+            let directory = directory.map_err(failed)?.path();
+            if !directory.is_dir() {
+                continue;
+            }
+            for file in std::fs::read_dir(&directory).map_err(failed)? {
+                let file = file.map_err(failed)?;
+                if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
+                    tracing::info!(file = %file.path().display(), "removed an object without a row");
+                    std::fs::remove_file(file.path()).map_err(failed)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether there is any object.
+    pub(super) fn any(root: &Path) -> bool {
+        let directories = std::fs::read_dir(root).into_iter().flatten().flatten();
+        directories.flat_map(|entry| std::fs::read_dir(entry.path())).flatten().next().is_some()
+    }
+
+    /// What was found damaged or missing.
+    pub(super) fn damaged(&self) -> &Damaged {
+        &self.damaged
     }
 
     /// Removes an object; one that is gone already is no error.
@@ -100,6 +136,10 @@ impl Objects {
         }
     }
 }
+
+/// Names of all objects that rows refer to.
+pub(super) const REFERENCED: &str =
+    "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses";
 
 /// Two hundred and fifty-six directories keep each of them small.
 fn key(digest: &str) -> Key {
@@ -164,31 +204,9 @@ impl Store {
     /// Removes every file below `objects` that no row refers to: what was written when a process
     /// died. Only at a start, when nobody else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
-        let rows: Vec<String> = sqlx::query_scalar(
-            "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses",
-        )
-        .fetch_all(self.reader())
-        .await?;
-        let root = self.objects().root.clone();
-        off_thread(move || {
-            let wanted: std::collections::HashSet<String> = rows.into_iter().collect();
-            let failed = |source| StoreError::DataDir { path: root.clone(), source };
-            for directory in std::fs::read_dir(&root).map_err(failed)? {
-                let directory = directory.map_err(failed)?.path();
-                if !directory.is_dir() {
-                    continue;
-                }
-                for file in std::fs::read_dir(&directory).map_err(failed)? {
-                    let file = file.map_err(failed)?;
-                    if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
-                        tracing::info!(file = %file.path().display(), "removed an object without a row");
-                        std::fs::remove_file(file.path()).map_err(failed)?;
-                    }
-                }
-            }
-            Ok(())
-        })
-        .await
+        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
+        let objects = self.objects().clone();
+        off_thread(move || objects.retain(&rows.into_iter().collect())).await
     }
 }
 

@@ -88,7 +88,7 @@ mod tests {
             "kinds": ["noise"], "min_total_s": 2.0, "fits": [{"kind": "frf"}, {"kind": "hybrid2"}]
         }))
         .unwrap();
-        store.insert_rig(&draft, now()).await.unwrap().unwrap()
+        store.insert_rig(&draft, None, now()).await.unwrap().unwrap()
     }
 
     /// No job, as opposed to no item of any other type.

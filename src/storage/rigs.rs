@@ -7,8 +7,8 @@ use serde_json::Value;
 use sqlx::SqliteConnection;
 
 use super::rows::{RigRow, all, json, us};
-use super::{Store, StoreError};
-use crate::domain::{FieldError, Page, PageRequest, Rig, RigDraft, RigId};
+use super::{Once, Store, StoreError, once};
+use crate::domain::{Created, FieldError, Page, PageRequest, Rig, RigDraft, RigId};
 
 /// What came of a patch.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,7 +45,14 @@ impl Store {
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn insert_rig(&self, draft: &RigDraft, now: Timestamp) -> Result<Option<Rig>, StoreError> {
+    pub async fn insert_rig(
+        &self,
+        draft: &RigDraft,
+        once: Option<&Once>,
+        now: Timestamp,
+    ) -> Result<Option<Rig>, StoreError> {
+        let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         // Revisions start at the time, so that a rig that is deleted and made again never has an
         // `ETag` that a client may still hold.
         let row: Option<RigRow> = sqlx::query_as(
@@ -60,9 +67,12 @@ impl Store {
         .bind(json(&draft.channels))
         .bind(draft.fit_policy.as_ref().map(json))
         .bind(us(now))
-        .fetch_optional(&mut *self.write_one().await?)
+        .fetch_optional(&mut *tx)
         .await?;
-        row.map(Rig::try_from).transpose()
+        let Some(rig) = row.map(Rig::try_from).transpose()? else { return Ok(None) };
+        once::end(&mut tx, once, || Created::rig(&rig), now).await?;
+        tx.commit().await?;
+        Ok(Some(rig))
     }
 
     /// The rig of this id.
@@ -180,17 +190,17 @@ mod tests {
         let store = TestStore::open().await;
         let mut sent = draft("bench");
         sent.fit_policy = serde_json::from_value(json!({"fits": [{"kind": "frf"}]})).unwrap();
-        let rig = store.insert_rig(&sent, now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&sent, None, now()).await.unwrap().unwrap();
         assert_eq!(rig.draft(), sent);
         assert_eq!(store.rig(&sent.id).await.unwrap().unwrap(), rig);
-        assert_eq!(store.insert_rig(&sent, now()).await.unwrap(), None);
+        assert_eq!(store.insert_rig(&sent, None, now()).await.unwrap(), None);
     }
 
     #[tokio::test]
     async fn rigs_are_listed_in_pages() {
         let store = TestStore::open().await;
         for id in ["c", "a", "b"] {
-            store.insert_rig(&draft(id), now()).await.unwrap();
+            store.insert_rig(&draft(id), None, now()).await.unwrap();
         }
         let first = store.rigs(None, &PageRequest { limit: 2, cursor: None }).await.unwrap();
         let ids = |page: &Page<Rig>| page.items.iter().map(|r| r.id.to_string()).collect::<Vec<_>>();
@@ -206,7 +216,7 @@ mod tests {
     #[tokio::test]
     async fn a_stale_etag_is_refused_and_a_fresh_one_patches() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let patch = json!({"name": "Bench"});
         let RigUpdate::Updated(new) = store.patch_rig(&rig.id, &rig.etag(), &patch, now()).await.unwrap()
         else {
@@ -226,7 +236,7 @@ mod tests {
     #[tokio::test]
     async fn channels_are_fixed_once_a_run_exists() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let patch = json!({"sample_rate_hz": 200.0});
         assert!(matches!(store.patch_rig(&rig.id, "*", &patch, now()).await, Ok(RigUpdate::Updated(_))));
         let rig = store.rig(&rig.id).await.unwrap().unwrap();
@@ -242,7 +252,7 @@ mod tests {
         let store = TestStore::open().await;
         let mut rigs = Vec::new();
         for id in ["a", "b"] {
-            let rig = store.insert_rig(&draft(id), now()).await.unwrap().unwrap();
+            let rig = store.insert_rig(&draft(id), None, now()).await.unwrap().unwrap();
             let run = store.upload(&rig, &[1.0, 2.0]).await.run;
             store.upload(&rig, &[1.0, 2.0]).await;
             rigs.push((rig, run));

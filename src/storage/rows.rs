@@ -58,6 +58,19 @@ impl Columns<'_> {
     }
 }
 
+/// A text of a row that is to be an id or a number.
+pub(super) fn parsed<T: std::str::FromStr<Err: std::fmt::Display>>(
+    table: &'static str,
+    key: &str,
+    text: &str,
+) -> Result<T, StoreError> {
+    text.parse().map_err(|error: T::Err| StoreError::Row {
+        table,
+        key: key.to_owned(),
+        what: error.to_string(),
+    })
+}
+
 /// A time as it is stored.
 pub(super) fn us(time: Timestamp) -> i64 {
     time.as_microsecond()

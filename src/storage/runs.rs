@@ -6,10 +6,10 @@ use sqlx::SqliteConnection;
 use super::objects::to_the_end;
 use super::rigs::rig_in;
 use super::rows::{RunRow, all, int, json, us};
-use super::{PreparedRun, Store, StoreError, npy, policy};
+use super::{Once, PreparedRun, Store, StoreError, npy, once, policy};
 use crate::domain::{
-    FieldError, InsertedRun, Lineage, Page, PageRequest, RigId, Run, RunId, RunKind, RunMeta, RunPatch,
-    Split, new_id,
+    Created, FieldError, InsertedRun, Lineage, Page, PageRequest, RigId, Run, RunId, RunKind, RunMeta,
+    RunPatch, Split, new_id,
 };
 use crate::engine::Signal;
 
@@ -58,12 +58,13 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
+        once: Option<Once>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
             let object = run.object.as_str().to_owned();
-            let inserted = store.insert_run_gated(&rig, run, now).await;
+            let inserted = store.insert_run_gated(&rig, run, once.as_ref(), now).await;
             if !matches!(inserted, Ok(RunInsert::Inserted(_))) {
                 store.discard_unreferenced(vec![object]).await;
             }
@@ -76,12 +77,14 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
+        once: Option<&Once>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
         let _kept = self.objects_gate().read().await;
         // Durable before a row says so.
         self.objects().put(&run.object, run.bytes.clone()).await?;
         let mut tx = self.write().await?;
+        once::begin(&mut tx, once).await?;
         let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(RunInsert::MissingRig) };
         let unit = |name| rig.channel(name).map(|channel| &channel.unit);
         let suits = run.channels.iter().zip(&run.units).all(|(name, found)| unit(name) == Some(found));
@@ -90,8 +93,10 @@ impl Store {
         }
         let run = insert_row(&mut tx, &rig.id, &run, now).await?;
         let jobs = policy::after_run(&mut tx, &rig, &run, now).await?;
+        let inserted = InsertedRun { run, jobs };
+        once::end(&mut tx, once, || Created::run(&inserted), now).await?;
         tx.commit().await?;
-        Ok(RunInsert::Inserted(Box::new(InsertedRun { run, jobs })))
+        Ok(RunInsert::Inserted(Box::new(inserted)))
     }
 
     /// One run of a rig.
@@ -308,7 +313,7 @@ mod tests {
     #[tokio::test]
     async fn a_run_comes_back_sample_by_sample() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let sent = store.upload(&rig, &[0.1, -2.5, 1e300]).await.run;
         let run = store.run(&rig.id, sent.id).await.unwrap().unwrap();
         assert_eq!(run, sent);
@@ -322,7 +327,7 @@ mod tests {
     #[tokio::test]
     async fn the_same_bytes_again_are_a_duplicate_on_the_same_object() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let runs = [
             store.upload(&rig, &[1.0]).await.run,
             store.upload(&rig, &[1.0]).await.run,
@@ -349,7 +354,7 @@ mod tests {
     #[tokio::test]
     async fn runs_are_listed_by_kind_split_and_tag() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let mut tagged = meta();
         tagged.tags = vec!["linear".into(), "quote\"d".into()];
         let tagged = store.upload_with(&rig, tagged, &[1.0]).await.run;
@@ -376,7 +381,7 @@ mod tests {
     #[tokio::test]
     async fn a_run_that_a_model_was_fitted_on_cannot_become_a_test_run() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let run = store.upload(&rig, &[1.0]).await.run;
         let free = store.upload(&rig, &[2.0]).await.run;
         let model = store.import_fitted_on(&rig, b"weights", &run).await;
@@ -400,17 +405,17 @@ mod tests {
     #[tokio::test]
     async fn a_run_for_a_rig_that_is_gone_leaves_nothing() {
         let store = TestStore::open().await;
-        let rig = store.insert_rig(&draft("bench"), now()).await.unwrap().unwrap();
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let prepared = store.prepare(&rig, meta(), &[1.0]);
         let object = prepared.object.as_str().to_owned();
         store.delete_rig(&rig.id).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared.clone(), now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, prepared.clone(), None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::MissingRig);
         assert!(matches!(store.objects().get(&object).await, Err(StoreError::ObjectMissing { .. })));
         let mut other = draft("bench");
         other.sample_rate_hz = 200.0;
-        store.insert_rig(&other, now()).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared, now()).await.unwrap();
+        store.insert_rig(&other, None, now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, prepared, None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::RigChanged);
     }
 }

@@ -10,10 +10,11 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, S
 use sqlx::{Sqlite, SqlitePool, Transaction};
 use tokio::sync::RwLock;
 
+use super::error::sqlite_code;
 use super::{Objects, StoreError};
 
 /// How long a statement waits for another one's lock; only a backup tool could hold one.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Reads at once.
 const READERS: u32 = 8;
@@ -36,7 +37,7 @@ struct Inner {
     /// to be referred to.
     objects_gate: Arc<RwLock<()>>,
     /// Held, not read: the lock ends with the file.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl Store {
@@ -49,19 +50,13 @@ impl Store {
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
         let lock = prepare_directory(data_dir)?;
         let database = data_dir.join("rigcast.db");
-        let options = SqliteConnectOptions::new()
-            .filename(&database)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
-        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
-        check_integrity(&writer).await?;
+        never_empty(&database, data_dir)?;
+        let options = options(&database).create_if_missing(true);
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
+        let writer = writer.map_err(|error| sound(error, &database))?;
+        check_integrity(&writer, &database).await?;
         sqlx::migrate!().run(&writer).await?;
-        // Reads cannot write by mistake.
-        let reading = options.create_if_missing(false).pragma("query_only", "on");
-        let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?;
+        let readers = readers(&database).await?;
         let objects = Objects::open(&data_dir.join("objects"))?;
         let inner = Inner {
             data_dir: data_dir.to_owned(),
@@ -69,18 +64,37 @@ impl Store {
             readers,
             objects,
             objects_gate: Arc::default(),
-            _lock: lock,
+            _lock: Some(lock),
         };
         let store = Self { inner: Arc::new(inner) };
         store.sweep_objects().await?;
         Ok(store)
     }
 
-    /// Asks the database for a sign of life, and whether the directory can be written.
+    /// Opens the data directory of a running service to read from it: for the worker processes of
+    /// that service. Nothing is locked, migrated or swept, and every write is refused.
     ///
     /// # Errors
-    /// Whatever keeps the store from working.
-    pub async fn ping(&self) -> Result<(), StoreError> {
+    /// No database; the file system's refusals.
+    pub async fn open_to_read(data_dir: &Path) -> Result<Self, StoreError> {
+        let readers = readers(&data_dir.join("rigcast.db")).await?;
+        let inner = Inner {
+            data_dir: data_dir.to_owned(),
+            writer: readers.clone(),
+            readers,
+            objects: Objects::open(&data_dir.join("objects"))?,
+            objects_gate: Arc::default(),
+            _lock: None,
+        };
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// Asks the database for a sign of life, and whether the directory can be written; `false` when its
+    /// disk is full, which leaves all that only reads at work.
+    ///
+    /// # Errors
+    /// Whatever else keeps the store from working.
+    pub async fn ping(&self) -> Result<bool, StoreError> {
         sqlx::query("SELECT id FROM rigs LIMIT 1").fetch_optional(self.reader()).await?;
         let path = self.scratch_dir().join(".ping");
         let written = match tokio::fs::write(&path, b"ping").await {
@@ -90,9 +104,10 @@ impl Store {
         match written {
             // Two pings at once remove one file.
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(StoreError::DataDir { path, source })
+                let error = StoreError::DataDir { path, source };
+                if error.is_disk_full() { Ok(false) } else { Err(error) }
             }
-            _ => Ok(()),
+            _ => Ok(true),
         }
     }
 
@@ -133,13 +148,39 @@ impl Store {
 
     /// Begins a write. `BEGIN IMMEDIATE`: what it reads cannot change before it writes.
     pub(super) async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        Ok(self.inner.writer.begin_with("BEGIN IMMEDIATE").await?)
+        const BEGIN: &str = "BEGIN IMMEDIATE";
+        match self.inner.writer.begin_with(BEGIN).await {
+            Err(sqlx::Error::InvalidSavePointStatement) => {
+                // A full disk or a failed write made SQLite end the last transaction by itself, and the
+                // connection still counts it: it is of no use any more.
+                self.inner.writer.acquire().await?.close().await?;
+                Ok(self.inner.writer.begin_with(BEGIN).await?)
+            }
+            begun => Ok(begun?),
+        }
     }
+}
+
+fn options(database: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(database)
+        .create_if_missing(false)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .foreign_keys(true)
+        .busy_timeout(BUSY_TIMEOUT)
+}
+
+/// Connections that cannot write by mistake.
+async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
+    let reading = options(database).pragma("query_only", "on");
+    Ok(SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?)
 }
 
 /// Makes the directories, takes the lock, empties the scratch directory.
 fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
+    let new = !data_dir.exists();
     std::fs::create_dir_all(data_dir).map_err(failed)?;
     let lock = File::options()
         .create(true)
@@ -158,20 +199,61 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     }
     std::fs::create_dir_all(&scratch).map_err(failed)?;
     std::fs::create_dir_all(data_dir.join("objects")).map_err(failed)?;
+    // Else a power cut could take a new directory, and all that was acknowledged, along.
+    let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
+    for directory in [Some(data_dir), parent].into_iter().flatten() {
+        File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
+    }
     Ok(lock)
 }
 
-/// A damaged database stops the start; it must not be served, and less so written to.
-async fn check_integrity(pool: &SqlitePool) -> Result<(), StoreError> {
-    let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(pool).await?;
-    if verdict == "ok" {
-        return Ok(());
+/// Objects without a database are what is left of a lost one: starting empty would remove them.
+fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
+    let empty = match std::fs::metadata(database) {
+        Ok(found) => found.len() == 0,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => true,
+        Err(source) => return Err(StoreError::DataDir { path: database.to_owned(), source }),
+    };
+    if empty && Objects::any(&data_dir.join("objects")) {
+        let what = "it is missing or empty, but there are runs and models beside it".into();
+        return Err(StoreError::Damaged { path: database.to_owned(), what });
     }
-    Err(StoreError::Row { table: "sqlite_schema", key: "quick_check".into(), what: verdict })
+    Ok(())
+}
+
+/// A damaged database stops the start; it must not be served, and less so written to.
+pub(super) async fn check_integrity(pool: &SqlitePool, database: &Path) -> Result<(), StoreError> {
+    let damaged = |what| StoreError::Damaged { path: database.to_owned(), what };
+    let verdict: String = sqlx::query_scalar("PRAGMA integrity_check(1)")
+        .fetch_one(pool)
+        .await
+        .map_err(|error| sound(error, database))?;
+    if verdict != "ok" {
+        return Err(damaged(verdict));
+    }
+    let orphan: Option<(String, Option<i64>, String, i64)> =
+        sqlx::query_as("PRAGMA foreign_key_check").fetch_optional(pool).await?;
+    match orphan {
+        None => Ok(()),
+        Some((table, _, parent, _)) => {
+            Err(damaged(format!("a row of {table} names one of {parent} that is gone")))
+        }
+    }
+}
+
+/// What SQLite says of a file that is no sound database, in words that help.
+fn sound(error: sqlx::Error, database: &Path) -> StoreError {
+    /// `SQLITE_CORRUPT` and `SQLITE_NOTADB`, whatever more an extended code says.
+    const DAMAGED: [u32; 2] = [11, 26];
+    if sqlite_code(&error).is_some_and(|code| DAMAGED.contains(&(code & 0xff))) {
+        return StoreError::Damaged { path: database.to_owned(), what: error.to_string() };
+    }
+    error.into()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{TestStore, draft, now};
     use super::*;
     use crate::domain::Origin;
 
@@ -184,6 +266,23 @@ mod tests {
         store.close().await;
         drop(store);
         Store::open(dir.path()).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_worker_reads_beside_the_service_and_cannot_write() {
+        let store = TestStore::open().await;
+        store.insert_rig(&draft("bench"), None, now()).await.unwrap();
+        let reader = Store::open_to_read(store.data_dir()).await.unwrap();
+        assert!(reader.rig(&"bench".parse().unwrap()).await.unwrap().is_some());
+        assert!(matches!(
+            reader.insert_rig(&draft("other"), None, now()).await,
+            Err(StoreError::Database(_))
+        ));
+        store.insert_rig(&draft("third"), None, now()).await.unwrap();
+        assert!(reader.rig(&"third".parse().unwrap()).await.unwrap().is_some());
+        let nowhere = tempfile::tempdir().unwrap();
+        assert!(Store::open_to_read(nowhere.path()).await.is_err());
+        assert!(!nowhere.path().join("rigcast.db").exists());
     }
 
     #[tokio::test]
@@ -202,7 +301,29 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         Store::open(dir.path()).await.unwrap().close().await;
         std::fs::write(dir.path().join("rigcast.db"), vec![b'x'; 8192]).unwrap();
-        assert!(matches!(Store::open(dir.path()).await, Err(StoreError::Database(_))));
+        let refused = Store::open(dir.path()).await.unwrap_err();
+        assert!(matches!(refused, StoreError::Damaged { .. }), "{refused}");
+        assert!(refused.to_string().contains("rigcast restore"), "{refused}");
+    }
+
+    #[tokio::test]
+    async fn a_lost_database_is_not_taken_for_a_new_one() {
+        let store = TestStore::open().await;
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+        store.import(&rig, b"weights").await;
+        store.close().await;
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["objects", "scratch"] {
+            std::fs::rename(store.data_dir().join(name), dir.path().join(name)).unwrap();
+        }
+        for content in [None, Some(b"")] {
+            if let Some(content) = content {
+                std::fs::write(dir.path().join("rigcast.db"), content).unwrap();
+            }
+            let refused = Store::open(dir.path()).await;
+            assert!(matches!(refused, Err(StoreError::Damaged { .. })), "{refused:?}");
+        }
+        assert!(Objects::any(&dir.path().join("objects")), "nothing was removed");
     }
 
     #[tokio::test]
@@ -217,6 +338,28 @@ mod tests {
         drop(tx);
         let refused = sqlx::query("DELETE FROM rigs").execute(store.reader()).await;
         assert!(refused.is_err(), "readers cannot write");
+    }
+
+    #[tokio::test]
+    async fn a_full_database_refuses_writes_loses_nothing_and_works_again_with_more_room() {
+        let store = TestStore::open().await;
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+        store.limit_pages(1).await;
+        let mut accepted = 0;
+        let refused = loop {
+            match store.import_again(&rig, accepted).await {
+                Ok(_) => accepted += 1,
+                Err(error) => break error,
+            }
+        };
+        assert!(refused.is_disk_full(), "{refused}");
+        assert!(store.rig(&rig.id).await.unwrap().is_some(), "reads go on");
+        let models =
+            async || store.models(&rig.id, &crate::domain::PageRequest::default()).await.unwrap().unwrap();
+        assert_eq!(models().await.items.len(), accepted);
+        store.limit_pages(1 << 30).await;
+        store.import_again(&rig, accepted).await.unwrap();
+        assert_eq!(models().await.items.len(), accepted + 1);
     }
 
     /// A database as the first schema left it, with a rig whose active model was imported.

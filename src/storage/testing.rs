@@ -7,7 +7,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use tempfile::TempDir;
 
-use super::{Activation, Digest, NewModel, PreparedRun, RunInsert, Store};
+use super::{Activation, Digest, NewModel, PreparedRun, RunInsert, Store, StoreError};
 use crate::domain::{
     Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
     Span, Split,
@@ -111,7 +111,7 @@ impl TestStore {
 
     pub(crate) async fn upload_with(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> InsertedRun {
         let prepared = self.prepare(rig, meta, u);
-        match self.insert_run(&rig.id, prepared, now()).await.unwrap() {
+        match self.insert_run(&rig.id, prepared, None, now()).await.unwrap() {
             RunInsert::Inserted(inserted) => *inserted,
             other => panic!("{other:?}"),
         }
@@ -122,18 +122,37 @@ impl TestStore {
     }
 
     pub(crate) async fn import(&self, rig: &Rig, weights: &[u8]) -> Model {
-        self.insert_model(&rig.id, imported(weights), Activation::Leave, now()).await.unwrap().unwrap()
+        self.insert_model(&rig.id, imported(weights), Activation::Leave, None, now()).await.unwrap().unwrap()
+    }
+
+    /// Most pages that the database may have: below those that it has, its disk is as good as full.
+    pub(crate) async fn limit_pages(&self, pages: i64) {
+        let mut writer = self.write_one().await.unwrap();
+        let limit = sqlx::AssertSqlSafe(format!("PRAGMA max_page_count = {pages}"));
+        sqlx::query(limit).execute(&mut *writer).await.unwrap();
+    }
+
+    /// A model that fills some pages of the database, or the store's refusal.
+    pub(crate) async fn import_again(&self, rig: &Rig, n: usize) -> Result<Model, StoreError> {
+        let mut model = imported(n.to_string().as_bytes());
+        model.instruction_set = "x".repeat(20_000);
+        let inserted = self.insert_model(&rig.id, model, Activation::Leave, None, now()).await?;
+        Ok(inserted.expect("the rig is there"))
     }
 
     pub(crate) async fn import_fitted_on(&self, rig: &Rig, weights: &[u8], run: &Run) -> Model {
         let mut model = imported(weights);
         let span = Span { run: run.id, sha256: run.sha256.clone(), from_sample: 0, to_sample: run.samples };
         model.lineage.training = vec![span];
-        self.insert_model(&rig.id, model, Activation::Leave, now()).await.unwrap().unwrap()
+        self.insert_model(&rig.id, model, Activation::Leave, None, now()).await.unwrap().unwrap()
+    }
+
+    pub(crate) async fn count_checkpoints(&self) -> i64 {
+        sqlx::query_scalar("SELECT count(*) FROM checkpoints").fetch_one(self.reader()).await.unwrap()
     }
 
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {
         let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
-        self.insert_fit_job(&rig.id, &request, now()).await.unwrap().unwrap()
+        self.insert_fit_job(&rig.id, &request, None, now()).await.unwrap().unwrap()
     }
 }

@@ -1,14 +1,19 @@
 //! The service as clients see it: every test starts one on a free port with a data directory of
 //! its own, and every answer is held against `openapi.yaml`.
 
+mod backups;
 mod bad_runs;
 mod contract;
 mod damage;
 mod diagnoses;
 mod doors;
 mod fits;
+mod flips;
+mod full_disk;
+mod idempotency;
 mod isa;
 mod jobs;
+mod kills;
 mod models;
 mod operations;
 mod predictions;
@@ -20,3 +25,4 @@ mod service;
 mod shutdown;
 mod support;
 mod torch;
+mod workers;

@@ -129,3 +129,50 @@ async fn the_service_stays_quick_while_a_fit_uses_the_cores() {
     // The promise is 100 ms at the 99th percentile on a machine of its own; other tests run here too.
     assert!(times[197] < Duration::from_millis(500), "99th percentile {:?}", times[197]);
 }
+
+/// Flips the last bit of an object.
+fn damage(app: &TestApp, digest: &str) {
+    let path = app.directory().join("objects").join(&digest[..2]).join(digest);
+    let mut bytes = std::fs::read(&path).expect("readable");
+    *bytes.last_mut().expect("not empty") ^= 1;
+    std::fs::remove_file(&path).expect("allowed");
+    std::fs::write(path, bytes).expect("written");
+}
+
+#[tokio::test]
+async fn the_last_good_model_answers_for_a_damaged_one_and_readiness_names_what_is_damaged() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    let weights = crate::support::gain_weights(&["u"], &["y"], 5.0);
+    let second = app.post_file("/v1/rigs/bench/models", crate::support::SAFETENSORS, weights).await;
+    let second = second.expect(201).json();
+    let tag = app.get("/v1/rigs/bench/active-model").await.expect(200).header("etag").to_owned();
+    let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", &tag);
+    put.json(&json!({"version": 2})).send().await.expect(200);
+    let run = app.run("kind=noise", &crate::support::noise_csv(3000, 5)).await;
+    let model = async || {
+        let drive = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0]}}});
+        app.post_json("/v1/rigs/bench/predict", &drive).await.expect(200).json()["model"].clone()
+    };
+    damage(&app, second["sha256"].as_str().expect("a digest"));
+    let answered = model().await;
+    assert_eq!((&answered["version"], answered["sha256"] != second["sha256"]), (&json!(1), true));
+    for file in app.files() {
+        // The run's samples: the only other object that is no model.
+        let name = file.file_name().and_then(|name| name.to_str()).expect("a digest").to_owned();
+        if ![&answered["sha256"], &second["sha256"]].contains(&&json!(name)) {
+            damage(&app, &name);
+        }
+    }
+    let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+    app.get(&format!("{path}/data")).await.problem(500, "store.damaged");
+    let ready = app.get("/readyz?verbose").await.expect(200).json();
+    let degraded = ready["degraded"].as_array().expect("a list");
+    assert!(degraded.iter().all(|one| one["rig"] == "bench"), "{ready}");
+    assert!(degraded.iter().any(|one| one["version"] == 2), "{ready}");
+    assert!(degraded.iter().any(|one| one["run"] == run["id"]), "{ready}");
+    // A job that needs the run fails with a reason.
+    let job = app.post_json("/v1/rigs/bench/fits", &json!({"kind": "frf"})).await.expect(202).json();
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    assert_eq!(job["problem"]["code"], "store.damaged", "{job}");
+}

@@ -190,9 +190,7 @@ impl Modes {
     pub(super) fn decays(&self, samples: usize) -> Vec<Vec<f64>> {
         let mut pulse = vec![0.0; samples + 1];
         pulse[0] = 1.0;
-        let mut decays = self.basis(&pulse);
-        decays.iter_mut().for_each(|decay| drop(decay.remove(0)));
-        decays
+        self.basis(&pulse).into_iter().map(|decay| decay[1..].to_vec()).collect()
     }
 
     /// Output for input vector `e`.

@@ -22,6 +22,7 @@ mod reference;
 #[cfg(test)]
 mod samples;
 mod settings;
+mod state;
 mod stream;
 #[cfg(test)]
 mod torch_vectors;

@@ -1,6 +1,9 @@
 //! From a gradient to a step of the weights.
 
+use serde::{Deserialize, Serialize};
+
 use super::settings::{Optimizer, Schedule};
+use crate::engine::checkpoint::floats;
 
 /// RMSProp's share of the past, Keras' default.
 const RHO: f32 = 0.9;
@@ -12,11 +15,14 @@ const BETA: [f32; 2] = [0.9, 0.999];
 const ADAM_EPSILON: f32 = 1e-8;
 
 /// An optimiser and its memory of earlier gradients.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Descent {
     kind: Optimizer,
     /// Adam's mean of gradients.
+    #[serde(with = "floats")]
     mean: Vec<f32>,
     /// Mean of squared gradients.
+    #[serde(with = "floats")]
     square: Vec<f32>,
     /// Steps done.
     steps: i32,
@@ -26,6 +32,11 @@ impl Descent {
     /// For so many weights, without memory.
     pub(super) fn new(kind: Optimizer, weights: usize) -> Self {
         Self { kind, mean: vec![0.0; weights], square: vec![0.0; weights], steps: 0 }
+    }
+
+    /// Whether its memory is one of so many weights.
+    pub(super) fn suits(&self, weights: usize) -> bool {
+        self.mean.len() == weights && self.square.len() == weights
     }
 
     /// One step down the gradient.

@@ -4,6 +4,7 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::bptt::{Backprop, Group, TrainWeights};
 use super::net::LstmNet;
@@ -11,7 +12,9 @@ use super::optimizer::{Descent, clip, relative_rate};
 use super::params::{Shape, flatten, unflatten};
 use super::predict::check_channels;
 use super::settings::LstmSettings;
+use super::state::State;
 use super::validate::Scored;
+use crate::engine::checkpoint::Keeper;
 use crate::engine::progress::report;
 use crate::engine::simd::Isa;
 use crate::engine::simd::{LANES, dispatch};
@@ -42,7 +45,7 @@ pub struct Trained {
 }
 
 /// One validated epoch.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EpochRecord {
     /// From 1.
     pub epoch: usize,
@@ -69,7 +72,9 @@ const MEMORY_LIMIT: usize = 4 << 30;
 /// clearly better.
 ///
 /// A last incomplete window is left out. The result depends on the arguments and the instruction set
-/// only, bit for bit, whatever the number of threads. `watch` is called after every mini-batch.
+/// only, bit for bit, whatever the number of threads. `watch` is called after every mini-batch; where
+/// it breaks, and when it is due, the state is put by as the part that is named, from which a later call with the
+/// same arguments goes on to the same result.
 ///
 /// # Errors
 /// Settings outside their limits; data whose channels do not belong together or are not finite;
@@ -79,11 +84,11 @@ pub fn train(
     training: &[Stretch],
     validation: &[Stretch],
     start: &LstmNet,
-    settings: &LstmSettings,
-    seed: u64,
+    (settings, seed): (&LstmSettings, u64),
+    kept: (&dyn Keeper, &str),
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
-    train_on(Isa::of_process()?, training, validation, start, settings, seed, watch)
+    train_on(Isa::of_process()?, training, validation, start, (settings, seed), kept, watch)
 }
 
 /// [`train`] on a given instruction set.
@@ -95,8 +100,8 @@ pub(super) fn train_on(
     training: &[Stretch],
     validation: &[Stretch],
     start: &LstmNet,
-    settings: &LstmSettings,
-    seed: u64,
+    (settings, seed): (&LstmSettings, u64),
+    (keeper, part): (&dyn Keeper, &str),
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
     settings.check()?;
@@ -124,7 +129,8 @@ pub(super) fn train_on(
             ),
         });
     }
-    let job = Job { isa, shape, training, scored: Scored::new(validation, settings)?, settings, watch };
+    let scored = Scored::new(validation, settings)?;
+    let job = Job { isa, shape, training, scored, settings, keeper, part, watch };
     let row = flatten(start);
     if isa == Isa::Avx512 { job.run::<16, true>(row, seed) } else { job.run::<4, false>(row, seed) }
 }
@@ -153,13 +159,15 @@ struct Job<'a> {
     training: &'a [Stretch],
     scored: Scored<'a>,
     settings: &'a LstmSettings,
+    keeper: &'a dyn Keeper,
+    part: &'a str,
     watch: Watch<'a>,
 }
 
 impl Job<'_> {
     fn run<const R: usize, const WIDE: bool>(
         &self,
-        mut row: Vec<f32>,
+        row: Vec<f32>,
         seed: u64,
     ) -> Result<Trained, EngineError> {
         let settings = self.settings;
@@ -169,24 +177,30 @@ impl Job<'_> {
         let mut groups: Vec<Group> = (0..settings.batch_size.div_ceil(LANES))
             .map(|_| Group::new(&self.shape, settings.window_len, burn_in))
             .collect();
-        let mut descent = Descent::new(settings.optimizer, row.len());
         let mut gradient = vec![0.0; row.len()];
         let per_window = ((settings.window_len - burn_in) * self.shape.outputs) as f64;
         let validate_every = (settings.epochs / VALIDATIONS).max(1);
-        // A start may be good already (a hybrid starts as its FRF): it is the one to beat.
-        let start_mse = self.scored.mse(self.isa, &weights.forward);
-        if !start_mse.is_finite() {
-            return Err(EngineError::Diverged { epoch: 0 });
-        }
-        let mut best = (0, start_mse, row.clone());
-        let mut history = Vec::new();
-        let mut step = 0;
+        let mut state = match self.kept(row.len()) {
+            Some(state) => {
+                weights.set(&state.row);
+                state.resume(&mut rng);
+                state
+            }
+            None => {
+                // A start may be good already (a hybrid starts as its FRF): it is the one to beat.
+                let start_mse = self.scored.mse(self.isa, &weights.forward);
+                if !start_mse.is_finite() {
+                    return Err(EngineError::Diverged { epoch: 0 });
+                }
+                let descent = Descent::new(settings.optimizer, row.len());
+                State::new(row, descent, start_mse)
+            }
+        };
 
-        for epoch in 1..=settings.epochs {
+        while state.epoch <= settings.epochs {
+            state.mark(&rng);
             let windows = self.windows(&mut rng);
-            let mut squared_error = 0.0;
-            for (batch, first) in windows.chunks(settings.batch_size).zip((0..).step_by(settings.batch_size))
-            {
+            for (index, batch) in windows.chunks(settings.batch_size).enumerate().skip(state.batches) {
                 let scale = (2.0 / (batch.len() as f64 * per_window)) as f32;
                 let used = &mut groups[..batch.len().div_ceil(LANES)];
                 used.par_iter_mut().zip(batch.par_chunks(LANES)).for_each(|(group, windows)| {
@@ -200,42 +214,80 @@ impl Job<'_> {
                 gradient.fill(0.0);
                 for group in used.iter() {
                     gradient.iter_mut().zip(&group.gradient).for_each(|(sum, g)| *sum += g);
-                    squared_error += group.squared_error;
+                    state.squared_error += group.squared_error;
                 }
                 let norm = clip(&mut gradient, settings.clip_norm);
-                if !(norm.is_finite() && squared_error.is_finite()) {
-                    return Err(EngineError::Diverged { epoch });
+                if !(norm.is_finite() && state.squared_error.is_finite()) {
+                    return Err(EngineError::Diverged { epoch: state.epoch });
                 }
+                let first = index * settings.batch_size;
                 let done =
-                    ((epoch - 1) as f64 + first as f64 / windows.len() as f64) / settings.epochs as f64;
+                    ((state.epoch - 1) as f64 + first as f64 / windows.len() as f64) / settings.epochs as f64;
                 let rate = settings.learning_rate
-                    * relative_rate(settings.schedule, settings.warmup_steps, step, done);
-                descent.step(&mut row, &gradient, rate);
-                weights.set(&row);
-                step += 1;
-                report(self.watch, "LSTM", done)?;
+                    * relative_rate(settings.schedule, settings.warmup_steps, state.step, done);
+                state.descent.step(&mut state.row, &gradient, rate);
+                weights.set(&state.row);
+                state.step += 1;
+                state.batches = index + 1;
+                self.tell(&state, done)?;
             }
-            if epoch % validate_every != 0 && epoch != settings.epochs {
-                continue;
-            }
-            let record = EpochRecord {
-                epoch,
-                training_mse: squared_error / (windows.len() as f64 * per_window),
-                validation_mse: self.scored.mse(self.isa, &weights.forward),
-            };
-            if !record.validation_mse.is_finite() || row.iter().any(|w| !w.is_finite()) {
-                return Err(EngineError::Diverged { epoch });
-            }
-            history.push(record);
-            let leave = if best.0 == 0 { LEAVE_START } else { 1.0 };
-            if record.validation_mse < leave * best.1 {
-                (best.0, best.1) = (epoch, record.validation_mse);
-                best.2.copy_from_slice(&row);
-            }
+            self.validate(&mut state, &weights, validate_every, windows.len() as f64 * per_window)?;
+            (state.epoch, state.batches, state.squared_error) = (state.epoch + 1, 0, 0.0);
+        }
+        if self.keeper.due(self.part, true) {
+            state.mark(&rng);
+            self.keeper.keep(self.part, state.to_bytes());
         }
         report(self.watch, "LSTM", 1.0)?;
-        let (best_epoch, validation_mse, kept) = best;
-        Ok(Trained { net: unflatten(&self.shape, &kept), best_epoch, validation_mse, history })
+        Ok(Trained {
+            net: unflatten(&self.shape, &state.best),
+            best_epoch: state.best_epoch,
+            validation_mse: state.best_mse,
+            history: state.history,
+        })
+    }
+
+    /// What an interrupted call with the same arguments has put by.
+    fn kept(&self, weights: usize) -> Option<State> {
+        State::from_bytes(&self.keeper.kept(self.part)?, weights, self.settings.epochs)
+    }
+
+    /// Reports, and puts the state by when it is time to or nothing more may be done.
+    fn tell(&self, state: &State, done: f64) -> Result<(), EngineError> {
+        let told = report(self.watch, "LSTM", done);
+        if told.is_err() || self.keeper.due(self.part, false) {
+            self.keeper.keep(self.part, state.to_bytes());
+        }
+        told
+    }
+
+    /// Scores the epoch that has just ended, if it is its turn, and keeps the best.
+    fn validate<const R: usize>(
+        &self,
+        state: &mut State,
+        weights: &TrainWeights<R>,
+        every: usize,
+        values: f64,
+    ) -> Result<(), EngineError> {
+        let epoch = state.epoch;
+        if !epoch.is_multiple_of(every) && epoch != self.settings.epochs {
+            return Ok(());
+        }
+        let record = EpochRecord {
+            epoch,
+            training_mse: state.squared_error / values,
+            validation_mse: self.scored.mse(self.isa, &weights.forward),
+        };
+        if !record.validation_mse.is_finite() || state.row.iter().any(|w| !w.is_finite()) {
+            return Err(EngineError::Diverged { epoch });
+        }
+        state.history.push(record);
+        let leave = if state.best_epoch == 0 { LEAVE_START } else { 1.0 };
+        if record.validation_mse < leave * state.best_mse {
+            (state.best_epoch, state.best_mse) = (epoch, record.validation_mse);
+            state.best.copy_from_slice(&state.row);
+        }
+        Ok(())
     }
 
     /// The windows of an epoch, `(stretch, first sample)`, in the order in which they are used.

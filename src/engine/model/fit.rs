@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::start::start;
 use super::{FitSettings, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
+use crate::engine::checkpoint::{Forget, Keeper};
 use crate::engine::frf::{self, FrfSettings};
 use crate::engine::lstm::{self, LstmSettings, Recombine, RecombineChoice, Stretch, Trained};
 use crate::engine::progress::report;
@@ -134,6 +135,19 @@ pub struct Fitted {
 /// # Errors
 /// Data that do not fit the settings, dead channels, too few samples, divergence, cancellation.
 pub fn fit(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+    fit_resumable(data, settings, &Forget, watch)
+}
+
+/// [`fit`], going on from what an interrupted call with the same data and settings has put by.
+///
+/// # Errors
+/// As [`fit`].
+pub fn fit_resumable(
+    data: &FitData,
+    settings: &FitSettings,
+    keeper: &dyn Keeper,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
     let kind = settings.kind;
     check(data, settings)?;
     report(watch, "filter", 0.0)?;
@@ -170,7 +184,7 @@ pub fn fit(data: &FitData, settings: &FitSettings, watch: Watch<'_>) -> Result<F
         let run_lens: Vec<_> = data.training.iter().map(|p| p.x.n_samples()).collect();
         let resolved = settings.lstm.resolve(settings.preset, kind, &run_lens)?;
         let from = if kind == ModelKind::Lstm { 0.0 } else { FRF_SHARE };
-        let (part, reports) = fit_lstm(&data, &model, &resolved, from, watch)?;
+        let (part, reports) = fit_lstm(&data, &model, &resolved, from, keeper, watch)?;
         model.lstm = Some(part);
         seeds = reports;
         lstm_settings = Some(resolved);
@@ -294,6 +308,7 @@ fn fit_lstm(
     model: &RigModel,
     settings: &LstmSettings,
     from: f64,
+    keeper: &dyn Keeper,
     watch: Watch<'_>,
 ) -> Result<(LstmPart, Vec<SeedReport>), EngineError> {
     let kind = model.kind;
@@ -326,7 +341,8 @@ fn fit_lstm(
         .collect();
     let (training, validation) = stretches.split_at(n);
 
-    let trained = train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, watch)?;
+    let trained =
+        train_seeds(training, validation, (kind, &x_scaler, &y_scaler), settings, from, keeper, watch)?;
     let reports: Vec<SeedReport> =
         trained.iter().zip(&settings.seeds).map(|(t, &seed)| seed_report(seed, t)).collect();
     drop(stretches);
@@ -369,6 +385,7 @@ fn train_seeds(
     (kind, x, y): (ModelKind, &Scaler, &Scaler),
     settings: &LstmSettings,
     from: f64,
+    keeper: &dyn Keeper,
     watch: Watch<'_>,
 ) -> Result<Vec<Trained>, EngineError> {
     let n = settings.seeds.len();
@@ -385,7 +402,9 @@ fn train_seeds(
                 let mean = sum as f64 / (1e6 * n as f64);
                 watch(Progress { stage: &stage, fraction: from + (0.98 - from) * mean })
             };
-            lstm::train(training, validation, &start(kind, x, y, settings, seed), settings, seed, &tell)
+            let start = start(kind, x, y, settings, seed);
+            let part = format!("seed {i}");
+            lstm::train(training, validation, &start, (settings, seed), (keeper, &part), &tell)
         })
         .collect()
 }

@@ -22,7 +22,7 @@ use super::lstm::{LstmNet, Recombine};
 use super::{EngineError, Signal};
 
 pub use effect::AddedEffect;
-pub use fit::{FitData, FitReport, Fitted, Pair, Validation, fit, hold_out_from};
+pub use fit::{FitData, FitReport, Fitted, Pair, Validation, fit, fit_resumable, hold_out_from};
 pub use predict::{Prediction, Predictor};
 pub use preprocess::Preprocess;
 pub use scaler::Scaler;

@@ -16,12 +16,13 @@ use crate::domain::{Channel, DiagnosisRequest, FieldError, Origin, Problem, Run,
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
 use crate::engine::model::{ModelKind, Pair, Predictor, Preprocess, from_safetensors};
 use crate::engine::{EngineError, Progress, Signal};
-use crate::storage::{Claim, NewDiagnosis};
+use crate::storage::NewDiagnosis;
 
 use super::control::Control;
 use super::fit::pair;
+use super::order::{MadeDiagnosis, Order};
 use super::problem::{JobError, codes};
-use super::runner::Runner;
+use super::workbench::Workbench;
 use plan::DiagnosisPlan;
 use problem::of_diagnosis;
 
@@ -34,20 +35,20 @@ const LOADED: f64 = 0.1;
 /// Seed of the bootstrap and of the next experiment's drives: the same request, the same report.
 const SEED: u64 = 1;
 
-/// Sees a diagnosis through, from its request to the stored report.
-pub(super) async fn run(runner: &Runner, claim: &Claim, control: &Arc<Control>) -> Result<(), JobError> {
+/// Diagnoses, from the request to a report that is ready to be stored.
+pub(super) async fn make(
+    bench: &Workbench,
+    order: &Order,
+    control: &Arc<Control>,
+) -> Result<MadeDiagnosis, JobError> {
     let started = Instant::now();
-    let request: DiagnosisRequest = serde_json::from_value(claim.request.clone()).map_err(|error| {
-        let detail = format!("This version of the program cannot read the job: {error}.");
-        JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
-    })?;
-    let rig = runner.store.rig(&claim.job.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
+    let request: DiagnosisRequest = order.request()?;
+    let rig = bench.store.rig(&order.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
     // Again, because runs and models may have gone since it was queued.
-    let plan = Arc::new(check(&runner.store, &rig, &request).await?);
-    let input = load(runner, &plan, control).await?;
-    let found = diagnose(runner, &plan, input, control).await?;
-    control.report("publishing", 1.0);
-    publish(runner, claim, &plan, found, started).await
+    let plan = Arc::new(check(&bench.store, &rig, &request).await?);
+    let input = load(bench, &plan, control).await?;
+    let found = diagnose(bench, &plan, input, control).await?;
+    written(bench, &plan, found, started).await
 }
 
 /// What says how the rig would respond.
@@ -57,11 +58,11 @@ enum Sim {
     Outside,
 }
 
-async fn sim(runner: &Runner, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
+async fn sim(bench: &Workbench, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     let Some(model) = &plan.model else { return Ok(Sim::Outside) };
-    let weights = runner.store.weights(model).await?;
+    let weights = bench.store.weights(model).await?;
     let predictor =
-        runner.compute.run(Class::Fit, move || Predictor::new(from_safetensors(&weights)?)).await?;
+        bench.compute.run(Class::Fit, move || Predictor::new(from_safetensors(&weights)?)).await?;
     predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
         tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
         let detail = "The stored weights cannot be read as a model.";
@@ -70,14 +71,18 @@ async fn sim(runner: &Runner, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
 }
 
 /// Loads every run and simulates those that are to be explained.
-async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>) -> Result<Input, JobError> {
+async fn load(
+    bench: &Workbench,
+    plan: &Arc<DiagnosisPlan>,
+    control: &Arc<Control>,
+) -> Result<Input, JobError> {
     control.report("loading runs", 0.0);
-    let sim = Arc::new(sim(runner, plan).await?);
+    let sim = Arc::new(sim(bench, plan).await?);
     let places = times(&plan.runs);
     let steps = (plan.baseline.len() + plan.runs.len()) as f64;
     let mut baseline = Vec::with_capacity(plan.baseline.len());
     for part in &plan.baseline {
-        let signal = runner.store.load_signal(&part.run).await?;
+        let signal = bench.store.load_signal(&part.run).await?;
         let (plan, sim, part) = (Arc::clone(plan), Arc::clone(&sim), part.clone());
         let cut = move || {
             let span = |sample: u64| usize::try_from(sample.min(part.run.samples)).unwrap_or(usize::MAX);
@@ -86,14 +91,14 @@ async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>
             let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
             measured(&plan, &sim, &part.run, &kept)
         };
-        baseline.push(runner.compute.run(Class::Fit, cut).await??);
+        baseline.push(bench.compute.run(Class::Fit, cut).await??);
         step(control, "loading runs", baseline.len() as f64 / steps)?;
     }
     let mut runs = Vec::with_capacity(plan.runs.len());
     for (i, run) in plan.runs.iter().enumerate() {
-        let signal = runner.store.load_signal(run).await?;
+        let signal = bench.store.load_signal(run).await?;
         let outside = match plan.simulated.get(i) {
-            Some(simulated) => Some((simulated.clone(), runner.store.load_signal(simulated).await?)),
+            Some(simulated) => Some((simulated.clone(), bench.store.load_signal(simulated).await?)),
             None => None,
         };
         let (plan, sim, run) = (Arc::clone(plan), Arc::clone(&sim), run.clone());
@@ -114,7 +119,7 @@ async fn load(runner: &Runner, plan: &Arc<DiagnosisPlan>, control: &Arc<Control>
             let measured = measured(&plan, &sim, &run, &whole)?;
             Ok::<_, JobError>(diagnosis::Run { simulated: Some(simulated), started_s, ..measured })
         };
-        runs.push(runner.compute.run(Class::Fit, simulate).await??);
+        runs.push(bench.compute.run(Class::Fit, simulate).await??);
         step(control, "simulating runs", (baseline.len() + runs.len()) as f64 / steps)?;
     }
     let channel = |c: &Channel| diagnosis::Channel {
@@ -208,7 +213,7 @@ fn times(runs: &[Run]) -> Vec<f64> {
 
 /// Diagnoses on the threads for fits.
 async fn diagnose(
-    runner: &Runner,
+    bench: &Workbench,
     plan: &DiagnosisPlan,
     input: Input,
     control: &Arc<Control>,
@@ -217,18 +222,17 @@ async fn diagnose(
     let watch = move |p: Progress<'_>| {
         watched.watch(Progress { stage: p.stage, fraction: LOADED + (1.0 - LOADED) * p.fraction })
     };
-    let found = runner.compute.run(Class::Fit, move || diagnosis::diagnose(&input, &watch)).await?;
+    let found = bench.compute.run(Class::Fit, move || diagnosis::diagnose(&input, &watch)).await?;
     found.map_err(|error| of_diagnosis(&error, &plan.channels()))
 }
 
-/// Stores the report and ends the job, if the job is still ours.
-async fn publish(
-    runner: &Runner,
-    claim: &Claim,
+/// The report in the form in which it is stored.
+async fn written(
+    bench: &Workbench,
     plan: &DiagnosisPlan,
     found: Diagnosis,
     started: Instant,
-) -> Result<(), JobError> {
+) -> Result<MadeDiagnosis, JobError> {
     let Diagnosis { report, views, augmented } = found;
     let (verdict, mode) = (VerdictSummary::from(&report.verdict), report.mode);
     let (fit, select) = (spans(plan, &report.data_split.fit), spans(plan, &report.data_split.select));
@@ -239,29 +243,21 @@ async fn publish(
         serde_json::from_slice::<Findings>(&bytes)?;
         Ok::<_, serde_json::Error>(bytes)
     };
-    let findings = runner.compute.run(Class::Fit, encode).await?.map_err(|error| {
+    let findings = bench.compute.run(Class::Fit, encode).await?.map_err(|error| {
         tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
         let detail = "A number of the report is not finite; the report is not stored.";
         JobError::failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
     })?;
     let model = plan.model.as_ref();
     let stage = last_words(&verdict, mode);
-    let new = NewDiagnosis {
+    let diagnosis = NewDiagnosis {
         model: model.map(|m| DiagnosedModel { version: m.version, sha256: m.sha256.clone() }),
         request: plan.request.clone(),
         verdict,
         findings: Bytes::from(findings),
         elapsed_s: started.elapsed().as_secs_f64(),
     };
-    let now = (runner.clock)();
-    match runner.store.publish_diagnosis(&claim.lease, new, &stage, now).await? {
-        Some(id) => {
-            tracing::info!(diagnosis.id = %id, stage, "stored a diagnosis");
-            Ok(())
-        }
-        // Somebody else has the job now, or nobody: this work is void.
-        None => Err(JobError::Stopped),
-    }
+    Ok(MadeDiagnosis { diagnosis, stage })
 }
 
 /// Parts of runs as a lineage names them.

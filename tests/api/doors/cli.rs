@@ -38,7 +38,7 @@ async fn a_wider_bind_is_refused_until_there_is_an_admins_token() {
     }
     refused(&directory, &["--role", "reader"], "the first token must be an admin's");
     let secret = secret(&directory, &["--role", "admin", "--name", "first"]);
-    let program = Program::listening("0.0.0.0:0", &directory, &[]);
+    let program = Program::listening("0.0.0.0:0", directory.path(), &[]);
     let url = format!("{}/v1/rigs", program.base());
     let client = reqwest::Client::new();
     let status = async |token: Option<&str>| {

@@ -10,6 +10,7 @@ use std::time::Duration;
 use rigcast::app::{App, AppError};
 use rigcast::config::Config;
 use rigcast::http::Limits;
+use rigcast::jobs::{JobSettings, WorkerProgram};
 use rigcast::storage::StoreError;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -56,7 +57,7 @@ impl TestApp {
         let config = Config {
             data_dir: directory.path().to_owned(),
             listen: ([127, 0, 0, 1], 0).into(),
-            workers: 1,
+            jobs: jobs(),
             limits,
         };
         let server = std::thread::spawn(move || {
@@ -224,6 +225,17 @@ async fn build(config: &Config) -> App {
         }
     }
     panic!("the directory stays locked")
+}
+
+/// Jobs as `rigcast serve` does them: each in a process of the real program.
+fn jobs() -> JobSettings {
+    let program = WorkerProgram {
+        program: env!("CARGO_BIN_EXE_rigcast").into(),
+        arguments: ["work", "--log", "error"].map(Into::into).to_vec(),
+        memory_bytes: 4 << 30,
+        time_limit: Duration::from_secs(600),
+    };
+    JobSettings { program: Some(program), ..JobSettings::default() }
 }
 
 impl Drop for TestApp {

@@ -11,7 +11,7 @@ mod vectors;
 pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
-pub use program::{Program, rigcast};
+pub use program::{Program, lives, rigcast, signal, try_signal};
 pub use raw::exchange;
 pub use reply::Reply;
 pub use vectors::{columns, vector_file, vector_rig};

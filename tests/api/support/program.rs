@@ -1,8 +1,9 @@
 //! The real program as a process of its own.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -17,23 +18,53 @@ pub fn rigcast(arguments: &[&str]) -> Command {
     command
 }
 
+/// State and parent of a process.
+fn state(pid: u32) -> Option<(char, u32)> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The name in brackets may hold anything.
+    let mut words = stat.rsplit(')').next()?.split_whitespace();
+    Some((words.next()?.chars().next()?, words.next()?.parse().ok()?))
+}
+
+/// Whether a process is there, and more than the memory of one that has ended.
+pub fn lives(pid: u32) -> bool {
+    state(pid).is_some_and(|(state, _)| state != 'Z')
+}
+
+/// Sends `-TERM`, say, to a process.
+pub fn signal(name: &str, pid: u32) {
+    assert!(try_signal(name, pid), "there is no process {pid}");
+}
+
+/// The same; whether the process was there.
+pub fn try_signal(name: &str, pid: u32) -> bool {
+    let sent = Command::new("kill").args([name, &pid.to_string()]).stderr(Stdio::null()).status();
+    sent.expect("kill is there").success()
+}
+
 /// A started program that is killed if the test fails.
 pub struct Program {
     child: Child,
+    log: Arc<Mutex<Vec<String>>>,
     /// Reads all the time: a program whose log nobody reads stands still.
-    log: Option<JoinHandle<Vec<String>>>,
+    reader: Option<std::thread::JoinHandle<()>>,
     base: String,
 }
 
 impl Program {
     /// `rigcast serve` on `data_dir` and a free port of loopback, with `environment` set.
     pub fn start(data_dir: &TempDir, environment: &[(&str, &str)]) -> Self {
+        Self::listening("127.0.0.1:0", data_dir.path(), environment)
+    }
+
+    /// The same on any directory.
+    pub fn start_on(data_dir: &Path, environment: &[(&str, &str)]) -> Self {
         Self::listening("127.0.0.1:0", data_dir, environment)
     }
 
     /// The same at another address.
-    pub fn listening(address: &str, data_dir: &TempDir, environment: &[(&str, &str)]) -> Self {
-        let directory = data_dir.path().to_str().expect("UTF-8");
+    pub fn listening(address: &str, data_dir: &Path, environment: &[(&str, &str)]) -> Self {
+        let directory = data_dir.to_str().expect("UTF-8");
         let arguments = ["serve", "--listen", address, "--data-dir", directory];
         let mut child =
             rigcast(&arguments).envs(environment.iter().copied()).spawn().expect("the program starts");
@@ -45,8 +76,33 @@ impl Program {
                 break rest[..end].to_owned();
             }
         };
-        let log = std::thread::spawn(move || log.map_while(Result::ok).collect());
-        Self { child, log: Some(log), base }
+        // A pipe that nobody reads from would hold the program up.
+        let kept = Arc::new(Mutex::new(Vec::new()));
+        let keep = kept.clone();
+        let reader = std::thread::spawn(move || {
+            for line in log.map_while(Result::ok) {
+                keep.lock().expect("nobody panics with it").push(line);
+            }
+        });
+        Self { child, log: kept, reader: Some(reader), base }
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Process ids of its children.
+    pub fn children(&self) -> Vec<u32> {
+        let processes = std::fs::read_dir("/proc").expect("Linux");
+        let ids = processes.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        ids.filter(|pid| state(*pid).is_some_and(|(_, parent)| parent == self.id())).collect()
+    }
+
+    /// Ends it at once, as a power cut would.
+    pub fn kill(mut self) {
+        self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
     }
 
     /// Where it listens, `http://address:port`.
@@ -54,15 +110,9 @@ impl Program {
         &self.base
     }
 
-    /// Its process.
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
     /// Sends `-TERM`, say.
     pub fn signal(&self, name: &str) {
-        let sent = Command::new("kill").args([name, &self.child.id().to_string()]).status();
-        assert!(sent.expect("kill is there").success());
+        signal(name, self.id());
     }
 
     /// Waits for the end, at most 30 s; gives the log.
@@ -75,8 +125,8 @@ impl Program {
             assert!(started.elapsed() < Duration::from_secs(30), "it does not end within 30 s");
             std::thread::sleep(Duration::from_millis(20));
         };
-        let log = self.log.take().expect("it ends once").join().expect("reading cannot fail");
-        (status.code(), log)
+        self.reader.take().expect("it is read once").join().expect("it reads to the end");
+        (status.code(), std::mem::take(&mut *self.log.lock().expect("nobody panics with it")))
     }
 }
 

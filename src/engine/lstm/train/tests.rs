@@ -1,6 +1,8 @@
 //! Training against known systems, the twin and wrong use.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::super::predict::predict_on;
@@ -8,7 +10,33 @@ use super::super::samples::{noise, settings};
 use super::super::settings::{Optimizer, Recombine, Schedule};
 use super::*;
 use crate::engine::Progress;
+use crate::engine::checkpoint::Forget;
 use crate::engine::progress::unwatched;
+
+/// [`super::train`] that keeps nothing.
+fn train(
+    training: &[Stretch],
+    validation: &[Stretch],
+    start: &LstmNet,
+    settings: &LstmSettings,
+    seed: u64,
+    watch: Watch<'_>,
+) -> Result<Trained, EngineError> {
+    super::train(training, validation, start, (settings, seed), (&Forget, ""), watch)
+}
+
+/// [`super::train_on`] that keeps nothing.
+fn train_on(
+    isa: Isa,
+    training: &[Stretch],
+    validation: &[Stretch],
+    start: &LstmNet,
+    settings: &LstmSettings,
+    seed: u64,
+    watch: Watch<'_>,
+) -> Result<Trained, EngineError> {
+    super::train_on(isa, training, validation, start, (settings, seed), (&Forget, ""), watch)
+}
 
 /// A first-order lag behind a saturation, `y' = 0.7 y + 0.5 tanh(1.5 x)`: ring-down some 13
 /// samples, within the burn-in of 16. Two outputs, the second with the opposite sign and delayed by one sample.
@@ -223,4 +251,109 @@ fn speed() {
         let s = begin.elapsed().as_secs_f64();
         println!("batch {batch_size}: {:.0} windows/s", (settings.epochs * 2342) as f64 / s);
     }
+}
+
+/// Keeps what is put by, and says that it is time to after every `every`-th mini-batch.
+struct Memory {
+    every: usize,
+    asked: AtomicUsize,
+    kept: Mutex<BTreeMap<String, Vec<u8>>>,
+}
+
+impl Memory {
+    fn new(every: usize) -> Self {
+        Self { every, asked: AtomicUsize::new(0), kept: Mutex::default() }
+    }
+}
+
+impl Keeper for Memory {
+    fn kept(&self, part: &str) -> Option<Vec<u8>> {
+        self.kept.lock().unwrap().get(part).cloned()
+    }
+
+    fn due(&self, _: &str, done: bool) -> bool {
+        done || (self.asked.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(self.every)
+    }
+
+    fn keep(&self, part: &str, state: Vec<u8>) {
+        self.kept.lock().unwrap().insert(part.to_owned(), state);
+    }
+}
+
+#[test]
+fn a_training_that_was_interrupted_anywhere_ends_as_one_that_was_not() {
+    let (training, validation) = ([lag(2000, 1, 0), lag(900, 2, 0)], [lag(300, 3, 50)]);
+    for optimizer in [Optimizer::Adam, Optimizer::Rmsprop] {
+        let settings = LstmSettings { optimizer, batch_size: 20, epochs: 3, ..settings() };
+        let start = begin(1, 2);
+        let whole = train(&training, &validation, &start, &settings, 7, &unwatched).unwrap();
+        let steps = AtomicUsize::new(0);
+        let count = |_: Progress<'_>| {
+            steps.fetch_add(1, Ordering::Relaxed);
+            ControlFlow::Continue(())
+        };
+        train(&training, &validation, &start, &settings, 7, &count).unwrap();
+        let steps = steps.into_inner();
+        assert!(steps > 10, "several mini-batches an epoch: {steps}");
+        // Asked to stop after each mini-batch in turn, the last of an epoch and of all among them.
+        for stop_at in 1..steps {
+            let memory = Memory::new(usize::MAX);
+            let seen = AtomicUsize::new(0);
+            let stop = |_: Progress<'_>| match seen.fetch_add(1, Ordering::Relaxed) + 1 == stop_at {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            };
+            let kept = (&memory as &dyn Keeper, "seed");
+            let stopped = super::train(&training, &validation, &start, (&settings, 7), kept, &stop);
+            assert_eq!(stopped.unwrap_err(), EngineError::Cancelled);
+            let resumed = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+            assert_eq!(resumed.unwrap(), whole, "stopped after mini-batch {stop_at}");
+            let again = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+            assert_eq!(again.unwrap(), whole, "the end is kept too");
+        }
+    }
+}
+
+#[test]
+fn a_training_that_died_goes_on_from_its_last_checkpoint() {
+    let (training, validation) = ([lag(2000, 1, 0)], [lag(300, 3, 50)]);
+    let (settings, start) = (settings(), begin(1, 2));
+    let whole = train(&training, &validation, &start, &settings, 7, &unwatched).unwrap();
+    let memory = Memory::new(3);
+    let seen = AtomicUsize::new(0);
+    let kept = (&memory as &dyn Keeper, "seed");
+    let die = |_: Progress<'_>| {
+        assert!(seen.fetch_add(1, Ordering::Relaxed) < 4, "as good as dead");
+        ControlFlow::Continue(())
+    };
+    let died = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        super::train(&training, &validation, &start, (&settings, 7), kept, &die)
+    }));
+    assert!(died.is_err());
+    let steps = AtomicUsize::new(0);
+    let count = |_: Progress<'_>| {
+        steps.fetch_add(1, Ordering::Relaxed);
+        ControlFlow::Continue(())
+    };
+    let resumed = super::train(&training, &validation, &start, (&settings, 7), kept, &count);
+    assert_eq!(resumed.unwrap(), whole);
+    let resumed = steps.swap(0, Ordering::Relaxed);
+    train(&training, &validation, &start, &settings, 7, &count).unwrap();
+    assert_eq!(steps.into_inner() - resumed, 3, "three mini-batches were not done again");
+}
+
+#[test]
+fn a_state_of_another_training_is_not_used() {
+    let (training, validation) = ([lag(2000, 1, 0)], [lag(300, 3, 50)]);
+    let (settings, start) = (settings(), begin(1, 2));
+    let whole = train(&training, &validation, &start, &settings, 7, &unwatched).unwrap();
+    let other = LstmSettings { blocks: vec![5], ..settings.clone() };
+    let memory = Memory::new(1);
+    let kept = (&memory as &dyn Keeper, "seed");
+    super::train(&training, &validation, &sized(1, &[5], 2), (&other, 7), kept, &unwatched).unwrap();
+    let trained = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+    assert_eq!(trained.unwrap(), whole, "of other sizes");
+    memory.keep("seed", b"{".to_vec());
+    let trained = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+    assert_eq!(trained.unwrap(), whole, "no state at all");
 }

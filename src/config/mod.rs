@@ -1,14 +1,22 @@
 //! What the program can be told: flags, each with an environment variable behind it.
 
+mod copies;
+mod jobs;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
 use crate::demo::DemoArgs;
 use crate::http::Limits;
+use crate::jobs::JobSettings;
 use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
+
+pub use copies::CopyArgs;
+pub use jobs::JobArgs;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -29,6 +37,25 @@ pub enum Command {
     /// Make tokens while the service is stopped.
     #[command(subcommand)]
     Token(TokenCommand),
+    /// Copy a data directory, which may be in use, into a new directory.
+    Backup(CopyArgs),
+    /// Make a new data directory from a backup.
+    Restore(CopyArgs),
+    /// Do one job for the `rigcast serve` that starts this process.
+    #[command(hide = true)]
+    Work(LogArgs),
+}
+
+/// How a process logs.
+#[derive(Debug, Clone, Args)]
+pub struct LogArgs {
+    /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
+    #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
+    pub log: String,
+
+    /// How log lines look.
+    #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
 }
 
 /// How `rigcast serve` runs.
@@ -43,17 +70,13 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
 
-    /// Jobs that run at the same time; a fit uses all cores by itself.
-    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub workers: u16,
+    /// Jobs.
+    #[command(flatten)]
+    pub jobs: JobArgs,
 
-    /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
-    #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
-    pub log: String,
-
-    /// How log lines look.
-    #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
-    pub log_format: LogFormat,
+    /// Logs.
+    #[command(flatten)]
+    pub log: LogArgs,
 
     /// Largest upload (run file or weights), bytes.
     #[arg(long, env = "RIGCAST_UPLOAD_LIMIT_BYTES", default_value_t = Limits::default().upload_bytes)]
@@ -75,25 +98,44 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// Where it will listen: what is open on loopback is not open beyond.
     pub listen: SocketAddr,
-    /// Jobs that run at the same time.
-    pub workers: u16,
+    /// How jobs are done.
+    pub jobs: JobSettings,
     /// Largest bodies that are read.
     pub limits: Limits,
 }
 
+/// A combination of settings that is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A lease must outlast heartbeats that fail.
+    #[error(
+        "--heartbeat-s {} and --lease-s {} do not go together: a heartbeat is at most a third of the lease",
+        heartbeat.as_secs_f64(), lease.as_secs_f64()
+    )]
+    Heartbeat {
+        /// Most time between two heartbeats.
+        heartbeat: Duration,
+        /// The lease.
+        lease: Duration,
+    },
+}
+
 impl ServeArgs {
-    /// The settings of the service.
-    pub fn config(&self) -> Config {
-        Config {
+    /// The settings of the service, once they have been found sound together.
+    ///
+    /// # Errors
+    /// [`ConfigError::Heartbeat`].
+    pub fn check(&self) -> Result<Config, ConfigError> {
+        Ok(Config {
             data_dir: self.data_dir.clone(),
             listen: self.listen,
-            workers: self.workers,
+            jobs: self.jobs.check(&self.log)?,
             limits: Limits {
                 json_bytes: self.json_limit_bytes,
                 drive_bytes: self.drive_limit_bytes,
                 upload_bytes: self.upload_limit_bytes,
             },
-        }
+        })
     }
 }
 
@@ -113,7 +155,7 @@ mod tests {
     fn the_default_listens_on_loopback_with_the_contracts_limits() {
         let args = serve(&[]);
         assert_eq!(args.listen.to_string(), "127.0.0.1:8080");
-        let config = args.config();
+        let config = args.check().expect("sound settings");
         assert_eq!(
             config.limits,
             Limits { json_bytes: 67_108_864, drive_bytes: 134_217_728, upload_bytes: 4_294_967_296 }
@@ -124,5 +166,23 @@ mod tests {
     #[test]
     fn no_workers_at_all_is_refused() {
         assert!(Cli::try_parse_from(["rigcast", "serve", "--workers", "0"]).is_err());
+    }
+
+    #[test]
+    fn jobs_get_processes_that_log_as_the_service_does() {
+        let jobs = serve(&["--log", "debug", "--job-memory-mib", "7"]).check().expect("sound").jobs;
+        let program = jobs.program.expect("a process for each job");
+        assert_eq!(program.arguments, ["work", "--log", "debug", "--log-format", "text"]);
+        assert_eq!(program.memory_bytes, 7 << 20);
+        let work = Cli::try_parse_from(["rigcast".into()].into_iter().chain(program.arguments));
+        assert!(matches!(work.expect("its arguments are read").command, Command::Work(_)));
+    }
+
+    #[test]
+    fn a_lease_outlasts_heartbeats_that_fail() {
+        assert!(serve(&["--lease-s", "3", "--heartbeat-s", "1"]).check().is_ok());
+        let message = serve(&["--lease-s", "3"]).check().expect_err("refused").to_string();
+        assert!(message.contains("--heartbeat-s 5 and --lease-s 3"), "{message}");
+        assert!(Cli::try_parse_from(["rigcast", "serve", "--lease-s", "NaN"]).is_err());
     }
 }

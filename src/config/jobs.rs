@@ -1,0 +1,107 @@
+//! Settings of jobs and of the processes that do them.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::{ConfigError, LogArgs};
+use crate::jobs::{JobSettings, WorkerProgram};
+
+/// How jobs are done.
+#[derive(Debug, Clone, Args)]
+pub struct JobArgs {
+    /// Jobs that run at the same time, each in a process of its own; a fit uses all cores by itself.
+    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub workers: u16,
+
+    /// How long a job stays with a worker that is not heard of, seconds; a worker process that is silent for
+    /// as long is killed.
+    #[arg(long, env = "RIGCAST_LEASE_S", default_value = "30", value_parser = seconds)]
+    pub lease_s: Duration,
+
+    /// Most time between two heartbeats of a job, seconds; at most a third of the lease.
+    #[arg(long, env = "RIGCAST_HEARTBEAT_S", default_value = "5", value_parser = seconds)]
+    pub heartbeat_s: Duration,
+
+    /// How often jobs of lost workers are looked for, seconds.
+    #[arg(long, env = "RIGCAST_SWEEP_S", default_value = "10", value_parser = seconds)]
+    pub sweep_s: Duration,
+
+    /// Most time between two checkpoints of a fit, seconds.
+    #[arg(long, env = "RIGCAST_CHECKPOINT_S", default_value = "30", value_parser = at_most_a_minute)]
+    pub checkpoint_s: Duration,
+
+    /// Memory that the process of one job may hold, MiB [default: three quarters of the machine's, shared by
+    /// the workers].
+    #[arg(long, env = "RIGCAST_JOB_MEMORY_MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
+    pub job_memory_mib: Option<u64>,
+
+    /// How long one attempt of a job may take, seconds.
+    #[arg(long, env = "RIGCAST_JOB_TIME_LIMIT_S", default_value = "86400", value_parser = seconds)]
+    pub job_time_limit_s: Duration,
+}
+
+/// A time of a tenth of a second to a year; fractions are for tests.
+fn seconds(text: &str) -> Result<Duration, String> {
+    let limit = "a number of seconds from 0.1 to 31536000";
+    let seconds: f64 = text.parse().map_err(|_| limit.to_owned())?;
+    if (0.1..=31_536_000.0).contains(&seconds) {
+        Ok(Duration::from_secs_f64(seconds))
+    } else {
+        Err(limit.into())
+    }
+}
+
+/// A time of a tenth of a second to a minute: a crash costs two of them at most.
+fn at_most_a_minute(text: &str) -> Result<Duration, String> {
+    let minute = Duration::from_secs(60);
+    seconds(text)
+        .ok()
+        .filter(|time| *time <= minute)
+        .ok_or_else(|| "a number of seconds from 0.1 to 60".into())
+}
+
+impl JobArgs {
+    /// The settings, once they have been found sound together.
+    pub(super) fn check(&self, log: &LogArgs) -> Result<JobSettings, ConfigError> {
+        if self.heartbeat_s * 3 > self.lease_s {
+            return Err(ConfigError::Heartbeat { heartbeat: self.heartbeat_s, lease: self.lease_s });
+        }
+        let memory = self.job_memory_mib.map(|mib| mib << 20);
+        let program = WorkerProgram {
+            program: own_program(),
+            arguments: log.as_arguments("work"),
+            memory_bytes: memory.unwrap_or_else(|| WorkerProgram::default_memory_bytes(self.workers)),
+            time_limit: self.job_time_limit_s,
+        };
+        Ok(JobSettings {
+            workers: self.workers.into(),
+            lease: self.lease_s,
+            heartbeat: self.heartbeat_s,
+            sweep: self.sweep_s,
+            checkpoint_every: self.checkpoint_s,
+            program: Some(program),
+            ..JobSettings::default()
+        })
+    }
+}
+
+/// This program, even after another version has taken the place of its file.
+fn own_program() -> PathBuf {
+    if cfg!(target_os = "linux") {
+        return PathBuf::from("/proc/self/exe");
+    }
+    std::env::current_exe().unwrap_or_else(|_| PathBuf::from("rigcast"))
+}
+
+impl LogArgs {
+    /// A subcommand that logs in the same way.
+    fn as_arguments(&self, subcommand: &str) -> Vec<OsString> {
+        use clap::ValueEnum;
+        let format =
+            self.log_format.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+        [subcommand, "--log", &self.log, "--log-format", &format].map(OsString::from).to_vec()
+    }
+}

@@ -1,0 +1,160 @@
+//! What a worker process may take, and how it is seen.
+
+use std::time::{Duration, Instant};
+
+use super::LOOK_EVERY;
+use crate::domain::Problem;
+use crate::jobs::problem::{JobError, codes};
+
+/// Why a worker is killed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Cut {
+    /// It holds more memory than it may.
+    Memory { limit_bytes: u64 },
+    /// It has run for longer than it may.
+    Time { limit: Duration },
+    /// It was not heard of for so long: it is frozen.
+    Silent { limit: Duration },
+    /// It was told to stop and did not.
+    Disobedient,
+}
+
+impl Cut {
+    /// As the end of an attempt.
+    pub(super) fn ends(self) -> JobError {
+        let retry =
+            |code, title: &str, detail: String| JobError::retry(Problem::new(500, code, title, detail));
+        match self {
+            Self::Memory { limit_bytes } => {
+                let detail = format!(
+                    "The job took more than {} MiB of memory, the limit (--job-memory-mib).",
+                    limit_bytes >> 20
+                );
+                retry(codes::JOB_MEMORY, "The job took too much memory", detail)
+            }
+            Self::Time { limit } => {
+                let detail = format!(
+                    "An attempt took longer than {} s, the limit (--job-time-limit-s).",
+                    limit.as_secs_f64()
+                );
+                retry(codes::JOB_TIME_LIMIT, "The job took too long", detail)
+            }
+            Self::Silent { limit } => {
+                let detail =
+                    format!("The worker process was not heard of for {} s, a lease.", limit.as_secs_f64());
+                retry(codes::JOB_CRASHED, "The worker process died", detail)
+            }
+            Self::Disobedient => JobError::Stopped,
+        }
+    }
+}
+
+/// What is known of a worker that runs.
+pub(super) struct Watch {
+    pub pid: Option<u32>,
+    pub memory_bytes: u64,
+    pub time_limit: Duration,
+    pub silence: Duration,
+    pub started: Instant,
+    /// When it was last looked at.
+    pub looked: Instant,
+    /// How long nothing was heard while somebody listened: a server that was frozen itself heard
+    /// nothing either.
+    pub silent_for: Duration,
+    /// Until when it has to end, once it was told to stop.
+    pub stop_by: Option<Instant>,
+}
+
+impl Watch {
+    /// Looks at it; whether it must be killed now.
+    pub(super) fn look(&mut self) -> Option<Cut> {
+        self.silent_for += self.looked.elapsed().min(2 * LOOK_EVERY);
+        self.looked = Instant::now();
+        if self.stop_by.is_some_and(|by| Instant::now() >= by) {
+            return Some(Cut::Disobedient);
+        }
+        if self.started.elapsed() > self.time_limit {
+            return Some(Cut::Time { limit: self.time_limit });
+        }
+        if self.silent_for > self.silence {
+            return Some(Cut::Silent { limit: self.silence });
+        }
+        let resident = self.pid.and_then(resident_bytes);
+        resident
+            .is_some_and(|bytes| bytes > self.memory_bytes)
+            .then_some(Cut::Memory { limit_bytes: self.memory_bytes })
+    }
+}
+
+/// Memory that a process holds; unknown where there is no `/proc`.
+fn resident_bytes(pid: u32) -> Option<u64> {
+    kib_of(&std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?, "VmRSS:")
+}
+
+/// A line like `VmRSS:   123 kB`, in bytes.
+fn kib_of(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// How often the system has killed for want of memory since it started.
+pub(super) fn out_of_memory_kills() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/vmstat").ok()?;
+    text.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
+}
+
+/// Three quarters of the memory that this process may have, shared by so many workers.
+pub(super) fn default_memory_bytes(workers: usize) -> u64 {
+    let machine = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| kib_of(&text, "MemTotal:"));
+    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
+    let group = group.and_then(|text| text.trim().parse::<u64>().ok());
+    let all = machine.into_iter().chain(group).min().unwrap_or(u64::MAX);
+    all / 4 * 3 / workers.max(1) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn watch() -> Watch {
+        let (limit, now) = (Duration::from_secs(60), Instant::now());
+        Watch {
+            pid: Some(std::process::id()),
+            memory_bytes: u64::MAX,
+            time_limit: limit,
+            silence: limit,
+            started: now,
+            looked: now,
+            silent_for: Duration::ZERO,
+            stop_by: None,
+        }
+    }
+
+    #[test]
+    fn each_limit_is_seen_and_named() {
+        assert_eq!(watch().look(), None);
+        let zero = Duration::ZERO;
+        let code = |mut watch: Watch| match watch.look().expect("a limit is passed").ends() {
+            JobError::Retry(problem) => problem.code,
+            JobError::Stopped => "stopped".into(),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(code(Watch { time_limit: zero, ..watch() }), codes::JOB_TIME_LIMIT);
+        let silent = || Watch { silent_for: Duration::from_secs(61), ..watch() };
+        assert_eq!(code(silent()), codes::JOB_CRASHED);
+        // Frozen together with its server.
+        let looked = Instant::now().checked_sub(Duration::from_secs(61)).unwrap();
+        assert_eq!(Watch { looked, ..watch() }.look(), None);
+        assert_eq!(code(Watch { stop_by: Some(Instant::now()), ..watch() }), "stopped");
+        if cfg!(target_os = "linux") {
+            assert_eq!(code(Watch { memory_bytes: 1 << 16, ..watch() }), codes::JOB_MEMORY);
+        }
+    }
+
+    #[test]
+    fn memory_is_read_from_the_systems_words() {
+        assert_eq!(kib_of("Name:\tx\nVmRSS:\t  12 kB\n", "VmRSS:"), Some(12 << 10));
+        assert_eq!(kib_of("Name:\tx\n", "VmRSS:"), None);
+        assert!(default_memory_bytes(1) >= 2 * default_memory_bytes(2));
+    }
+}

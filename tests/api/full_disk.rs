@@ -1,0 +1,128 @@
+//! A disk that is full: uploads, imports and jobs are refused in so many words, predictions go on,
+//! nothing acknowledged is lost, and with room again everything works again.
+//!
+//! Needs a small file system of its own: skipped where the user may not mount one.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use rigcast::client::{Client, ClientError};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::support::{Program, bench, gain_weights, noise_csv};
+
+/// A file system of a few megabytes in memory.
+struct SmallDisk(TempDir);
+
+impl SmallDisk {
+    fn mount(mebibytes: u32) -> Option<Self> {
+        let directory = TempDir::new().expect("a directory");
+        let size = format!("size={mebibytes}m");
+        let mounted =
+            Command::new("mount").args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(directory.path()).output();
+        mounted.is_ok_and(|done| done.status.success()).then_some(Self(directory))
+    }
+
+    fn data_dir(&self) -> PathBuf {
+        self.0.path().join("data")
+    }
+
+    /// A file that takes whatever room is left.
+    fn fill(&self) -> PathBuf {
+        let path = self.0.path().join("ballast");
+        let mut ballast = std::fs::File::create(&path).expect("a file");
+        for piece in [1 << 16, 1 << 10, 1] {
+            while std::io::Write::write_all(&mut ballast, &vec![0; piece]).is_ok() {}
+        }
+        path
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        // What cannot be unmounted is left to whoever cleans up after the tests.
+        let _ = Command::new("umount").arg("-l").arg(self.0.path()).status();
+    }
+}
+
+/// Status and code of a refusal.
+fn refusal<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> (u16, String) {
+    match answer {
+        Err(ClientError::Problem { status, problem }) => {
+            (status, problem["code"].as_str().unwrap_or_default().into())
+        }
+        other => panic!("no refusal: {other:?}"),
+    }
+}
+
+async fn upload(client: &Client, seed: u64, samples: usize) -> Result<Value, ClientError> {
+    client.upload("bench", &[("kind", "noise")], "text/csv", noise_csv(samples, seed).into_bytes()).await
+}
+
+fn size(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |found| found.len())
+}
+
+#[tokio::test]
+async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
+    let Some(disk) = SmallDisk::mount(16) else {
+        println!("skipped: no file system can be mounted here");
+        return;
+    };
+    let program = Program::start_on(&disk.data_dir(), &[]);
+    let client = Client::new(program.base(), None).expect("a client");
+    client.post("/v1/rigs", &bench()).await.expect("a rig");
+    client.import("bench", gain_weights(&["u"], &["y"], 2.0)).await.expect("a model");
+    let mut runs = vec![upload(&client, 0, 3000).await.expect("a run")];
+    let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
+    for round in 1..=4 {
+        // Filled by uploads, or at once by somebody else.
+        let ballast = (round % 2 == 0).then(|| disk.fill());
+        let full = loop {
+            match upload(&client, 100 * round + runs.len() as u64, 20_000).await {
+                Ok(run) => runs.push(run),
+                refused => break refusal(refused),
+            }
+        };
+        assert_eq!(full, (507, "store.full".into()));
+        let filler = disk.fill();
+        for seed in 0..25 {
+            let refused = refusal(upload(&client, seed, 20_000).await);
+            assert_eq!(refused, (507, "store.full".into()));
+            client.post("/v1/rigs/bench/predict", &drive).await.expect("predictions go on");
+        }
+        let refused = refusal(client.fit("bench", &json!({"kind": "frf"})).await);
+        assert!([507, 503].contains(&refused.0), "{refused:?}");
+        let ready = client.get("/readyz?verbose").await.expect("ready to predict");
+        assert_eq!(ready["checks"]["store"], "full");
+        std::fs::remove_file(filler).expect("room");
+        if let Some(ballast) = ballast.filter(|path| size(path) > 0) {
+            std::fs::remove_file(ballast).expect("room");
+        }
+        let last = runs.pop().expect("a run");
+        let room = Instant::now();
+        let path = format!("/v1/rigs/bench/runs/{}", last["id"].as_str().expect("an id"));
+        while client.delete(&path).await.is_err() {
+            assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        loop {
+            match upload(&client, 100 * round + 99, 3000).await {
+                Ok(run) => break runs.push(run),
+                Err(_) => assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds"),
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    }
+    program.kill();
+    let program = Program::start_on(&disk.data_dir(), &[]);
+    let client = Client::new(program.base(), None).expect("a client");
+    for run in &runs {
+        let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+        assert_eq!(client.get(&path).await.expect("it is there")["sha256"], run["sha256"]);
+        client.get(&format!("{path}/data?to_s=1")).await.expect("and whole");
+    }
+    println!("a disk filled 4 times: {} runs acknowledged and there, every prediction answered", runs.len());
+}

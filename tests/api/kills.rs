@@ -1,0 +1,211 @@
+//! The real program, killed at random moments of uploads, imports, fits and publishing: what it has
+//! acknowledged is there after every restart, whole, and every job comes to an end.
+//!
+//! `RIGCAST_TEST_KILLS=200 cargo test --test api kills -- --nocapture` kills more often.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rigcast::client::Client;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use tempfile::TempDir;
+
+use crate::support::{Program, bench, gain_weights, noise_csv};
+
+/// What the program has said yes to.
+#[derive(Debug, Clone, Default)]
+struct Acknowledged {
+    /// Digest of each run by its id.
+    runs: BTreeMap<String, String>,
+    /// Digest of each imported model by its version.
+    models: BTreeMap<u64, String>,
+    jobs: BTreeSet<String>,
+}
+
+type Shared = Arc<Mutex<Acknowledged>>;
+
+const ENVIRONMENT: [(&str, &str); 4] = [
+    ("RIGCAST_LEASE_S", "3"),
+    ("RIGCAST_HEARTBEAT_S", "0.5"),
+    ("RIGCAST_SWEEP_S", "0.5"),
+    ("RIGCAST_CHECKPOINT_S", "0.3"),
+];
+
+fn setting(name: &str, default: u64) -> u64 {
+    std::env::var(name).map_or(default, |value| value.parse().expect("a number"))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+fn text(value: &Value) -> String {
+    value.as_str().unwrap_or_else(|| panic!("no text: {value}")).to_owned()
+}
+
+/// Uploads until the program is gone.
+async fn upload(base: String, seen: Shared, mut seed: u64) {
+    let client = Client::new(&base, None).expect("a client");
+    loop {
+        seed += 1;
+        let file = noise_csv(3000, seed).into_bytes();
+        let digest = hex(&file);
+        let Ok(run) = client.upload("bench", &[("kind", "noise")], "text/csv", file).await else { return };
+        assert_eq!(run["sha256"], digest);
+        seen.lock().expect("whole").runs.insert(text(&run["id"]), digest);
+    }
+}
+
+/// Imports models until the program is gone.
+async fn import(base: String, seen: Shared, seed: u64) {
+    let client = Client::new(&base, None).expect("a client");
+    for gain in 0.. {
+        let weights = gain_weights(&["u"], &["y"], 1.0 + (seed * 1000 + gain) as f64);
+        let Ok(model) = client.import("bench", weights).await else { return };
+        let version = model["version"].as_u64().expect("a version");
+        seen.lock().expect("whole").models.insert(version, text(&model["sha256"]));
+    }
+}
+
+/// Asks for fits, short and longer ones, until the program is gone; never for more than a few at once.
+async fn fit(base: String, seen: Shared) {
+    let client = Client::new(&base, None).expect("a client");
+    let lstm = json!({"blocks": [8], "window_len": 64, "epochs": 30, "seeds": [1, 2]});
+    let requests = [json!({"kind": "frf"}), json!({"kind": "hybrid2", "lstm": lstm})];
+    for request in requests.iter().cycle() {
+        let Ok(waiting) = client.get("/v1/jobs?state=queued").await else { return };
+        if waiting["items"].as_array().map_or(0, Vec::len) < 3 {
+            let Ok(job) = client.fit("bench", request).await else { return };
+            seen.lock().expect("whole").jobs.insert(job);
+        }
+        tokio::time::sleep(Duration::from_millis(30)).await;
+    }
+}
+
+/// All items of a list.
+async fn all(client: &Client, path: &str) -> Vec<Value> {
+    let (mut items, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let mut page = client.get(&format!("{path}?limit=1000{cursor}")).await.expect("a list");
+        items.append(page["items"].as_array_mut().expect("items"));
+        match page["next"].as_str() {
+            Some(next) => cursor = format!("&cursor={next}"),
+            None => return items,
+        }
+    }
+}
+
+/// Holds everything acknowledged against what is there, and reads every object that is not in `read`.
+async fn check(base: &str, seen: &Acknowledged, read: &mut BTreeSet<String>) {
+    let client = Client::new(base, None).expect("a client");
+    let runs: BTreeMap<String, String> = all(&client, "/v1/rigs/bench/runs")
+        .await
+        .iter()
+        .map(|run| (text(&run["id"]), text(&run["sha256"])))
+        .collect();
+    for (id, digest) in &seen.runs {
+        assert_eq!(runs.get(id), Some(digest), "an acknowledged run");
+    }
+    for id in runs.keys().filter(|id| read.insert((*id).clone())) {
+        client
+            .get(&format!("/v1/rigs/bench/runs/{id}/data?to_s=1"))
+            .await
+            .expect("every listed run is whole");
+    }
+    let models = all(&client, "/v1/rigs/bench/models").await;
+    let mut jobs = BTreeSet::new();
+    let mut digests = BTreeMap::new();
+    for model in &models {
+        let version = model["version"].as_u64().expect("a version");
+        digests.insert(version, text(&model["sha256"]));
+        if read.insert(format!("model {version}")) {
+            let url = format!("{base}/v1/rigs/bench/models/{version}/weights");
+            let weights = reqwest::get(url).await.expect("an answer").bytes().await.expect("weights");
+            assert_eq!(hex(&weights), digests[&version], "a listed model is whole");
+        }
+        if let Some(job) = model["job"].as_str() {
+            assert!(jobs.insert(job.to_owned()), "job {job} has made two models");
+        }
+    }
+    for (version, digest) in &seen.models {
+        assert_eq!(digests.get(version), Some(digest), "an acknowledged model");
+    }
+    let known: BTreeSet<String> = all(&client, "/v1/jobs").await.iter().map(|job| text(&job["id"])).collect();
+    assert!(seen.jobs.is_subset(&known), "an acknowledged job is gone");
+    assert_eq!(client.get("/readyz?verbose").await.expect("ready")["degraded"], json!([]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_acknowledged_is_lost_to_kills_and_every_job_comes_to_an_end() {
+    let kills = setting("RIGCAST_TEST_KILLS", 10);
+    let clock = std::time::SystemTime::UNIX_EPOCH.elapsed().expect("after 1970").as_millis();
+    let seed = setting("RIGCAST_TEST_SEED", clock as u64 % 1_000_000);
+    println!("RIGCAST_TEST_SEED={seed}");
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let directory = TempDir::new().expect("a directory");
+    let seen = Shared::default();
+    // Objects that were read whole after a restart; at the end all are read once more.
+    let mut read = BTreeSet::new();
+    for kill in 0..=kills {
+        let program = Program::start(&directory, &ENVIRONMENT);
+        let base = program.base().to_owned();
+        if kill == 0 {
+            let client = Client::new(&base, None).expect("a client");
+            client.post("/v1/rigs", &bench()).await.expect("a rig");
+            let file = noise_csv(3000, 0).into_bytes();
+            client.upload("bench", &[("kind", "noise")], "text/csv", file).await.expect("a run");
+        }
+        let so_far = seen.lock().expect("whole").clone();
+        check(&base, &so_far, &mut read).await;
+        if kill == kills {
+            finish(&base).await;
+            check(&base, &so_far, &mut BTreeSet::new()).await;
+            program.signal("-TERM");
+            assert_eq!(program.ended().0, Some(0));
+            break;
+        }
+        let load = [
+            tokio::spawn(upload(base.clone(), seen.clone(), 1_000_000 * (kill + 1))),
+            tokio::spawn(import(base.clone(), seen.clone(), kill)),
+            tokio::spawn(fit(base.clone(), seen.clone())),
+        ];
+        tokio::time::sleep(Duration::from_millis(random.random_range(20..1500))).await;
+        program.kill();
+        for task in load {
+            task.await.expect("no acknowledgement was a lie");
+        }
+    }
+    let seen = seen.lock().expect("whole");
+    let (runs, models, jobs) = (seen.runs.len(), seen.models.len(), seen.jobs.len());
+    println!("{kills} kills: {runs} runs, {models} imported models and {jobs} jobs acknowledged, none lost");
+    assert!(runs > 0 && models > 0 && jobs > 0);
+}
+
+/// Until every job has ended, and as it should.
+async fn finish(base: &str) {
+    let client = Client::new(base, None).expect("a client");
+    let started = Instant::now();
+    for job in all(&client, "/v1/jobs").await {
+        let job = loop {
+            let found = client.get(&format!("/v1/jobs/{}", text(&job["id"]))).await.expect("the job");
+            if !["queued", "running"].contains(&found["state"].as_str().unwrap_or_default()) {
+                break found;
+            }
+            assert!(started.elapsed() < Duration::from_secs(300), "{found}");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        };
+        if job["state"] == "succeeded" {
+            client.fitted_model(&job).await.expect("its model");
+        } else {
+            assert_eq!(
+                (&job["state"], job["problem"]["code"].is_string()),
+                (&json!("failed"), true),
+                "{job}"
+            );
+        }
+    }
+}
