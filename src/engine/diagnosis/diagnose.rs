@@ -64,7 +64,7 @@ fn finish(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    verdict: Verdict,
+    mut verdict: Verdict,
     outcome: Option<Outcome>,
     watch: Watch<'_>,
 ) -> Result<Diagnosis, EngineError> {
@@ -73,6 +73,7 @@ fn finish(
     let two = second_effect(input, prepared, overview, &ranked, verdict.effect);
     if let (Some(two), None) = (&two, verdict.effect) {
         ranked[..=two.first].rotate_right(1);
+        verdict = verdict.or_two(input, prepared, overview, &ranked[0], two);
     }
     report(watch, "second effect", 0.88)?;
     let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();

@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
 use super::catalogue::{FreeRanges, parts};
-use super::decide::Ranked;
+use super::decide::{Ranked, of_two};
+use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
 use super::held_out::{Place, held_out};
@@ -16,7 +17,7 @@ use super::pairs::best_pair;
 use super::prepare::Prepared;
 use super::problem::Problem;
 use super::report::SecondEffect;
-use super::score::{Scored, score};
+use super::score::{Scored, remaining, score};
 use super::start::Regression;
 
 /// Above this a second effect is tried.
@@ -46,6 +47,9 @@ pub(super) struct Two {
     /// The first's place among the ranked ones.
     pub first: usize,
     pub second: SecondEffect,
+    /// How believable it is that these two, of two families, are what the sim lacks; 0 where they were not
+    /// sought together.
+    pub probability: f64,
 }
 
 /// A second effect where one leaves more than the noise: the best pair at the first's host if the verdict
@@ -67,7 +71,7 @@ pub(super) fn second_effect(
         }
     }
     let second = on_top(input, prepared, overview, first, (rest, acts))?;
-    Some(Two { first: 0, second })
+    Some(Two { first: 0, second, probability: 0.0 })
 }
 
 /// The best pair of effects on one response, if it closes a good part of what the best one leaves.
@@ -101,8 +105,13 @@ fn together(
         [None, None] => return None,
     };
     let held = held_out(input, prepared, problem, &pair.fitted)?;
+    // Two of one family bend to almost anything.
+    let differ = members[0].effect.family() != members[1].effect.family();
+    let none = problem.chi2_none(&problem.select);
+    let rows = scored_rows(&problem.select);
     Some(Two {
         first,
+        probability: if differ { of_two(remaining(pair.chi2, none), none, rows) } else { 0.0 },
         second: SecondEffect {
             effect: second.effect,
             family: second.effect.family(),

@@ -1,13 +1,53 @@
 //! From the contest's outcome to the stated verdict.
 
 use super::contest::Outcome;
-use super::decide::{Ruling, rule};
+use super::decide::{Ranked, Ruling, rule};
 use super::effect::Effect;
 use super::hypothesis::{axis, closes_most};
 use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::prepare::Prepared;
 use super::report::{Verdict, VerdictKind};
+use super::second::Two;
+
+/// Below this probability two effects together are no answer.
+const SURE_OF_TWO: f64 = 0.7;
+
+impl Verdict {
+    /// The verdict where nothing of the catalogue alone is the answer and two effects together are: the
+    /// `first` is part of it.
+    pub(super) fn or_two(
+        self,
+        input: &Input,
+        prepared: &Prepared,
+        overview: &Overview,
+        first: &Ranked,
+        two: &Two,
+    ) -> Self {
+        if self.kind != VerdictKind::NoneOfCatalogue || two.probability < SURE_OF_TWO {
+            return self;
+        }
+        let effect = first.scored.effect();
+        let mut because = self.because;
+        because.push(format!(
+            "{} and {} together leave {:.2} noise floors squared",
+            effect.name(),
+            two.second.effect.name(),
+            two.second.chi2
+        ));
+        let channel = closes_most(first.scored.places(prepared), overview).problem.response;
+        Self {
+            kind: VerdictKind::Partial,
+            effect: Some(effect),
+            family: Some(effect.family()),
+            axis: axis(input, first.scored.problem, &first.scored.fitted.candidate.parts[0]),
+            channel: Some(input.responses[channel].name.clone()),
+            probability: two.probability,
+            equivalence_set: vec![effect],
+            because,
+        }
+    }
+}
 
 /// Rules on the outcome and says why.
 pub(super) fn judge(input: &Input, prepared: &Prepared, overview: &Overview, outcome: &Outcome) -> Verdict {
