@@ -138,12 +138,13 @@ impl Rows {
         self.extend(stretch, &mut rows);
         let mut rows = rows.into_iter();
         let mut lines = self.inverse.make_input_vec();
-        for i in self.first_line..self.first_line + self.weight.len() {
+        let band = lines[self.first_line..].iter_mut().take(self.weight.len());
+        for (line, z) in (self.first_line..).zip(band) {
             let re = rows.next().unwrap_or_default();
-            let im = if i == 0 { 0.0 } else { rows.next().unwrap_or_default() };
+            let im = if line == 0 { 0.0 } else { rows.next().unwrap_or_default() };
             // A line stands for itself and its conjugate: half of the power each.
-            let parts = if i == 0 { 1.0 } else { 0.5 };
-            lines[i] = Complex64::new(re, im) * f64::sqrt(parts / self.n as f64);
+            let parts = if line == 0 { 1.0 } else { 0.5 };
+            *z = Complex64::new(re, im) * f64::sqrt(parts / self.n as f64);
         }
         lines[0].im = 0.0;
         let mut out = self.inverse.make_output_vec();
