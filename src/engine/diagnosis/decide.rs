@@ -58,6 +58,8 @@ const STATED: Stated =
 
 /// Share of the gap that the right law leaves at most where nothing but the core errs.
 const PLAIN: f64 = 0.01;
+/// The same for two effects together, which bend to more.
+const OF_TWO: f64 = 0.001;
 /// Above this share left the catalogue does not hold the effect.
 const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
@@ -125,7 +127,7 @@ pub(super) fn allowed(plain: bool) -> f64 {
 
 /// Probability that two effects which together leave so much are what the sim lacks.
 pub(super) fn of_two(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
-    Ruling::Partial.stated(held(remaining, chi2_none, rows, PLAIN))
+    Ruling::Partial.stated(held(remaining, chi2_none, rows, OF_TWO))
 }
 
 /// Charge of one effect's tier and shape on the logarithm of the remaining share.
