@@ -83,3 +83,25 @@ async fn a_key_that_is_none_is_refused() {
         reply.problem(400, "idempotency_key.malformed");
     }
 }
+
+#[tokio::test]
+async fn a_key_is_its_tokens_own_and_opens_nothing() {
+    let mut app = TestApp::start();
+    app.close_doors().await;
+    let tokens = [
+        app.token(&json!({"role": "operator"})).await.0,
+        app.token(&json!({"role": "operator"})).await.0,
+    ];
+    let mut other = bench();
+    other["id"] = json!("other");
+    let create = async |token: Option<&str>, rig: &Value| {
+        app.call_as(token, "POST", "/v1/rigs").header(KEY, "same").json(rig).send().await
+    };
+    let first = create(Some(&tokens[0]), &bench()).await.expect(201);
+    assert_eq!(essence(&create(Some(&tokens[0]), &bench()).await), essence(&first));
+    // Another token's request under the same key is another request,
+    let second = create(Some(&tokens[1]), &other).await.expect(201);
+    assert_eq!(second.json()["id"], "other");
+    // and what was made is told to nobody without a token.
+    create(None, &bench()).await.problem(401, "token.missing");
+}
