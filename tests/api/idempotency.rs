@@ -88,10 +88,8 @@ async fn a_key_that_is_none_is_refused() {
 async fn a_key_is_its_tokens_own_and_opens_nothing() {
     let mut app = TestApp::start();
     app.close_doors().await;
-    let tokens = [
-        app.token(&json!({"role": "operator"})).await.0,
-        app.token(&json!({"role": "operator"})).await.0,
-    ];
+    let tokens =
+        [app.token(&json!({"role": "operator"})).await.0, app.token(&json!({"role": "operator"})).await.0];
     let mut other = bench();
     other["id"] = json!("other");
     let create = async |token: Option<&str>, rig: &Value| {

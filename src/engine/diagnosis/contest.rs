@@ -15,6 +15,7 @@ use super::overview::Overview;
 use super::prepare::Prepared;
 use super::score::{Scored, score};
 use super::start::Regression;
+use super::twins::exchange;
 use crate::engine::EngineError;
 use crate::engine::progress::{Watch, report};
 
@@ -84,7 +85,8 @@ pub(super) fn contest(
             Ok(fitted.map(|f| (*r, f)))
         })
         .collect::<Result<_, EngineError>>()?;
-    let fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
+    let mut fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
+    exchange(prepared, &mut fitted);
     let least = |r: usize| {
         let own = fitted.iter().filter(|f| f.0 == r);
         own.map(|f| f.1.chi2_fit).fold(f64::INFINITY, f64::min)

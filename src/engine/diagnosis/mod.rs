@@ -54,6 +54,7 @@ mod start;
 mod tangent;
 #[cfg(test)]
 pub(crate) mod tests;
+mod twins;
 mod verdict;
 pub mod views;
 mod whereabouts;
