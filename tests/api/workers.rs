@@ -160,6 +160,11 @@ async fn workers_end_with_a_server_that_is_killed_frozen_ones_too() {
         lab.once(&job, 0.0).await;
         let children = lab.program.children();
         assert_eq!(children.len(), 1);
+        // Its first act is to tie its life to the server's; what it does next shows that it has.
+        let tied = format!("/proc/{}/oom_score_adj", children[0]);
+        while std::fs::read_to_string(&tied).expect("it lives").trim() != "1000" {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
         if frozen {
             crate::support::signal("-STOP", children[0]);
         }
