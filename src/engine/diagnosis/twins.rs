@@ -58,7 +58,7 @@ mod tests {
     fn a_twin_pushes_alike() {
         let p = [0.7, 0.3, -0.2, 0.05, 0.01, 9.0];
         let q = twin(&p, 2);
-        assert_eq!(twin(&q, 2), p);
+        assert!(twin(&q, 2).iter().zip(&p).all(|(a, b)| (a - b).abs() < 1e-12));
         for y in [-1.5, -0.4, 0.2, 0.9] {
             let at = |law: &Law, gap: f64| {
                 law.at(&[gap], Instant { y, dy: 0.0, v: 0.0, t: 0.0, aux: 0.0 }, &mut [0.0; 6])
