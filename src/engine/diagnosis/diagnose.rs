@@ -16,6 +16,7 @@ use super::overview::{Overview, gaps};
 use super::prepare::{Prepared, prepare};
 use super::report::{
     DataSplit, Fingerprints, Gap, Hypothesis, NoiseSource, Remaining, Report, RunPart, SecondEffect, Verdict,
+    VerdictKind,
 };
 use super::second::second_effect;
 use super::verdict::judge;
@@ -70,8 +71,11 @@ fn finish(
 ) -> Result<Diagnosis, EngineError> {
     report(watch, "held-out closure", 0.8)?;
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
-    let two = second_effect(input, prepared, overview, &ranked, verdict.effect);
-    if let (Some(two), None) = (&two, verdict.effect) {
+    // What the verdict says stands; where it says nothing, two effects together may.
+    let nothing = verdict.kind == VerdictKind::NoneOfCatalogue;
+    let leader = ranked.first().map(|r| r.scored.effect()).filter(|_| !nothing);
+    let two = second_effect(input, prepared, overview, &ranked, leader);
+    if let Some(two) = two.as_ref().filter(|_| nothing) {
         ranked[..=two.first].rotate_right(1);
         verdict = verdict.or_two(input, prepared, overview, &ranked[0], two);
     }

@@ -14,8 +14,8 @@ use super::second::Two;
 const SURE_OF_TWO: f64 = 0.7;
 
 impl Verdict {
-    /// The verdict where nothing of the catalogue alone is the answer and two effects together are: the
-    /// `first` is part of it.
+    /// Where nothing of the catalogue alone is the answer: the `first` of two effects as part of it, if
+    /// both together are.
     pub(super) fn or_two(
         self,
         input: &Input,
@@ -24,7 +24,7 @@ impl Verdict {
         first: &Ranked,
         two: &Two,
     ) -> Self {
-        if self.kind != VerdictKind::NoneOfCatalogue || two.probability < SURE_OF_TWO {
+        if two.probability < SURE_OF_TWO {
             return self;
         }
         let effect = first.scored.effect();
