@@ -67,6 +67,11 @@ impl Flaw {
         matches!(self, Self::Nothing | Self::RaisedNoise | Self::Hum { .. } | Self::Quantisation)
     }
 
+    /// Whether it acts otherwise in the same run of another hour.
+    pub fn of_the_hour(self) -> bool {
+        matches!(self, Self::StiffnessDrift | Self::OffsetDrift | Self::DropOuts | Self::UnmeasuredForce)
+    }
+
     /// A drive after what is static or has a memory of samples.
     pub fn on_drive(self, drive: Vec<f64>, s: f64) -> Vec<f64> {
         let map = |f: &dyn Fn(f64) -> f64| drive.iter().map(|&u| f(u)).collect();

@@ -108,6 +108,16 @@ impl Rig {
     }
 
     fn run(&self, span: Span<'_>, flaws: &[Placed]) -> Motion {
+        match self.axes.len() {
+            1 => self.integrate::<STATES>(span, flaws),
+            2 => self.integrate::<{ 2 * STATES }>(span, flaws),
+            3 => self.integrate::<{ 3 * STATES }>(span, flaws),
+            axes => unreachable!("no suite has {axes} axes"),
+        }
+    }
+
+    /// `N` states, a number known to the compiler: the integrator is what making cases takes.
+    fn integrate<const N: usize>(&self, span: Span<'_>, flaws: &[Placed]) -> Motion {
         let h = 1.0 / (RATE * span.steps as f64);
         let n = span.drives[0].len();
         let commands: Vec<Vec<f64>> = (0..span.drives.len())
@@ -119,9 +129,8 @@ impl Rig {
         let axes = self.axes.len();
         let blank = || vec![Vec::with_capacity(n); axes];
         let mut motion = Motion { y: blank(), v: blank(), f: blank() };
-        let mut state = vec![0.0; axes * STATES];
-        let mut slopes = [state.clone(), state.clone(), state.clone(), state.clone()];
-        let mut moved = state.clone();
+        let mut state = [0.0; N];
+        let mut slopes = [[0.0; N]; 4];
         let mut input = Moment { drives: vec![0.0; commands.len()], clock: 0.0, seconds: 0.0 };
         for k in 0..n {
             for (a, axis) in self.axes.iter().enumerate() {
@@ -140,7 +149,7 @@ impl Rig {
                     }
                     input.clock = span.time[0] + span.time[1] * (k as f64 + place);
                     input.seconds = (k as f64 + place) / RATE;
-                    moved.copy_from_slice(&state);
+                    let mut moved = state;
                     if stage > 0 {
                         moved.iter_mut().zip(&slopes[stage - 1]).for_each(|(q, d)| *q += share * h * d);
                     }
