@@ -5,7 +5,7 @@ use super::input_map::InputMap;
 use super::kernel::{self, Force};
 use super::law::Law;
 use super::output_map::OutputMap;
-use super::problem::{Course, Plant, Problem, Stretch};
+use super::problem::{Course, Plant, Problem, Stretch, firsts};
 use super::spline::Spline;
 use serde::{Deserialize, Serialize};
 
@@ -145,11 +145,30 @@ impl Plant {
     pub(super) fn other(&self, stretch: &Course, other: Option<Other>) -> Vec<f64> {
         match other {
             None => Vec::new(),
-            Some(Other::Drive(d)) => stretch.drives[d].iter().map(|u| u / self.drive_peak[d]).collect(),
+            Some(Other::Drive(d)) => self.drive(stretch, d),
             Some(Other::Response(r)) => {
                 stretch.simulated[r].iter().map(|y| (y - self.other_mean[r]) / self.other_scale[r]).collect()
             }
         }
+    }
+
+    /// One drive of a stretch in units of its peak.
+    pub(super) fn drive(&self, stretch: &Course, drive: usize) -> Vec<f64> {
+        stretch.drives[drive].iter().map(|u| u / self.drive_peak[drive]).collect()
+    }
+
+    /// What a change of one drive, in units of its peak, adds to the response.
+    pub(super) fn path(&self, drive: usize, mut change: Vec<f64>) -> Vec<f64> {
+        change.iter_mut().for_each(|u| *u *= self.drive_peak[drive]);
+        self.core.path(drive, &change)
+    }
+
+    /// What a sensor's map makes of a response, in place.
+    pub(super) fn sense(&self, map: OutputMap, p: &[f64], stretch: &Course, y: &mut [f64]) {
+        let (mean, scale) = (self.scales.y_mean, self.scales.y);
+        y.iter_mut().for_each(|y| *y = (*y - mean) / scale);
+        map.apply(p, y, |k| stretch.clock.start + stretch.clock.step * k as f64);
+        y.iter_mut().for_each(|y| *y = *y * scale + mean);
     }
 }
 
@@ -187,11 +206,8 @@ impl Candidate {
         let simulated = &stretch.simulated[problem.response];
         let mut out: Vec<f64> =
             simulated.iter().zip(y.iter().zip(stretch.core.iter())).map(|(s, (y, c))| s + y - c).collect();
-        let (mean, scale) = (problem.scales.y_mean, problem.scales.y);
         for (map, p) in run.outputs {
-            out.iter_mut().for_each(|y| *y = (*y - mean) / scale);
-            map.apply(p, &mut out, |k| stretch.clock.start + stretch.clock.step * k as f64);
-            out.iter_mut().for_each(|y| *y = *y * scale + mean);
+            problem.sense(map, p, stretch, &mut out);
         }
         out.iter().all(|y| y.is_finite()).then_some(out)
     }
@@ -225,10 +241,8 @@ impl Candidate {
         for part in &self.parts {
             if let Some(map) = &part.input {
                 let p = take(map.parameters());
-                let peak = problem.drive_peak[part.drive];
-                let drive: Vec<f64> = stretch.drives[part.drive].iter().map(|u| u / peak).collect();
-                let change: Vec<f64> = map.change(p, &drive).iter().map(|d| d * peak).collect();
-                run.add(stretch, &core.path(part.drive, &change));
+                let change = map.change(p, &problem.drive(stretch, part.drive));
+                run.add(stretch, &problem.path(part.drive, change));
             }
             for law in &part.forces {
                 let (shape, path) = (take(law.shapes()), take(law.path(order)));
@@ -277,16 +291,36 @@ impl Candidate {
         run
     }
 
+    /// Whether it acts otherwise in the same run at another time.
+    pub(super) fn asks_for_time(&self) -> bool {
+        let drifts =
+            |part: &Part| part.forces.contains(&Law::StiffnessDrift) || part.output == Some(OutputMap::Drift);
+        self.parts.iter().any(drifts)
+    }
+
+    /// What each stretch gives, repeats that give the same only once.
+    pub(super) fn of_each<T: Clone>(
+        &self,
+        stretches: &[Stretch],
+        of: impl Fn(&Stretch) -> Option<T>,
+    ) -> Option<Vec<T>> {
+        let mut out: Vec<T> = Vec::with_capacity(stretches.len());
+        for (i, first) in firsts(stretches, self.asks_for_time()).into_iter().enumerate() {
+            let found = if first < i { out[first].clone() } else { of(&stretches[i])? };
+            out.push(found);
+        }
+        Some(out)
+    }
+
     /// Predictions of several stretches, `[stretch][sample]`.
     pub fn predictions(&self, problem: &Problem, stretches: &[Stretch], p: &[f64]) -> Option<Vec<Vec<f64>>> {
-        stretches.iter().map(|s| self.predict(problem, s, p)).collect()
+        self.of_each(stretches, |s| self.predict(problem, s, p))
     }
 
     /// Rows that the candidate leaves; `None` if a free run runs away.
     pub fn residual_rows(&self, problem: &Problem, stretches: &[Stretch], p: &[f64]) -> Option<Vec<f64>> {
         let mut rows = Vec::new();
-        for stretch in stretches {
-            let prediction = self.predict(problem, stretch, p)?;
+        for (stretch, prediction) in stretches.iter().zip(self.predictions(problem, stretches, p)?) {
             stretch.extend(&stretch.residual(&prediction), &mut rows);
         }
         rows.iter().all(|r| r.is_finite()).then_some(rows)

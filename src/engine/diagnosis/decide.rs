@@ -65,7 +65,7 @@ const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
 const PARTIAL: f64 = 0.02;
 /// and above this mean square, 1.2 times the RMS of the noise.
-const NOISE_LEFT: f64 = 1.44;
+pub(super) const NOISE_LEFT: f64 = 1.44;
 /// Share of what the winner leaves, below which a free shape that nothing needs speaks against it.
 const PLAINER: f64 = 0.5;
 /// Probability of an effect that may not be named.

@@ -84,6 +84,7 @@ fn finish(
     let made: Vec<(Hypothesis, Augmented)> =
         listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, overview, ranked)).collect();
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
+    let verdict = verdict.on_test(hypotheses.first());
     report(watch, "next experiment", 0.95)?;
     let next_experiment = next_experiment(input, prepared, &ranked);
     let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));

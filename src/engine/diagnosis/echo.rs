@@ -11,7 +11,7 @@ use super::effect::Effect;
 use super::fitting::{Effort, Fitted, fit, improve};
 use super::overview::{Overview, gaps};
 use super::prepare::Prepared;
-use super::problem::{Problem, Stretch};
+use super::problem::{Course, Problem, Stretch};
 use super::score::{Scored, blocks, remaining};
 use super::start::Regression;
 
@@ -30,15 +30,13 @@ impl Problem {
     /// free run runs away.
     pub fn carrying(&self, host: &Self, fitted: &Fitted) -> Option<Self> {
         let carried = |own: &[Stretch], of_host: &[Stretch]| -> Option<Vec<Stretch>> {
-            own.iter()
-                .zip(of_host)
-                .map(|(own, of_host)| {
-                    let laws = fitted.candidate.carry(host, of_host, &fitted.p)?;
-                    let mut stretch = own.clone();
-                    stretch.course.carried = Arc::new(laws);
-                    Some(stretch)
-                })
-                .collect()
+            let carry = |s: &Stretch| fitted.candidate.carry(host, s, &fitted.p).map(Arc::new);
+            let laws = fitted.candidate.of_each(of_host, carry)?;
+            let carrying = |(own, laws): (&Stretch, _)| {
+                let course = Course { carried: laws, ..own.course.clone() };
+                Stretch { course, ..own.clone() }
+            };
+            Some(own.iter().zip(laws).map(carrying).collect())
         };
         Some(Self {
             fit: carried(&self.fit, &host.fit)?,

@@ -37,20 +37,17 @@ impl InputMap {
         }
     }
 
-    /// Points from which a fit starts, for a drive with quantiles of `|u|` at 30, 60, 80, 95 % and
-    /// a mean change per sample of `slope`.
-    pub fn starts(&self, quantiles: [f64; 4], slope: f64) -> Vec<Vec<f64>> {
+    /// Points from which a fit starts, for a drive with quantiles of `|u|` at 30, 60, 80, 95, 99 and
+    /// 99.8 %, and a mean change per sample of `slope`.
+    pub fn starts(&self, quantiles: [f64; 6], slope: f64) -> Vec<Vec<f64>> {
         match self {
             Self::Gain => vec![vec![-0.1], vec![0.1]],
             Self::Delay => [1.0, 3.0, 8.0].iter().map(|&d| vec![d]).collect(),
             Self::ExtraPole => [0.03_f64, 0.1, 0.3, 1.0].iter().map(|w| vec![w.ln()]).collect(),
             Self::Saturation => {
-                let mut starts = Vec::new();
-                for low in &quantiles[1..] {
-                    starts.push(vec![*low, *low]);
-                }
-                starts.push(vec![1.0, quantiles[2]]);
-                starts.push(vec![quantiles[2], 1.0]);
+                let [_, middle, rest @ ..] = quantiles;
+                let mut starts = limits(&[rest[0], rest[1], rest[2], rest[3], 1.0]);
+                starts.push(vec![middle, middle]);
                 starts
             }
             Self::Polynomial => vec![vec![0.05, 0.05], vec![-0.05, -0.2], vec![0.2, 0.0], vec![-0.2, 0.0]],
@@ -121,6 +118,14 @@ impl InputMap {
             Self::Free(spline) => drive.iter().map(|&u| spline.at(p, u)).collect(),
         }
     }
+}
+
+/// Limits below and above from a list that ends with one that limits nothing.
+pub(super) fn limits(list: &[f64]) -> Vec<Vec<f64>> {
+    let mut all: Vec<Vec<f64>> =
+        list.iter().flat_map(|&low| list.iter().map(move |&high| vec![low, high])).collect();
+    all.pop();
+    all
 }
 
 /// A signal between its samples by cubic Lagrange interpolation, held at its ends.

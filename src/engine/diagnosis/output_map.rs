@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::input_map::limits;
 use super::law::EARLIEST;
 
 /// A map of one response; the response comes about its working point in units of its RMS.
@@ -36,11 +37,7 @@ impl OutputMap {
             Self::Offset => vec![vec![0.1]],
             Self::Drift => vec![vec![0.1, 0.0]],
             Self::Gain => vec![vec![0.05]],
-            Self::Saturation => {
-                let mut starts: Vec<Vec<f64>> = [0.8, 1.2, 1.6, 2.2].iter().map(|&l| vec![l, l]).collect();
-                starts.extend([vec![1.5, 5.0], vec![5.0, 1.5]]);
-                starts
-            }
+            Self::Saturation => limits(&[0.8, 1.2, 1.6, 2.2, 5.0]),
             Self::Polynomial => vec![vec![0.02, 0.01], vec![0.02, -0.01]],
             Self::Round => Vec::new(),
         }

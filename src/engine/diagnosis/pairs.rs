@@ -15,8 +15,6 @@ use super::problem::{Problem, Stretch};
 use super::score::remaining;
 use super::start::{Guess, Regression, Start, map_scale};
 
-/// Beginnings of one effect that meet those of others.
-const BEGINNINGS: usize = 6;
 /// Pairs whose free runs are fitted, those that go on, those that are fitted to their end; each with the
 /// Jacobians that it may take.
 const ROUNDS: [(usize, usize); 3] = [(16, 4), (6, 8), (2, 25)];
@@ -66,7 +64,7 @@ pub(super) fn best_pair(
     with: Option<Effect>,
 ) -> Option<Pair> {
     let target = problem.rows(&problem.fit, |s| s.gap(problem.response));
-    let beginnings = beginnings(problem, regression, parts, &target);
+    let beginnings = beginnings(problem, regression, parts);
     let bare = regression.retune(retune);
     let table = Table::new(&beginnings, &bare, &target);
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
@@ -118,13 +116,8 @@ pub(super) fn best_pair(
     finished.into_iter().min_by(|a, b| charged(a).total_cmp(&charged(b)))
 }
 
-/// The few best beginnings of each effect, alone.
-fn beginnings<'p>(
-    problem: &Problem,
-    regression: &Regression<'_>,
-    parts: &'p [Part],
-    target: &[f64],
-) -> Vec<Beginning<'p>> {
+/// Every beginning of each effect: which is best alone says little of which is best beside another.
+fn beginnings<'p>(problem: &Problem, regression: &Regression<'_>, parts: &'p [Part]) -> Vec<Beginning<'p>> {
     let pairs_up = |part: &&Part| {
         part.effect.tier() != Tier::Free && !part.sandwich && part.effect != Effect::LinearChange
     };
@@ -132,54 +125,34 @@ fn beginnings<'p>(
         .par_iter()
         .filter(pairs_up)
         .flat_map_iter(|part| {
-            let mut own: Vec<(f64, Beginning<'p>)> = regression
-                .guesses(part)
-                .iter()
-                .map(|guess| {
-                    let beginning = begin(problem, regression, part, guess);
-                    (Table::new(std::slice::from_ref(&beginning), &[], target).left(0, 0), beginning)
-                })
-                .collect();
-            own.sort_by(|a, b| a.0.total_cmp(&b.0));
-            own.into_iter().take(BEGINNINGS).map(|b| b.1)
+            let mut guesses = regression.guesses(part);
+            if is_sum(part) {
+                // Its numbers are solved for: every guess begins alike.
+                guesses.truncate(1);
+            }
+            guesses.into_iter().map(move |guess| begin(problem, regression, part, &guess))
         })
         .collect()
 }
 
 fn begin<'p>(problem: &Problem, regression: &Regression<'_>, part: &'p Part, guess: &Guess) -> Beginning<'p> {
     if let Some(map) = &part.input {
-        let peak = problem.drive_peak[part.drive];
         let column = |p: &[f64]| {
             problem.rows(&problem.fit, |s| {
-                let drive: Vec<f64> = s.drives[part.drive].iter().map(|u| u / peak).collect();
-                let change: Vec<f64> = map.change(p, &drive).iter().map(|d| d * peak).collect();
-                problem.core.path(part.drive, &change)
+                problem.path(part.drive, map.change(p, &problem.drive(s, part.drive)))
             })
         };
-        return by_numbers(
-            part,
-            &guess.input,
-            map_scale(part),
-            matches!(map, InputMap::Gain | InputMap::Polynomial),
-            column,
-        );
+        return by_numbers(part, &guess.input, map_scale(part), column);
     }
     if let Some(map) = part.output {
-        let (mean, unit) = (problem.scales.y_mean, problem.scales.y);
         let change = |s: &Stretch, p: &[f64]| -> Vec<f64> {
-            let now: Vec<f64> = s.simulated[problem.response].iter().map(|y| (y - mean) / unit).collect();
+            let now = &s.simulated[problem.response];
             let mut there = now.clone();
-            map.apply(p, &mut there, |k| s.clock.start + s.clock.step * k as f64);
-            there.iter().zip(&now).map(|(a, b)| (a - b) * unit).collect()
+            problem.sense(map, p, s, &mut there);
+            there.iter().zip(now).map(|(a, b)| a - b).collect()
         };
         let column = |p: &[f64]| problem.rows(&problem.fit, |s| change(s, p));
-        return by_numbers(
-            part,
-            &guess.output,
-            0.1,
-            matches!(map, OutputMap::Offset | OutputMap::Gain | OutputMap::Polynomial),
-            column,
-        );
+        return by_numbers(part, &guess.output, 0.1, column);
     }
     let mut beginning = Beginning::nonlinear(part, Vec::new(), 0.0);
     for (law, shape) in part.forces.iter().zip(&guess.shapes) {
@@ -192,15 +165,20 @@ fn begin<'p>(problem: &Problem, regression: &Regression<'_>, part: &'p Part, gue
     beginning
 }
 
+/// Whether an effect is a map of a drive or a response that is a sum over its numbers.
+fn is_sum(part: &Part) -> bool {
+    matches!(part.input, Some(InputMap::Gain | InputMap::Polynomial))
+        || matches!(part.output, Some(OutputMap::Offset | OutputMap::Gain | OutputMap::Polynomial))
+}
+
 /// A map whose numbers are either linear, each with a column of its own, or guessed.
 fn by_numbers<'p>(
     part: &'p Part,
     guess: &[f64],
     scale: f64,
-    linear: bool,
     column: impl Fn(&[f64]) -> Vec<f64>,
 ) -> Beginning<'p> {
-    if !linear {
+    if !is_sum(part) {
         let mut beginning = Beginning::nonlinear(part, guess.to_vec(), scale);
         beginning.columns.push(column(guess));
         beginning.of.push(None);
@@ -258,11 +236,8 @@ impl Table {
 
     /// Sum of squares that two beginnings together leave of the target.
     fn left(&self, i: usize, j: usize) -> f64 {
-        let mut places: Vec<usize> = self.spans[i].clone().collect();
-        if j != i {
-            places.extend(self.spans[j].clone());
-        }
-        places.extend(self.always.clone());
+        let (i, j) = (self.spans[i].clone(), self.spans[j].clone());
+        let places: Vec<usize> = i.chain(j).chain(self.always.clone()).collect();
         let product = |a: usize, b: usize| self.products[a.max(b)][a.min(b)];
         let matrix: Vec<Vec<f64>> = places
             .iter()

@@ -9,7 +9,7 @@ use super::input::{Input, Mode, Role};
 use super::kernel::{Clock, Scales};
 use super::linear::{mean, rms};
 use super::noise::{self, Noise, Pair};
-use super::problem::{Course, Plant, Problem, Stretch};
+use super::problem::{Course, Plant, Problem, Stretch, share};
 use super::rows::Rows;
 use super::split::{Piece, Split, split};
 use crate::engine::EngineError;
@@ -197,7 +197,11 @@ impl Cut<'_> {
     fn problem(&self, core: &Core, response: usize, noise: &Noise) -> Result<Problem, EngineError> {
         let stretches = |role: Role| -> Result<Vec<Stretch>, EngineError> {
             let pieces = self.pieces.iter().filter(|p| p.role == role);
-            pieces.map(|piece| self.stretch(piece, core, response, noise)).collect()
+            let mut stretches: Vec<Stretch> = pieces
+                .map(|piece| self.stretch(piece, core, response, noise))
+                .collect::<Result<_, EngineError>>()?;
+            share(&mut stretches);
+            Ok(stretches)
         };
         let (fit, select, test) = (stretches(Role::Fit)?, stretches(Role::Select)?, stretches(Role::Test)?);
         let drives = Drives::of(&fit);
@@ -247,7 +251,7 @@ impl Cut<'_> {
 /// Levels of each drive over the fit stretches.
 struct Drives {
     peak: Vec<f64>,
-    quantiles: Vec<[f64; 4]>,
+    quantiles: Vec<[f64; 6]>,
     slope: Vec<f64>,
 }
 
@@ -260,7 +264,7 @@ impl Drives {
             let mut sorted: Vec<f64> = samples.iter().map(|u| u.abs() / peak.max(1e-300)).collect();
             sorted.sort_by(f64::total_cmp);
             let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize].max(1e-6);
-            out.quantiles.push([at(0.3), at(0.6), at(0.8), at(0.95)]);
+            out.quantiles.push([0.3, 0.6, 0.8, 0.95, 0.99, 0.998].map(at));
             let change: f64 = samples.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
             out.slope.push((change / (samples.len().max(2) - 1) as f64 / peak.max(1e-300)).max(1e-9));
             out.peak.push(peak);

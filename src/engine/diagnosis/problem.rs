@@ -77,8 +77,9 @@ pub(super) struct Plant {
 #[derive(Clone)]
 pub(super) struct Problem {
     pub plant: Plant,
-    /// Quantiles of `|u|` of each drive at 30, 60, 80 and 95 %, in units of the peak.
-    pub drive_quantiles: Vec<[f64; 4]>,
+    /// Quantiles of `|u|` of each drive at 30, 60, 80, 95, 99 and 99.8 %, in units of the
+    /// peak.
+    pub drive_quantiles: Vec<[f64; 6]>,
     /// Mean change of each drive per sample, in units of the peak.
     pub drive_slope: Vec<f64>,
     /// Upper edge of the band, cycles a sample.
@@ -97,6 +98,44 @@ impl Deref for Problem {
     fn deref(&self) -> &Plant {
         &self.plant
     }
+}
+
+impl Course {
+    /// Whether a free run of the other is one of this, of laws that may ask for the `time`.
+    fn same(&self, other: &Self, time: bool) -> bool {
+        Arc::ptr_eq(&self.drives, &other.drives)
+            && Arc::ptr_eq(&self.simulated, &other.simulated)
+            && Arc::ptr_eq(&self.core, &other.core)
+            && Arc::ptr_eq(&self.carried, &other.carried)
+            && (!time || self.clock == other.clock)
+    }
+}
+
+/// Lets stretches that were driven and are scored alike, as those of repeats are, share what they have in
+/// common: they then share their free runs too.
+pub(super) fn share(stretches: &mut [Stretch]) {
+    for i in 1..stretches.len() {
+        let (before, rest) = stretches.split_at_mut(i);
+        let own = &mut rest[0];
+        let alike = |s: &&mut Stretch| {
+            (s.group, s.lead) == (own.group, own.lead)
+                && s.drives == own.drives
+                && s.simulated == own.simulated
+        };
+        if let Some(first) = before.iter_mut().find(alike) {
+            own.rows = Arc::clone(&first.rows);
+            own.course = Course { clock: own.clock, ..first.course.clone() };
+        }
+    }
+}
+
+/// For each stretch the first whose free runs, of laws that may ask for the `time`, and whose rows of them
+/// are its own too.
+pub(super) fn firsts(stretches: &[Stretch], time: bool) -> Vec<usize> {
+    let alike = |a: &Stretch, b: &Stretch| Arc::ptr_eq(&a.rows, &b.rows) && a.course.same(&b.course, time);
+    (0..stretches.len())
+        .map(|i| stretches[..i].iter().position(|s| alike(s, &stretches[i])).unwrap_or(i))
+        .collect()
 }
 
 impl Stretch {

@@ -10,7 +10,7 @@ use super::law::{Instant, Law, Memory};
 use super::levmar::Column;
 use super::linear::norm;
 use super::modes::Pole;
-use super::problem::{Course, Plant, Problem};
+use super::problem::{Course, Plant, Problem, firsts};
 
 /// Step of the slopes of laws and maps, in units of their arguments' RMS or of a parameter's scale.
 const STEP: f64 = 1e-4;
@@ -55,7 +55,16 @@ impl Candidate {
     /// Derivatives of the residual's rows by each parameter; `None` if the free run runs away.
     pub fn jacobian(&self, problem: &Problem, p: &[f64], scale: &[f64]) -> Option<Vec<Column>> {
         let mut columns: Vec<Vec<f64>> = vec![Vec::new(); p.len()];
-        for stretch in &problem.fit {
+        let mut from = Vec::with_capacity(problem.fit.len());
+        let mut end = 0;
+        for (stretch, first) in problem.fit.iter().zip(firsts(&problem.fit, self.asks_for_time())) {
+            from.push(end);
+            end += stretch.rows.len();
+            if let Some(at) = from[..from.len() - 1].get(first) {
+                let again = *at..*at + stretch.rows.len();
+                columns.iter_mut().for_each(|column| column.extend_from_within(again.clone()));
+                continue;
+            }
             for (column, mut signal) in columns.iter_mut().zip(self.tangents(problem, stretch, p, scale)?) {
                 signal.iter_mut().for_each(|x| *x = -*x);
                 stretch.extend(&signal, column);
@@ -91,18 +100,17 @@ impl Candidate {
             if let Some(map) = &part.input {
                 let at = lanes.len();
                 let own = &p[at..at + map.parameters()];
-                let peak = problem.drive_peak[part.drive];
-                let drive: Vec<f64> = stretch.drives[part.drive].iter().map(|u| u / peak).collect();
+                let drive = problem.drive(stretch, part.drive);
                 let now = map.change(own, &drive);
                 for i in 0..own.len() {
                     let h = STEP * scale[at + i];
                     let mut moved = own.to_vec();
                     moved[i] += h;
                     let there = map.change(&moved, &drive);
-                    let slope: Vec<f64> = there.iter().zip(&now).map(|(a, b)| (a - b) / h * peak).collect();
-                    lanes.push(Lane::outside(core.path(part.drive, &slope)));
+                    let slope = there.iter().zip(&now).map(|(a, b)| (a - b) / h).collect();
+                    lanes.push(Lane::outside(problem.path(part.drive, slope)));
                 }
-                add(&mut ext, &core.path(part.drive, &now.iter().map(|d| d * peak).collect::<Vec<f64>>()));
+                add(&mut ext, &problem.path(part.drive, now));
             }
             for law in &part.forces {
                 let at = lanes.len();

@@ -1,17 +1,19 @@
 //! From the contest's outcome to the stated verdict.
 
 use super::contest::Outcome;
-use super::decide::{Ranked, Ruling, rule};
+use super::decide::{NOISE_LEFT, Ranked, Ruling, rule};
 use super::effect::Effect;
 use super::hypothesis::{axis, closes_most};
 use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::prepare::Prepared;
-use super::report::{Verdict, VerdictKind};
+use super::report::{Hypothesis, Verdict, VerdictKind};
 use super::second::Two;
 
 /// Below this probability two effects together are no answer.
 const SURE_OF_TWO: f64 = 0.7;
+/// What an identified effect closes at least on the test runs.
+const CLOSES: f64 = 0.95;
 
 impl Verdict {
     /// Where nothing of the catalogue alone is the answer: the `first` of two effects as part of it, if
@@ -46,6 +48,22 @@ impl Verdict {
             equivalence_set: vec![effect],
             because,
         }
+    }
+}
+
+impl Verdict {
+    /// What was chosen on the select runs is only part of the answer if the test runs hold a good deal
+    /// that it does not close: a rare effect may be missing from the others.
+    pub(super) fn on_test(mut self, chosen: Option<&Hypothesis>) -> Self {
+        let names = |h: &&Hypothesis| self.kind == VerdictKind::Identified && self.effect == Some(h.effect);
+        if let Some(chosen) = chosen.filter(names).map(|h| &h.held_out)
+            && chosen.closure < CLOSES
+            && chosen.chi2_after > NOISE_LEFT
+        {
+            self.kind = VerdictKind::Partial;
+            self.because.push(format!("on the test runs it closes only {:.0} %", 100.0 * chosen.closure));
+        }
+        self
     }
 }
 
@@ -105,5 +123,33 @@ pub(super) fn judge(input: &Input, prepared: &Prepared, overview: &Overview, out
         probability: probability.clamp(0.0, 1.0),
         equivalence_set: set,
         because,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::diagnosis::diagnose;
+    use crate::engine::diagnosis::tests::rig::{few, friction, request};
+    use crate::engine::progress::unwatched;
+
+    #[test]
+    fn an_effect_that_does_not_close_the_test_runs_is_identified_no_more() {
+        let report =
+            diagnose(&Input { catalogue: few(), ..request(friction, 0.01) }, &unwatched).unwrap().report;
+        let mut first = report.hypotheses[0].clone();
+        let verdict = Verdict {
+            kind: VerdictKind::Identified,
+            effect: Some(first.effect),
+            because: Vec::new(),
+            ..report.verdict
+        };
+        assert_eq!(verdict.clone().on_test(Some(&first)), verdict);
+        (first.held_out.closure, first.held_out.chi2_after) = (0.47, 91.0);
+        let found = verdict.clone().on_test(Some(&first));
+        assert_eq!((found.kind, found.effect), (VerdictKind::Partial, verdict.effect));
+        assert!(found.because[0].contains("47 %"), "{:?}", found.because);
+        first.held_out.chi2_after = 1.1;
+        assert_eq!(verdict.clone().on_test(Some(&first)), verdict, "nothing is left above the noise");
     }
 }

@@ -4,6 +4,7 @@ mod axes;
 mod bad_input;
 mod bench;
 mod leaks;
+mod repeats;
 pub(crate) mod rig;
 mod verdicts;
 mod views;
