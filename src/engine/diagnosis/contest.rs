@@ -30,9 +30,11 @@ const BEHIND: f64 = 6.0;
 const NEAR: f64 = 0.3;
 
 /// The contest's outcome.
-pub(super) struct Outcome {
+pub(super) struct Outcome<'p> {
     /// The most believable first.
     pub ranked: Vec<Ranked>,
+    /// What every response with a gap was regressed with.
+    pub regressions: Vec<(usize, Regression<'p>)>,
     /// What is left without any effect, over all responses with a gap.
     pub chi2_none: f64,
     /// Rows that this is the mean square of.
@@ -43,33 +45,24 @@ pub(super) struct Outcome {
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
-pub(super) fn contest(
+pub(super) fn contest<'p>(
     input: &Input,
-    prepared: &Prepared,
+    prepared: &'p Prepared,
     overview: &Overview,
     watch: Watch<'_>,
-) -> Result<Outcome, EngineError> {
+) -> Result<Outcome<'p>, EngineError> {
     let in_situ = input.mode == Mode::InSitu;
     let rate = input.sample_rate_hz();
     let hosts = Hosts::of(input, prepared, overview);
-    // In situ every candidate has the retune.
-    let regressions: Vec<(Regression<'_>, Option<Regression<'_>>)> = overview
-        .seen
-        .par_iter()
-        .map(|&r| {
-            let of = |retune| Regression::new(&prepared.problems[r], retune);
-            (of(true), (!in_situ).then(|| of(false)))
-        })
-        .collect();
+    let regressions: Vec<(usize, Regression<'p>)> =
+        overview.seen.par_iter().map(|&r| (r, Regression::new(&prepared.problems[r], true))).collect();
     let mut tasks = Vec::new();
-    for (&r, (retuned, plain)) in overview.seen.iter().zip(&regressions) {
-        let problem = &prepared.problems[r];
-        let ranges = FreeRanges::of(problem, &retuned.smooth);
+    for (r, regression) in &regressions {
+        let problem = &prepared.problems[*r];
+        let ranges = FreeRanges::of(problem, &regression.smooth);
         for part in parts(problem, &input.catalogue, in_situ, ranges) {
-            if hosts.seek(part.effect, part.drive, r) {
-                let candidate = Candidate::of(part, in_situ);
-                let regression = plain.as_ref().filter(|_| !candidate.retune).unwrap_or(retuned);
-                tasks.push((r, regression, candidate));
+            if hosts.seek(part.effect, part.drive, *r) {
+                tasks.push((*r, regression, Candidate::of(part, in_situ)));
             }
         }
     }
@@ -123,6 +116,7 @@ pub(super) fn contest(
     let plain = overview.sim_is_core && !in_situ && overview.seen.len() == 1;
     Ok(Outcome {
         ranked: rank(joined, silence.chi2, silence.rows, allowed(plain)),
+        regressions,
         chi2_none: silence.chi2,
         rows: silence.rows,
     })

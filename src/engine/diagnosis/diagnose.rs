@@ -66,15 +66,17 @@ fn finish(
     prepared: &Prepared,
     overview: &Overview,
     mut verdict: Verdict,
-    outcome: Option<Outcome>,
+    outcome: Option<Outcome<'_>>,
     watch: Watch<'_>,
 ) -> Result<Diagnosis, EngineError> {
     report(watch, "held-out closure", 0.8)?;
-    let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
     // What the verdict says stands; where it says nothing, two effects together may.
     let nothing = verdict.kind == VerdictKind::NoneOfCatalogue;
-    let leader = ranked.first().map(|r| r.scored.effect()).filter(|_| !nothing);
-    let two = second_effect(input, prepared, overview, &ranked, leader);
+    let two = outcome.as_ref().and_then(|outcome| {
+        let leader = outcome.ranked.first().map(|r| r.scored.effect()).filter(|_| !nothing);
+        second_effect(input, prepared, overview, outcome, leader)
+    });
+    let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
     if let Some(two) = two.as_ref().filter(|_| nothing) {
         ranked[..=two.first].rotate_right(1);
         verdict = verdict.or_two(input, prepared, overview, &ranked[0], two);

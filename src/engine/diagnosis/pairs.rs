@@ -11,7 +11,7 @@ use super::fitting::{Effort, Fitted, finish, improve};
 use super::input_map::InputMap;
 use super::linear::{dot, norm, solve_spd};
 use super::output_map::OutputMap;
-use super::problem::{Problem, Stretch};
+use super::problem::Stretch;
 use super::score::remaining;
 use super::start::{Guess, Regression, Start, map_scale};
 
@@ -57,14 +57,14 @@ impl<'p> Beginning<'p> {
 /// The pair of effects that leaves least of the select stretches, simpler ones preferred; `with` must be
 /// one of the two, if it is given. None where no pair's free run stays finite.
 pub(super) fn best_pair(
-    problem: &Problem,
     regression: &Regression<'_>,
     parts: &[Part],
     retune: bool,
     with: Option<Effect>,
 ) -> Option<Pair> {
+    let problem = regression.problem;
     let target = problem.rows(&problem.fit, |s| s.gap(problem.response));
-    let beginnings = beginnings(problem, regression, parts);
+    let beginnings = beginnings(regression, parts);
     let bare = regression.retune(retune);
     let table = Table::new(&beginnings, &bare, &target);
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
@@ -117,7 +117,7 @@ pub(super) fn best_pair(
 }
 
 /// Every beginning of each effect: which is best alone says little of which is best beside another.
-fn beginnings<'p>(problem: &Problem, regression: &Regression<'_>, parts: &'p [Part]) -> Vec<Beginning<'p>> {
+fn beginnings<'p>(regression: &Regression<'_>, parts: &'p [Part]) -> Vec<Beginning<'p>> {
     let pairs_up = |part: &&Part| {
         part.effect.tier() != Tier::Free && !part.sandwich && part.effect != Effect::LinearChange
     };
@@ -130,12 +130,13 @@ fn beginnings<'p>(problem: &Problem, regression: &Regression<'_>, parts: &'p [Pa
                 // Its numbers are solved for: every guess begins alike.
                 guesses.truncate(1);
             }
-            guesses.into_iter().map(move |guess| begin(problem, regression, part, &guess))
+            guesses.into_iter().map(move |guess| begin(regression, part, &guess))
         })
         .collect()
 }
 
-fn begin<'p>(problem: &Problem, regression: &Regression<'_>, part: &'p Part, guess: &Guess) -> Beginning<'p> {
+fn begin<'p>(regression: &Regression<'_>, part: &'p Part, guess: &Guess) -> Beginning<'p> {
+    let problem = regression.problem;
     if let Some(map) = &part.input {
         let column = |p: &[f64]| {
             problem.rows(&problem.fit, |s| {

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
 use super::catalogue::{FreeRanges, parts};
+use super::contest::Outcome;
 use super::decide::{Ranked, of_two};
 use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
@@ -15,7 +16,6 @@ use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::pairs::best_pair;
 use super::prepare::Prepared;
-use super::problem::Problem;
 use super::report::SecondEffect;
 use super::score::{Scored, remaining, score};
 use super::start::Regression;
@@ -58,15 +58,16 @@ pub(super) fn second_effect(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    ranked: &[Ranked],
+    outcome: &Outcome<'_>,
     named: Option<Effect>,
 ) -> Option<Two> {
+    let ranked = &outcome.ranked;
     let first = &ranked.first()?.scored;
     let hosts = Hosts::of(input, prepared, overview);
     let (rest, acts) = place(prepared, overview, &hosts, first)?;
     if rest.problem.response == first.problem && first.fitted.candidate.parts[0].output.is_none() {
-        let problem = &prepared.problems[first.problem];
-        if let Some(two) = together(input, prepared, problem, ranked, named) {
+        let (_, regression) = outcome.regressions.iter().find(|(r, _)| *r == first.problem)?;
+        if let Some(two) = together(input, prepared, regression, ranked, named) {
             return Some(two);
         }
     }
@@ -78,15 +79,15 @@ pub(super) fn second_effect(
 fn together(
     input: &Input,
     prepared: &Prepared,
-    problem: &Problem,
+    regression: &Regression<'_>,
     ranked: &[Ranked],
     named: Option<Effect>,
 ) -> Option<Two> {
     let in_situ = input.mode == Mode::InSitu;
-    let regression = Regression::new(problem, in_situ);
+    let problem = regression.problem;
     let ranges = FreeRanges::of(problem, &regression.smooth);
     let parts = parts(problem, &input.catalogue, in_situ, ranges);
-    let pair = best_pair(problem, &regression, &parts, in_situ, named)?;
+    let pair = best_pair(regression, &parts, in_situ, named)?;
     let best = &ranked[0].scored;
     if pair.chi2 - 1.0 > CLOSES * (best.host_chi2 - 1.0) {
         return None;

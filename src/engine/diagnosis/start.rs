@@ -28,7 +28,7 @@ pub(super) struct Start {
 
 /// What all regressions on one response share.
 pub(super) struct Regression<'a> {
-    problem: &'a Problem,
+    pub problem: &'a Problem,
     /// Smoothed measured response of each fit stretch.
     pub smooth: Vec<Vec<f64>>,
     /// Columns of the retune, in the order of its parameters.

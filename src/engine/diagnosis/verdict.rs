@@ -68,7 +68,12 @@ impl Verdict {
 }
 
 /// Rules on the outcome and says why.
-pub(super) fn judge(input: &Input, prepared: &Prepared, overview: &Overview, outcome: &Outcome) -> Verdict {
+pub(super) fn judge(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    outcome: &Outcome<'_>,
+) -> Verdict {
     let ranked = &outcome.ranked;
     let (ruling, probability, set) = rule(ranked, outcome.chi2_none, outcome.rows, input.seed);
     let channel = match ranked.first() {
