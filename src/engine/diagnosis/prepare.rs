@@ -173,7 +173,6 @@ impl Cut<'_> {
         let cut = |signal: &[Vec<f64>]| -> Vec<Vec<f64>> {
             signal.iter().map(|x| x[start..piece.to].to_vec()).collect()
         };
-        let drives = cut(run.drive.channels());
         Ok(Stretch {
             run: piece.run,
             from: start,
@@ -183,13 +182,14 @@ impl Cut<'_> {
             rows: Arc::new(rows),
             course: Course {
                 simulated: Arc::new(cut(&self.simulated[piece.run])),
-                core: Arc::new(core.simulate(&drives)),
+                // With all of the run before it, as the sim has it too.
+                core: Arc::new(core.simulate(run.drive.channels())[start..piece.to].to_vec()),
                 clock: Clock {
                     start: (run.started_s - begin + start as f64 / rate) / span,
                     step: 1.0 / (rate * span),
                 },
                 carried: Arc::default(),
-                drives: Arc::new(drives),
+                drives: Arc::new(cut(run.drive.channels())),
             },
         })
     }
