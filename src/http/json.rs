@@ -13,9 +13,9 @@ use serde_path_to_error::Path;
 use super::Shared;
 use super::arrays::{self, HoldsSignals};
 use super::body::{self, Limited};
-use super::codes;
 use super::problem::{Answer, FieldError, Problem};
 use super::strict::Strict;
+use super::{codes, errors};
 use crate::compute::Class;
 use crate::domain::problem::pointer;
 
@@ -69,12 +69,13 @@ pub async fn take<T: Send + 'static>(
     if !found.as_deref().is_some_and(|f| media_types.contains(&f)) {
         return Err(body::unsupported(found.as_deref(), media_types));
     }
-    let bytes = Limited::new(headers, body, http.limits.json_bytes)?.collect().await?;
-    if bytes.len() <= PARSE_HERE_BYTES {
-        parse(&bytes)
-    } else {
-        http.off_thread(Class::of_bytes(bytes.len()), move || parse(&bytes)).await?
-    }
+    let bytes = Limited::new(headers, body, http.limits.json_bytes, http.limits.pace)?.collect().await?;
+    let size = bytes.len();
+    let parse = move || {
+        let parsed = parse(&bytes);
+        parsed.inspect_err(|problem| errors::count_unreadable("json", problem))
+    };
+    if size <= PARSE_HERE_BYTES { parse() } else { http.off_thread(Class::of_bytes(size), parse).await? }
 }
 
 /// Parses a document.

@@ -91,6 +91,16 @@ impl Problem {
         &self.0.what.code
     }
 
+    /// Its status.
+    pub(super) fn status(&self) -> StatusCode {
+        StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one")
+    }
+
+    /// The header that its answer has.
+    pub(super) fn header(&self) -> Option<(HeaderName, HeaderValue)> {
+        self.0.header.clone()
+    }
+
     /// What only the log may say.
     pub(super) fn cause(&self) -> Option<&str> {
         self.0.cause.as_deref()
@@ -132,9 +142,8 @@ impl From<domain::Problem> for Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let status = StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one");
-        let mut response = status.into_response();
-        if let Some((name, value)) = self.0.header.clone() {
+        let mut response = self.status().into_response();
+        if let Some((name, value)) = self.header() {
             response.headers_mut().insert(name, value);
         }
         response.extensions_mut().insert(self);

@@ -35,6 +35,14 @@ impl Format {
         }
     }
 
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Npy => "npy",
+            Self::Json => "json",
+        }
+    }
+
     fn read(self, bytes: &[u8]) -> Result<ParsedRun, formats::FormatError> {
         match self {
             Self::Csv => formats::csv::read(bytes),
@@ -76,7 +84,11 @@ impl RunFile {
         let bytes = upload.read().map_err(Problem::internal)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
-        let parsed = format.read(&bytes).map_err(|error| errors::format(&error, named))?;
+        let parsed = format.read(&bytes).map_err(|error| {
+            let problem = errors::format(&error, named);
+            errors::count_unreadable(format.as_str(), &problem);
+            problem
+        })?;
         drop(bytes);
         let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
         let names = self.names(names, channels.len(), rig_names)?;

@@ -16,6 +16,7 @@ mod jobs;
 mod kills;
 mod models;
 mod operations;
+mod overload;
 mod predictions;
 mod problems;
 mod readme;
