@@ -2,6 +2,7 @@
 //! nothing acknowledged is lost, and with room again everything works again.
 //!
 //! Needs a small file system of its own: skipped where the user may not mount one.
+//! `RIGCAST_TEST_FILLINGS=20 cargo test --test api full_disk -- --nocapture` fills it more often.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -77,7 +78,8 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
     client.import("bench", gain_weights(&["u"], &["y"], 2.0)).await.expect("a model");
     let mut runs = vec![upload(&client, 0, 3000).await.expect("a run")];
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
-    for round in 1..=4 {
+    let rounds: u64 = std::env::var("RIGCAST_TEST_FILLINGS").map_or(4, |n| n.parse().expect("a number"));
+    for round in 1..=rounds {
         // Filled by uploads, or at once by somebody else.
         let ballast = (round % 2 == 0).then(|| disk.fill());
         let full = loop {
@@ -124,5 +126,8 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
         assert_eq!(client.get(&path).await.expect("it is there")["sha256"], run["sha256"]);
         client.get(&format!("{path}/data?to_s=1")).await.expect("and whole");
     }
-    println!("a disk filled 4 times: {} runs acknowledged and there, every prediction answered", runs.len());
+    println!(
+        "a disk filled {rounds} times: {} runs acknowledged and there, every prediction answered",
+        runs.len()
+    );
 }
