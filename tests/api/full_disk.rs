@@ -106,8 +106,8 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
         let last = runs.pop().expect("a run");
         let room = Instant::now();
         let path = format!("/v1/rigs/bench/runs/{}", last["id"].as_str().expect("an id"));
-        while client.delete(&path).await.is_err() {
-            assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds");
+        while let Err(error) = client.delete(&path).await {
+            assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}");
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
         loop {

@@ -1,6 +1,6 @@
 //! Memory of single bad requests: at most 64 MiB and four times what came, was read and was answered.
 //!
-//! `RIGCAST_TEST_BODY_MIB=64 cargo test --test api peaks -- --nocapture` sends larger ones.
+//! `RIGCAST_TEST_BODY_MIB=48 cargo test --test api peaks -- --nocapture` sends larger ones.
 
 use serde_json::json;
 use tempfile::TempDir;

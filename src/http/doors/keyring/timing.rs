@@ -27,6 +27,9 @@ const BAR: f64 = 4.5;
 /// Shares of the measurements that are kept, the quickest.
 const KEPT: [f64; 8] = [1.0, 0.999, 0.99, 0.95, 0.9, 0.75, 0.5, 0.25];
 
+/// Fewest measurements of a kind that say something.
+const FEWEST: f64 = 1000.0;
+
 /// Characters of a secret that a forger would have got right.
 const SHARED: usize = 48;
 
@@ -66,17 +69,18 @@ fn measure(wrong: &[Wrong], check: impl Fn(&[u8]) -> bool) -> Vec<(f64, bool)> {
     times.split_off(WARM_UP)
 }
 
-/// Welch's t of those that begin like a right one against the others.
-fn welch(times: &[(f64, bool)]) -> f64 {
+/// Welch's t of those that begin like a right one against the others; nothing where too few of a kind
+/// are left.
+fn welch(times: &[(f64, bool)]) -> Option<f64> {
     let moments = |close: bool| {
         let of_kind = || times.iter().filter(|(_, kind)| *kind == close).map(|(time, _)| *time);
         let n = of_kind().count() as f64;
         let mean = of_kind().sum::<f64>() / n;
         let variance = of_kind().map(|time| (time - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        (mean, variance / n)
+        (n >= FEWEST).then_some((mean, variance / n))
     };
-    let ((a, error_a), (b, error_b)) = (moments(true), moments(false));
-    (a - b) / (error_a + error_b).sqrt()
+    let ((a, error_a), (b, error_b)) = (moments(true)?, moments(false)?);
+    Some((a - b) / (error_a + error_b).sqrt())
 }
 
 /// The largest t of all heights at which the slowest are cut off.
@@ -87,7 +91,7 @@ fn worst(times: &[(f64, bool)]) -> f64 {
         let height = sorted[((sorted.len() as f64 * kept) as usize).min(sorted.len() - 1)];
         welch(&times.iter().copied().filter(|(time, _)| *time <= height).collect::<Vec<_>>())
     };
-    KEPT.into_iter().map(cut).max_by(|a, b| a.abs().total_cmp(&b.abs())).expect("heights")
+    KEPT.into_iter().filter_map(cut).max_by(|a, b| a.abs().total_cmp(&b.abs())).expect("heights")
 }
 
 #[test]
