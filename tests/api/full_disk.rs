@@ -95,25 +95,33 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
             assert_eq!(refused, (507, "store.full".into()));
             client.post("/v1/rigs/bench/predict", &drive).await.expect("predictions go on");
         }
-        let refused = refusal(client.fit("bench", &json!({"kind": "frf"})).await);
-        assert!([507, 503].contains(&refused.0), "{refused:?}");
+        // A job is a row: it may still find room in the database where runs were deleted before.
+        let fit = client.fit("bench", &json!({"kind": "frf"})).await;
+        if fit.is_err() || round == 1 {
+            let refused = refusal(fit);
+            assert!([507, 503].contains(&refused.0), "{refused:?}");
+        }
         let ready = client.get("/readyz?verbose").await.expect("ready to predict");
         assert_eq!(ready["checks"]["store"], "full");
         std::fs::remove_file(filler).expect("room");
         if let Some(ballast) = ballast.filter(|path| size(path) > 0) {
             std::fs::remove_file(ballast).expect("room");
         }
-        let last = runs.pop().expect("a run");
         let room = Instant::now();
-        let path = format!("/v1/rigs/bench/runs/{}", last["id"].as_str().expect("an id"));
-        while let Err(error) = client.delete(&path).await {
-            assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}");
-            tokio::time::sleep(Duration::from_millis(100)).await;
+        // One of them may be a small one, whose room an upload needs twice over.
+        for run in runs.split_off(runs.len() - 3) {
+            let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+            while let Err(error) = client.delete(&path).await {
+                assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
         }
         loop {
             match upload(&client, 100 * round + 99, 3000).await {
                 Ok(run) => break runs.push(run),
-                Err(_) => assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds"),
+                Err(error) => {
+                    assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}")
+                }
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
