@@ -120,6 +120,11 @@ impl App {
         Ok(Self { router: http::router(http.clone()), http, store, jobs, draining, settings, connections })
     }
 
+    /// What answers requests, for whoever brings them by another way than [`App::serve`].
+    pub fn router(&self) -> Router {
+        self.router.clone()
+    }
+
     /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
     /// connection is accepted any more, answers under way are finished, running jobs go back
     /// into the queue, the database is closed.

@@ -3,6 +3,8 @@
 //! A [`Problem`] becomes a response whose body is still empty; the outermost layer
 //! ([`super::observe`]) writes the document, because only there the request id is known.
 
+use std::borrow::Cow;
+
 use axum::http::header::{ALLOW, RETRY_AFTER};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -14,6 +16,12 @@ pub use crate::domain::FieldError;
 
 /// Media type of problem documents.
 pub const MEDIA_TYPE: &str = "application/problem+json";
+
+/// Longest text of a problem, characters: it may quote what was sent, which has no such limit.
+const MAX_TEXT: usize = 2000;
+
+/// Most places that a problem names.
+const MAX_ERRORS: usize = 20;
 
 /// Why a request was not answered as asked.
 #[derive(Debug, Clone)]
@@ -46,6 +54,7 @@ pub type Answer<T = Response> = Result<T, Problem>;
 impl Problem {
     /// A problem of a documented kind; `detail` says what is wrong with this request.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        let detail = cut(detail.into());
         domain::Problem::new(code.status, code.name, code.title, detail).into()
     }
 
@@ -64,14 +73,19 @@ impl Problem {
     }
 
     /// Adds a place.
-    pub fn with(mut self, error: FieldError) -> Self {
-        self.0.what.errors.push(error);
-        self
+    pub fn with(self, error: FieldError) -> Self {
+        self.with_all([error])
     }
 
-    /// Adds places.
+    /// Adds places, as many as an answer has room for.
     pub fn with_all(mut self, errors: impl IntoIterator<Item = FieldError>) -> Self {
-        self.0.what.errors.extend(errors);
+        let room = MAX_ERRORS.saturating_sub(self.0.what.errors.len());
+        self.0.what.errors.extend(errors.into_iter().take(room).map(|error| FieldError {
+            pointer: cut(error.pointer),
+            channel: error.channel.map(cut),
+            limit: error.limit.map(cut),
+            ..error
+        }));
         self
     }
 
@@ -131,6 +145,21 @@ impl Problem {
             _ => codes::INTERNAL,
         };
         Self::new(code, format!("The request was answered with status {status}."))
+    }
+}
+
+/// A text, without what lies beyond so many characters.
+pub fn shortened(text: &str, most: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(most) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => Cow::Owned(format!("{}...", &text[..end])),
+    }
+}
+
+fn cut(text: String) -> String {
+    match shortened(&text, MAX_TEXT) {
+        Cow::Owned(short) => short,
+        Cow::Borrowed(_) => text,
     }
 }
 

@@ -94,7 +94,7 @@ pub async fn change(
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
-    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES, json::parse).await?;
+    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES).await?;
     match http.store.patch_run(&rig, id, patch).await? {
         RunUpdate::Updated(run) => json::answer(&*run),
         RunUpdate::Missing => Err(no_run(&id.to_string())),

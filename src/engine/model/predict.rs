@@ -73,11 +73,14 @@ impl Predictor {
     /// of a prediction's time goes into. 0 without a network.
     pub fn network_work(&self, samples: usize) -> f64 {
         let Some(part) = &self.model.lstm else { return 0.0 };
-        let steps_per_sample = match part.recombine {
-            Recombine::Welch => part.window_len as f64 / part.hop.max(1) as f64,
-            Recombine::Stream => 1.0,
+        let steps = match part.recombine {
+            // Every sample has its full set of windows, which reach beyond either end.
+            Recombine::Welch => {
+                part.window_len as f64 / part.hop.max(1) as f64 * (samples + part.window_len) as f64
+            }
+            Recombine::Stream => samples as f64,
         };
-        2.0 * part.net.n_parameters() as f64 * steps_per_sample * samples as f64
+        2.0 * part.net.n_parameters() as f64 * steps
     }
 
     /// Response to `x`, whose channels are the model's inputs in order; as long as `x`.

@@ -112,9 +112,9 @@ impl Job {
     pub fn run(self, deadline: &Deadline, stages: &mut Stages) -> Answer<Computed> {
         let Self { rig, model: loaded, drive, target, include, damage, media_type } = self;
         let (model, predictor) = (loaded.model(), &loaded.predictor);
+        check_rate(model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
         let drive = parsed(drive, &model.inputs)?;
         stages.end("parse");
-        check_rate(model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
         if let Some(target) = &target {
             check_rate(model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
             check_length(&drive, &target.signal)?;
@@ -183,16 +183,18 @@ fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
         Drive::Signal(signal) => return Ok(signal),
         Drive::Npy { bytes, sample_rate_hz } => (bytes, sample_rate_hz),
     };
-    let run = formats::npy::read(&bytes).map_err(|error| {
+    let refuse = |error| {
         let problem = errors::format(&error, inputs);
         errors::count_unreadable("npy", &problem);
         problem
-    })?;
-    if run.channels.len() != inputs.len() {
+    };
+    let columns = formats::npy::header(&bytes).map_err(refuse)?.channels;
+    if columns != inputs.len() {
         let limit = format!("{} columns: {}", inputs.len(), inputs.join(", "));
-        let detail = format!("The array has {} columns; the model takes {limit}.", run.channels.len());
+        let detail = format!("The array has {columns} columns; the model takes {limit}.");
         return Err(Problem::new(codes::SIGNAL_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
     }
+    let run = formats::npy::read(&bytes).map_err(refuse)?;
     Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
 }
 

@@ -22,7 +22,7 @@ use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
 use super::signals::header_names;
-use super::{Shared, arrays, body, codes, json, negotiate};
+use super::{Shared, body, codes, json, negotiate};
 use crate::domain::{ModelName, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
@@ -48,8 +48,7 @@ pub async fn predict(
         Some(json::MEDIA_TYPE) => {
             params.finish()?;
             let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY])?;
-            let request: PredictRequest =
-                json::take(&headers, request, &http, &[json::MEDIA_TYPE], arrays::parse).await?;
+            let request: PredictRequest = json::take_signals(&headers, request, &http).await?;
             stages.end("receive");
             let (rig, model) = find(&http, &id, request.model).await?;
             let include = request.includes()?;
