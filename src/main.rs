@@ -10,7 +10,7 @@ use rigcast::engine::simd::Isa;
 use rigcast::storage;
 use rigcast::telemetry::{self, LogFormat};
 use rigcast::token::{self, CreateArgs, TokenCommand};
-use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
@@ -37,9 +37,11 @@ fn main() -> ExitCode {
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
     telemetry::init_logging(&args.log.log, args.log.log_format)?;
-    let config = args.check()?;
+    let mut config = args.check()?;
     // A core would hold secrets that requests showed.
     setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
+    let connections = &mut config.connections;
+    connections.most = connections.most.min(handles()?);
     // A wrong instruction set is told now, not by the first prediction.
     let isa = Isa::of_process()?;
     runtime()?.block_on(async {
@@ -65,6 +67,19 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
         .await;
         Ok(())
     })
+}
+
+/// File handles for connections: as many as the system allows, but for those of the store and of jobs.
+fn handles() -> Result<usize, Failure> {
+    /// More than are open without any connection, with some for jobs and uploads.
+    const OTHERS: u64 = 256;
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?;
+    let handles = maximum.map_or(usize::MAX, |n| n.saturating_sub(OTHERS).max(1) as usize);
+    if handles < 4096 {
+        tracing::warn!(connections = handles, "the system allows few open files: connections are limited");
+    }
+    Ok(handles)
 }
 
 fn demo(args: DemoArgs) -> Result<(), Failure> {

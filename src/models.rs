@@ -168,12 +168,17 @@ impl Models {
                 cache.degraded.remove(&(rig.clone(), version));
             }
             // Being busy says nothing about the model.
-            Err(ModelError::Compute(ComputeError::Busy { .. })) => {}
+            Err(ModelError::Compute(ComputeError::Busy(_))) => {}
             Err(error) => {
                 cache.degraded.insert((rig.clone(), version), error.to_string());
             }
         }
         loaded.map(Some)
+    }
+
+    /// Models in memory.
+    pub fn loaded(&self) -> usize {
+        self.lock().entries.values().filter(|entry| entry.model.initialized()).count()
     }
 
     /// Models that could not be loaded when they were last wanted, and are wanted still; runs and
@@ -225,7 +230,7 @@ impl Models {
     async fn load(&self, model: &Model) -> Result<Arc<LoadedModel>, ModelError> {
         let bytes = self.store.weights(model).await?;
         let read =
-            self.compute.run(Class::Predict, move || Predictor::new(from_safetensors(&bytes)?)).await?;
+            self.compute.run(Class::Predict, None, move || Predictor::new(from_safetensors(&bytes)?)).await?;
         let (rig, version) = (model.rig.clone(), model.version);
         let read = read.map_err(|source| ModelError::Weights { rig: rig.clone(), version, source })?;
         metrics::counter!(names::MODEL_LOADS).increment(1);

@@ -6,8 +6,10 @@
 //! - `cargo bench --bench http -- p50`: median of 60 s and 10 s requests, as a client sees them;
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
-//! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs.
+//! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
+//! - `cargo bench --bench http -- load` (`fair`, `slow`): more load than can be borne.
 
+mod load;
 mod rig;
 mod service;
 
@@ -53,6 +55,9 @@ fn main() {
         Some("hour") => hour(),
         Some("beside") => beside(),
         Some("fit") => fit(),
+        Some("load") => load::load(),
+        Some("fair") => load::fair(),
+        Some("slow") => load::slow(),
         _ => {
             benches();
             Criterion::default().configure_from_args().final_summary();

@@ -39,6 +39,11 @@ impl Service {
         Self { child, address, log: Some(log), _data_dir: data_dir }
     }
 
+    /// Where it listens.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
     /// A new connection.
     pub fn connect(&self) -> Connection {
         let stream = TcpStream::connect(&self.address).expect("the service accepts");
@@ -78,7 +83,7 @@ impl Connection {
     /// Sends a request and reads its answer, which must have the status `expected`.
     pub fn call(&mut self, head: &str, body: &[u8], expected: u16) -> &[u8] {
         let length = body.len();
-        let head = format!("{head}\r\nHost: bench\r\nContent-Length: {length}\r\n\r\n");
+        let head = format!("{head}\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n");
         let stream = self.stream.get_mut();
         stream.write_all(head.as_bytes()).expect("the service reads");
         stream.write_all(body).expect("the service reads");

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 
-use super::{ConfigError, LogArgs};
+use super::{ConfigError, LogArgs, seconds};
 use crate::jobs::{JobSettings, WorkerProgram};
 
 /// How jobs are done.
@@ -41,17 +41,6 @@ pub struct JobArgs {
     /// How long one attempt of a job may take, seconds.
     #[arg(long, env = "RIGCAST_JOB_TIME_LIMIT_S", default_value = "86400", value_parser = seconds)]
     pub job_time_limit_s: Duration,
-}
-
-/// A time of a tenth of a second to a year; fractions are for tests.
-fn seconds(text: &str) -> Result<Duration, String> {
-    let limit = "a number of seconds from 0.1 to 31536000";
-    let seconds: f64 = text.parse().map_err(|_| limit.to_owned())?;
-    if (0.1..=31_536_000.0).contains(&seconds) {
-        Ok(Duration::from_secs_f64(seconds))
-    } else {
-        Err(limit.into())
-    }
 }
 
 /// A time of a tenth of a second to a minute: a crash costs two of them at most.

@@ -2,6 +2,7 @@
 
 mod copies;
 mod jobs;
+mod load;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -9,14 +10,17 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::app::ConnectionSettings;
+use crate::compute::ComputeSettings;
 use crate::demo::DemoArgs;
-use crate::http::Limits;
+use crate::http::{AdmissionSettings, Limits};
 use crate::jobs::JobSettings;
 use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
 pub use copies::CopyArgs;
 pub use jobs::JobArgs;
+pub use load::LoadArgs;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -31,7 +35,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Answer HTTP requests and run jobs until told to stop (SIGTERM or Ctrl-C).
-    Serve(ServeArgs),
+    Serve(Box<ServeArgs>),
     /// Show the whole job on a virtual rig: upload, fit, predict, compare.
     Demo(DemoArgs),
     /// Make tokens while the service is stopped.
@@ -74,6 +78,10 @@ pub struct ServeArgs {
     #[command(flatten)]
     pub jobs: JobArgs,
 
+    /// Load.
+    #[command(flatten)]
+    pub load: LoadArgs,
+
     /// Logs.
     #[command(flatten)]
     pub log: LogArgs,
@@ -100,8 +108,29 @@ pub struct Config {
     pub listen: SocketAddr,
     /// How jobs are done.
     pub jobs: JobSettings,
-    /// Largest bodies that are read.
+    /// Largest and slowest bodies that are read, longest work for an answer.
     pub limits: Limits,
+    /// Work for answers at once.
+    pub compute: ComputeSettings,
+    /// Requests at once.
+    pub admission: AdmissionSettings,
+    /// Connections at once.
+    pub connections: ConnectionSettings,
+}
+
+impl Config {
+    /// The defaults, which do jobs on threads of this process.
+    pub fn new(data_dir: PathBuf, listen: SocketAddr) -> Self {
+        Self {
+            data_dir,
+            listen,
+            jobs: JobSettings::default(),
+            limits: Limits::default(),
+            compute: ComputeSettings::default(),
+            admission: AdmissionSettings::default(),
+            connections: ConnectionSettings::default(),
+        }
+    }
 }
 
 /// A combination of settings that is refused.
@@ -120,6 +149,17 @@ pub enum ConfigError {
     },
 }
 
+/// A time of a tenth of a second to a year; fractions are for tests.
+fn seconds(text: &str) -> Result<Duration, String> {
+    let limit = "a number of seconds from 0.1 to 31536000";
+    let seconds: f64 = text.parse().map_err(|_| limit.to_owned())?;
+    if (0.1..=31_536_000.0).contains(&seconds) {
+        Ok(Duration::from_secs_f64(seconds))
+    } else {
+        Err(limit.into())
+    }
+}
+
 impl ServeArgs {
     /// The settings of the service, once they have been found sound together.
     ///
@@ -134,7 +174,12 @@ impl ServeArgs {
                 json_bytes: self.json_limit_bytes,
                 drive_bytes: self.drive_limit_bytes,
                 upload_bytes: self.upload_limit_bytes,
+                pace: self.load.pace(),
+                deadline: self.load.predict_deadline_s,
             },
+            compute: self.load.compute(),
+            admission: self.load.admission(),
+            connections: self.load.connections(),
         })
     }
 }
@@ -146,7 +191,7 @@ mod tests {
     fn serve(arguments: &[&str]) -> ServeArgs {
         let cli = Cli::try_parse_from(["rigcast", "serve"].iter().chain(arguments)).expect("valid arguments");
         match cli.command {
-            Command::Serve(args) => args,
+            Command::Serve(args) => *args,
             other => panic!("{other:?}"),
         }
     }
@@ -156,11 +201,18 @@ mod tests {
         let args = serve(&[]);
         assert_eq!(args.listen.to_string(), "127.0.0.1:8080");
         let config = args.check().expect("sound settings");
-        assert_eq!(
-            config.limits,
-            Limits { json_bytes: 67_108_864, drive_bytes: 134_217_728, upload_bytes: 4_294_967_296 }
-        );
+        let bytes = [config.limits.json_bytes, config.limits.drive_bytes, config.limits.upload_bytes];
+        assert_eq!(bytes, [67_108_864, 134_217_728, 4_294_967_296]);
         assert_eq!(config.data_dir, PathBuf::from("./rigcast-data"));
+    }
+
+    #[test]
+    fn what_the_program_starts_with_is_what_the_modules_call_their_defaults() {
+        let config = serve(&[]).check().expect("sound settings");
+        assert_eq!(config.limits, Limits::default());
+        assert_eq!(config.compute, ComputeSettings::default());
+        assert_eq!(config.admission, AdmissionSettings::default());
+        assert_eq!(config.connections, ConnectionSettings::default());
     }
 
     #[test]

@@ -11,8 +11,6 @@ use tokio::task::JoinHandle;
 use super::DemoError;
 use crate::app::App;
 use crate::config::Config;
-use crate::http::Limits;
-use crate::jobs::JobSettings;
 
 /// A running service. It is reached over HTTP only; dropping it without [`LocalService::stop`]
 /// leaves its jobs unfinished.
@@ -35,8 +33,7 @@ impl LocalService {
         let data_dir = data_dir
             .or_else(|| temporary.as_ref().map(|t| t.path().to_owned()))
             .expect("a directory was given or has been made");
-        let (jobs, limits) = (JobSettings::default(), Limits::default());
-        let config = Config { data_dir: data_dir.clone(), listen, jobs, limits };
+        let config = Config::new(data_dir.clone(), listen);
         let app = App::build(&config).await?;
         let listener = TcpListener::bind(listen).await?;
         let address = listener.local_addr()?;

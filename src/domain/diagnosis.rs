@@ -89,6 +89,9 @@ fn material_gap() -> f64 {
     MATERIAL_GAP
 }
 
+/// Most names of a catalogue: more than there are.
+const MAX_CATALOGUE: usize = 100;
+
 impl DiagnosisRequest {
     /// Effects of the catalogue, each once, in the catalogue's order.
     ///
@@ -101,6 +104,10 @@ impl DiagnosisRequest {
         };
         if self.catalogue.is_empty() {
             return Err(vec![FieldError::new("/catalogue", "at least one effect, family or all")]);
+        }
+        // Each that is wrong is answered with all that would be right.
+        if self.catalogue.len() > MAX_CATALOGUE {
+            return Err(vec![FieldError::new("/catalogue", format!("at most {MAX_CATALOGUE} names"))]);
         }
         let mut effects = BTreeSet::new();
         let mut errors = Vec::new();
@@ -245,6 +252,8 @@ mod tests {
         let limit = errors[0].limit.as_deref().unwrap();
         assert!(limit.contains("all, linear") && limit.contains("cubic_stiffness"), "{limit}");
         assert_eq!(named("[]").unwrap_err()[0].pointer, "/catalogue");
+        let many = format!("[{}\"\"]", "\"\",".repeat(100));
+        assert_eq!(named(&many).unwrap_err().len(), 1, "one answer, not a hundred");
     }
 
     #[test]

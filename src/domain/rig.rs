@@ -15,6 +15,10 @@ use crate::engine::Quantity;
 /// Most channels of a rig.
 pub const MAX_CHANNELS: usize = 128;
 
+/// Lowest sample rate: at one that is next to nothing, a run of a few samples lasts longer than a number
+/// can say.
+pub const MIN_SAMPLE_RATE_HZ: f64 = 1e-6;
+
 /// Highest sample rate.
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1e6;
 
@@ -176,10 +180,10 @@ impl RigDraft {
     pub fn check(&self) -> Result<(), Vec<FieldError>> {
         let mut errors = Vec::new();
         check_text(&mut errors, "/name", &self.name, 0);
-        if !(self.sample_rate_hz > 0.0 && self.sample_rate_hz <= MAX_SAMPLE_RATE_HZ) {
+        if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&self.sample_rate_hz) {
             errors.push(FieldError::new(
                 "/sample_rate_hz",
-                format!("0 < sample_rate_hz <= {MAX_SAMPLE_RATE_HZ}"),
+                format!("{MIN_SAMPLE_RATE_HZ} <= sample_rate_hz <= {MAX_SAMPLE_RATE_HZ}"),
             ));
         }
         self.check_channels(&mut errors);

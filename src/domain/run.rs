@@ -172,8 +172,10 @@ pub struct RunPatch {
     #[serde(deserialize_with = "present")]
     pub name: Option<Option<String>>,
     /// Kind; cannot be cleared.
+    #[serde(deserialize_with = "present")]
     pub kind: Option<RunKind>,
     /// Split; cannot be cleared.
+    #[serde(deserialize_with = "present")]
     pub split: Option<Split>,
     /// All tags.
     #[serde(deserialize_with = "present")]
@@ -183,13 +185,13 @@ pub struct RunPatch {
     pub started_at: Option<Option<Timestamp>>,
 }
 
-/// Tells `null` (inner `None`) from absent (outer `None`).
-fn present<'de, T, D>(deserializer: D) -> Result<Option<Option<T>>, D::Error>
+/// Tells what is there from what is absent: `null` is an inner `None`, or refused where there is none.
+fn present<'de, T, D>(deserializer: D) -> Result<Option<T>, D::Error>
 where
     T: Deserialize<'de>,
     D: Deserializer<'de>,
 {
-    Option::<T>::deserialize(deserializer).map(Some)
+    T::deserialize(deserializer).map(Some)
 }
 
 impl RunPatch {

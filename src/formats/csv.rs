@@ -17,7 +17,7 @@ mod time;
 mod write;
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, check_channel_count};
+use super::{ChannelAt, FormatError, ParsedRun, check_channel_count, check_name};
 use number::{number, trim};
 use rows::Rows;
 use time::TimeColumn;
@@ -156,6 +156,7 @@ fn names(rows: &Rows<'_>) -> Result<Vec<String>, FormatError> {
             let reason = "a channel needs a name";
             return Err(FormatError::CsvHeader { row: rows.row(), column: column + 1, reason });
         }
+        check_name(name)?;
         if names.iter().any(|n| n == name) {
             return Err(FormatError::DuplicateChannel { name: name.into() });
         }

@@ -1,5 +1,7 @@
 //! Why a measurement file was refused, with the place in it.
 
+use super::MAX_NAME_BYTES;
+
 /// A channel of a file: by name where the file names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChannelAt {
@@ -41,6 +43,12 @@ pub enum FormatError {
     DuplicateChannel {
         /// The name.
         name: String,
+    },
+    /// A name longer than any channel's.
+    #[error("the channel name that begins {start:?} is longer than {MAX_NAME_BYTES} bytes")]
+    LongName {
+        /// Its first 40 characters.
+        start: String,
     },
     /// Channels differ in length.
     #[error("channel {channel} has {found} samples, the first channel has {expected}")]
@@ -211,6 +219,7 @@ impl FormatError {
             Self::NoChannels => "run.no_channels",
             Self::TooManyChannels { .. } => "run.too_many_channels",
             Self::DuplicateChannel { .. } => "run.duplicate_channel",
+            Self::LongName { .. } => "run.unknown_channel",
             Self::UnequalLengths { .. } => "run.unequal_lengths",
             Self::NonFinite { .. } => "run.non_finite",
             Self::SampleRate { .. } => "run.sample_rate",
@@ -298,6 +307,7 @@ impl FormatError {
     pub fn limit(&self) -> Option<String> {
         match self {
             Self::TooManyChannels { limit, .. } => Some(format!("at most {limit} channels")),
+            Self::LongName { .. } => Some(format!("at most {MAX_NAME_BYTES} bytes")),
             Self::UnequalLengths { expected, .. } => Some(format!("{expected} samples")),
             Self::SampleRate { .. } => Some("a positive, finite number of hertz".into()),
             Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),

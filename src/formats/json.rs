@@ -8,7 +8,8 @@ use std::fmt;
 use serde::Deserializer;
 use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
 
-use super::{ChannelAt, FormatError, ParsedRun, check_channel_count};
+use super::error::excerpt;
+use super::{ChannelAt, FormatError, ParsedRun, check_channel_count, check_name};
 
 /// Reads a file.
 ///
@@ -101,7 +102,7 @@ impl<'de> Visitor<'de> for File<'_> {
                 "sample_rate_hz" | "channels" => {
                     return Err(self.0.refuse(FormatError::JsonDuplicateKey { key }));
                 }
-                _ => return Err(self.0.refuse(FormatError::JsonUnknownKey { key })),
+                _ => return Err(self.0.refuse(FormatError::JsonUnknownKey { key: excerpt(&key) })),
             }
         }
         let Some(sample_rate_hz) = sample_rate_hz else {
@@ -137,6 +138,9 @@ impl<'de> Visitor<'de> for ChannelMap<'_> {
         while let Some(name) = map.next_key::<String>()? {
             let index = channels.len();
             if let Err(error) = check_channel_count(index as u64 + 1) {
+                return Err(self.0.refuse(error));
+            }
+            if let Err(error) = check_name(&name) {
                 return Err(self.0.refuse(error));
             }
             if channels.iter().any(|(n, _)| *n == name) {

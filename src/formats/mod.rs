@@ -20,6 +20,9 @@ use crate::engine::first_not_finite;
 /// above any rig.
 pub const MAX_CHANNELS: usize = 1024;
 
+/// Longest name of a channel: longer than a rig's may be.
+pub const MAX_NAME_BYTES: usize = 4096;
+
 /// What a measurement file holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParsedRun {
@@ -73,6 +76,15 @@ impl ParsedRun {
         }
         Ok(self)
     }
+}
+
+/// # Errors
+/// [`FormatError::LongName`] above [`MAX_NAME_BYTES`].
+pub(crate) fn check_name(name: &str) -> Result<(), FormatError> {
+    if name.len() > MAX_NAME_BYTES {
+        return Err(FormatError::LongName { start: error::excerpt(name) });
+    }
+    Ok(())
 }
 
 /// # Errors

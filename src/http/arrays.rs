@@ -4,7 +4,7 @@
 //! is left is small, and parsed as strictly as ever. This way says yes or nothing: a document that is
 //! wrong in any way goes the strict way as a whole, which says what is wrong and where.
 
-use memchr::memchr;
+use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 
@@ -17,6 +17,9 @@ const STRETCH_BYTES: usize = 1 << 16;
 
 /// Deepest nesting that is followed here; deeper documents are refused the strict way.
 const MAX_DEPTH: usize = 16;
+
+/// Most arrays that are lifted: more than a body may have.
+const MAX_ARRAYS: usize = 1024;
 
 /// The key whose objects hold signals, wherever it stands.
 const CHANNELS: &[u8] = b"channels";
@@ -76,6 +79,9 @@ fn lift(text: &str) -> Option<Lifted<'_>> {
                 string = &bytes[start..at];
             }
             b'[' if open.last() == Some(&true) => {
+                if arrays.len() == MAX_ARRAYS {
+                    return None;
+                }
                 let end = at + memchr(b']', &bytes[at..])?;
                 rest.push_str(&text[copied..=at]);
                 rest.push_str(&arrays.len().to_string());
@@ -117,23 +123,30 @@ fn end_of_string(bytes: &[u8], start: usize) -> Option<usize> {
 
 /// The numbers of all arrays.
 fn read(arrays: &[&str], on_all_threads: bool) -> Option<Vec<Vec<f64>>> {
-    let stretches: Vec<(usize, &str)> =
-        arrays.iter().enumerate().flat_map(|(i, text)| stretches(text).map(move |s| (i, s))).collect();
-    let read: Vec<Option<Vec<f64>>> = if on_all_threads {
-        stretches.par_iter().map(|(_, text)| numbers(text)).collect()
-    } else {
-        stretches.iter().map(|(_, text)| numbers(text)).collect()
-    };
-    let mut found: Vec<Vec<f64>> = vec![Vec::new(); arrays.len()];
-    for ((i, _), numbers) in stretches.iter().zip(read) {
-        let (found, numbers) = (&mut found[*i], numbers?);
-        if found.is_empty() {
-            *found = numbers;
-        } else {
-            found.extend(numbers);
+    let counted: Vec<Vec<(&str, usize)>> =
+        arrays.iter().map(|text| stretches(text).map(|s| (s, commas(s) + 1)).collect()).collect();
+    // Each stretch is read to where its numbers stay: they are in memory once.
+    let mut found: Vec<Vec<f64>> =
+        counted.iter().map(|stretches| vec![0.0; stretches.iter().map(|(_, n)| n).sum()]).collect();
+    let mut places = Vec::new();
+    for (stretches, samples) in counted.iter().zip(&mut found) {
+        let mut rest = &mut samples[..];
+        for (text, n) in stretches {
+            let (place, after) = rest.split_at_mut(*n);
+            places.push((*text, place));
+            rest = after;
         }
     }
-    Some(found)
+    let read = if on_all_threads {
+        places.into_par_iter().try_for_each(|(text, place)| numbers(text, place))
+    } else {
+        places.into_iter().try_for_each(|(text, place)| numbers(text, place))
+    };
+    read.map(|()| found)
+}
+
+fn commas(text: &str) -> usize {
+    memchr_iter(b',', text.as_bytes()).count()
 }
 
 /// The text between brackets, cut at commas; nothing for an array without elements.
@@ -151,26 +164,24 @@ fn stretches(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// Numbers with commas between them, at least one; nothing for anything else, and for numbers that
-/// are none in 64 bits.
-fn numbers(text: &str) -> Option<Vec<f64>> {
+/// Reads numbers with commas between them into a place for one more than there are commas; nothing for
+/// anything else, and for numbers that are none in 64 bits.
+fn numbers(text: &str, places: &mut [f64]) -> Option<()> {
     let bytes = text.as_bytes();
-    // The shortest that a program writes for a sample is some ten bytes; too few only cost a move.
-    let mut numbers = Vec::with_capacity(text.len() / 8);
     let mut at = 0;
-    loop {
+    for place in places {
         at = blanks(bytes, at);
         let end = number(bytes, at)?;
         // The standard library rounds correctly; it takes more than JSON does, but not here.
-        let value: f64 = text[at..end].parse().ok().filter(|v: &f64| v.is_finite())?;
-        numbers.push(value);
+        *place = text[at..end].parse().ok().filter(|v: &f64| v.is_finite())?;
         at = blanks(bytes, end);
         match bytes.get(at) {
-            None => return Some(numbers),
+            None => {}
             Some(b',') => at += 1,
             Some(_) => return None,
         }
     }
+    Some(())
 }
 
 fn blanks(bytes: &[u8], at: usize) -> usize {
@@ -297,7 +308,7 @@ mod tests {
             samples in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::SUBNORMAL, 1..50)
         ) {
             let text = serde_json::to_string(&samples).unwrap();
-            let found = numbers(&text[1..text.len() - 1]).unwrap();
+            let found = read(&[&text[1..text.len() - 1]], false).unwrap().remove(0);
             let strict: Vec<f64> = serde_json::from_str(&text).unwrap();
             for ((sample, found), strict) in samples.iter().zip(&found).zip(&strict) {
                 prop_assert_eq!(sample.to_bits(), found.to_bits());

@@ -1,19 +1,53 @@
-//! Reads request bodies: never more than the limit, never on the word of a declared size.
+//! Reads request bodies: never more than the limit, never on the word of a declared size, and not from
+//! clients that take for ever.
+
+use std::error::Error;
+use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream};
-use axum::http::HeaderMap;
-use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::header::{CONNECTION, CONTENT_ENCODING, CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::{HeaderMap, HeaderValue};
 use bytes::{Bytes, BytesMut};
 use futures::StreamExt;
+use tokio::time::{Instant, timeout};
 
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use crate::compute::turns::Refused;
+use crate::telemetry::names;
+
+/// The slowest body that is waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Pace {
+    /// Least bytes a second.
+    pub bytes_per_s: u64,
+    /// Time over which they are counted: so much may pass without a byte.
+    pub window: Duration,
+}
+
+impl Default for Pace {
+    /// 1 KiB a second over 30 s.
+    fn default() -> Self {
+        Self { bytes_per_s: 1 << 10, window: Duration::from_secs(30) }
+    }
+}
+
+impl Pace {
+    /// Bytes that must come within the window.
+    fn least(&self) -> u64 {
+        (self.bytes_per_s as f64 * self.window.as_secs_f64()) as u64
+    }
+}
 
 /// A body's bytes, counted against a limit while they come.
 pub struct Limited {
     stream: BodyDataStream,
     limit: u64,
     received: u64,
+    pace: Pace,
+    /// What may still be waited for bytes in this window, and how many have come in it.
+    patience: Duration,
+    in_window: u64,
 }
 
 impl Limited {
@@ -21,7 +55,7 @@ impl Limited {
     ///
     /// # Errors
     /// `body.too_large`; `content_encoding.unsupported` for a compressed body.
-    pub fn new(headers: &HeaderMap, body: Body, limit: u64) -> Answer<Self> {
+    pub fn new(headers: &HeaderMap, body: Body, limit: u64, pace: Pace) -> Answer<Self> {
         if let Some(encoding) = headers.get(CONTENT_ENCODING)
             && encoding != "identity"
         {
@@ -32,24 +66,46 @@ impl Limited {
         if declared.is_some_and(|n| n > limit) {
             return Err(too_large(limit));
         }
-        Ok(Self { stream: body.into_data_stream(), limit, received: 0 })
+        let stream = body.into_data_stream();
+        Ok(Self { stream, limit, received: 0, pace, patience: pace.window, in_window: 0 })
     }
 
     /// The next bytes; none at the end.
     ///
     /// # Errors
-    /// `body.too_large`; `body.incomplete` when the connection ends before the declared length.
+    /// `body.too_large`; `body.too_slow`; `body.incomplete` when the connection ends before the declared
+    /// length; what a turn is refused with that is waited for at the end.
     pub async fn next(&mut self) -> Answer<Option<Bytes>> {
-        match self.stream.next().await {
+        match self.wait().await? {
             None => Ok(None),
             Some(Ok(chunk)) => {
                 self.received += chunk.len() as u64;
+                self.in_window += chunk.len() as u64;
                 if self.received > self.limit { Err(too_large(self.limit)) } else { Ok(Some(chunk)) }
             }
             Some(Err(error)) => {
+                if let Some(why) = refused(&error) {
+                    return Err(why.into());
+                }
                 let detail = format!("The body ended or broke after {} bytes: {error}.", self.received);
                 Err(Problem::new(codes::BODY_INCOMPLETE, detail))
             }
+        }
+    }
+
+    /// Waits for the next bytes. Only the time of waiting counts: what we do with bytes makes no client
+    /// slow.
+    async fn wait(&mut self) -> Answer<Option<Result<Bytes, axum::Error>>> {
+        loop {
+            let started = Instant::now();
+            if let Ok(next) = timeout(self.patience, self.stream.next()).await {
+                self.patience = self.patience.saturating_sub(started.elapsed());
+                return Ok(next);
+            }
+            if self.in_window < self.pace.least() {
+                return Err(too_slow(self.pace, self.received));
+            }
+            (self.patience, self.in_window) = (self.pace.window, 0);
         }
     }
 
@@ -59,7 +115,14 @@ impl Limited {
     /// As [`Limited::next`].
     pub async fn collect(mut self) -> Answer<Bytes> {
         let Some(first) = self.next().await? else { return Ok(Bytes::new()) };
-        let Some(second) = self.next().await? else { return Ok(first) };
+        let second = loop {
+            match self.next().await? {
+                None => return Ok(first),
+                // The end of a turn's wait.
+                Some(chunk) if chunk.is_empty() => {}
+                Some(chunk) => break chunk,
+            }
+        };
         let mut all = BytesMut::from(first);
         all.extend_from_slice(&second);
         while let Some(chunk) = self.next().await? {
@@ -67,6 +130,29 @@ impl Limited {
         }
         Ok(all.freeze())
     }
+}
+
+/// The refusal of a turn, if that is what ended the body.
+fn refused(error: &axum::Error) -> Option<Refused> {
+    let mut cause: Option<&(dyn Error + 'static)> = Some(error);
+    while let Some(found) = cause {
+        if let Some(why) = found.downcast_ref::<Refused>() {
+            return Some(*why);
+        }
+        cause = found.source();
+    }
+    None
+}
+
+fn too_slow(pace: Pace, received: u64) -> Problem {
+    metrics::counter!(names::CONNECTIONS_ENDED, "slow_in" => "body").increment(1);
+    let limit = format!("{} bytes within {} s", pace.least(), pace.window.as_secs_f64());
+    let detail =
+        format!("The body comes too slowly: {received} bytes so far, at least {limit} are expected.");
+    // What is still to come would be taken for the next request.
+    Problem::new(codes::BODY_TOO_SLOW, detail)
+        .with(FieldError::new("", limit))
+        .with_header(CONNECTION, HeaderValue::from_static("close"))
 }
 
 fn too_large(limit: u64) -> Problem {
@@ -99,7 +185,11 @@ mod tests {
             headers.insert(CONTENT_LENGTH, HeaderValue::from_static(declared));
         }
         let name = |p: Problem| p.code().to_owned();
-        Limited::new(&headers, Body::from(body), limit).map_err(name)?.collect().await.map_err(name)
+        Limited::new(&headers, Body::from(body), limit, Pace::default())
+            .map_err(name)?
+            .collect()
+            .await
+            .map_err(name)
     }
 
     #[tokio::test]
@@ -111,6 +201,43 @@ mod tests {
             Err("body.too_large".to_owned()),
             "refused on the declared length"
         );
+    }
+
+    const PACE: Pace = Pace { bytes_per_s: 200, window: Duration::from_millis(100) };
+
+    /// A body of ten bytes after each of these times, which then ends or stays open for ever.
+    async fn dribble(milliseconds: &'static [u64], ends: bool) -> Result<usize, String> {
+        let stream = futures::stream::iter(milliseconds).then(|time| async move {
+            tokio::time::sleep(Duration::from_millis(*time)).await;
+            Ok::<_, std::io::Error>(Bytes::from_static(b"0123456789"))
+        });
+        let rest = if ends { futures::stream::empty().boxed() } else { futures::stream::pending().boxed() };
+        let body = Limited::new(&HeaderMap::new(), Body::from_stream(stream.chain(rest)), 1000, PACE);
+        let name = |p: Problem| p.code().to_owned();
+        body.map_err(name)?.collect().await.map(|bytes| bytes.len()).map_err(name)
+    }
+
+    #[tokio::test]
+    async fn a_slow_body_is_waited_for_as_long_as_it_keeps_its_pace() {
+        let slow = Err("body.too_slow".to_owned());
+        assert_eq!(dribble(&[25; 12], true).await, Ok(120), "forty bytes in each window");
+        assert_eq!(dribble(&[50], true).await, Ok(10), "it ends within the window");
+        assert_eq!(dribble(&[], false).await, slow);
+        assert_eq!(dribble(&[10], false).await, slow, "ten of twenty bytes");
+        assert_eq!(dribble(&[10, 10, 110], false).await, slow, "ten in the second window");
+    }
+
+    #[tokio::test]
+    async fn the_time_that_we_take_ourselves_makes_no_client_slow() {
+        let chunks = [b"01", b"23", b"45"].map(|bytes| Ok::<_, std::io::Error>(Bytes::from_static(bytes)));
+        let body = Body::from_stream(futures::stream::iter(chunks));
+        let mut body = Limited::new(&HeaderMap::new(), body, 100, PACE).expect("a body");
+        let mut chunks = 0;
+        while body.next().await.expect("it came in time").is_some() {
+            tokio::time::sleep(2 * PACE.window).await;
+            chunks += 1;
+        }
+        assert_eq!(chunks, 3);
     }
 
     #[test]

@@ -39,6 +39,7 @@ codes! {
 
     // Its body.
     BODY_INCOMPLETE = "body.incomplete", 400, "The body ended early";
+    BODY_TOO_SLOW = "body.too_slow", 408, "The body comes too slowly";
     BODY_SYNTAX = "body.syntax", 400, "The body is not JSON";
     BODY_TOO_DEEP = "body.too_deep", 400, "The body is nested too deeply";
     BODY_TOO_LARGE = "body.too_large", 413, "The body is too large";
@@ -55,6 +56,7 @@ codes! {
     TOKEN_SCOPE = "token.scope", 403, "The token is limited to some rigs";
     HOST_FOREIGN = "host.foreign", 403, "Open to this machine only";
     ORIGIN_FOREIGN = "origin.foreign", 403, "Changes from another origin";
+    TOKEN_BUSY = "token.busy", 429, "The token's share is used up";
     TOKEN_NOT_FOUND = "token.not_found", 404, "No such token";
     TOKEN_FIRST_ADMIN = "token.first_admin", 409, "The first token must be an admin's";
 
@@ -146,6 +148,7 @@ codes! {
     PREDICT_SAMPLE_RATE = "predict.sample_rate", 422, "Another sample rate than the model's";
     PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
     PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
+    PREDICT_DEADLINE = "predict.deadline", 504, "The answer was not ready in time";
     DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that was not sent";
     DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";
 

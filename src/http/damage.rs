@@ -55,7 +55,7 @@ pub async fn damage(
 ) -> Answer {
     let signals = [Some(&request.predicted), request.target.as_ref()];
     let values = signals.iter().flatten().map(|s| s.channels.values()).sum();
-    http.off_thread(Class::of_values(values), move || report(request)).await?.map(json::respond)
+    http.in_time(Class::of_values(values), move |_| report(request)).await.map(json::respond)
 }
 
 fn report(request: DamageRequest) -> Answer<Vec<u8>> {

@@ -3,14 +3,17 @@
 use super::codes;
 use super::problem::{FieldError, Problem};
 use crate::compute::ComputeError;
+use crate::compute::turns::Refused;
 use crate::engine::EngineError;
 use crate::formats::FormatError;
 use crate::jobs::{DiagnosisProblem, FitProblem};
 use crate::models::ModelError;
 use crate::storage::StoreError;
+use crate::telemetry::names;
 
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
+        error.count();
         if error.is_disk_full() {
             return Self::new(codes::STORE_FULL, "The disk is full; nothing was stored.").because(error);
         }
@@ -36,13 +39,23 @@ impl From<StoreError> for Problem {
 impl From<ComputeError> for Problem {
     fn from(error: ComputeError) -> Self {
         match error {
-            ComputeError::Busy { .. } => {
-                Self::new(codes::BUSY, "Too much work is waiting already; try again.")
-                    .because(error)
-                    .retry_after(1)
-            }
+            ComputeError::Busy(why) => why.into(),
             error => Self::internal(error),
         }
+    }
+}
+
+impl From<Refused> for Problem {
+    fn from(why: Refused) -> Self {
+        match why {
+            Refused::Share => Self::new(
+                codes::TOKEN_BUSY,
+                "The service has much to do, and more than this token's share is under way or waits; try again.",
+            ),
+            Refused::Full => Self::new(codes::BUSY, "Too much work is waiting already; try again."),
+            Refused::Late => Self::new(codes::BUSY, "The request's turn did not come in time; try again."),
+        }
+        .retry_after(1)
     }
 }
 
@@ -143,6 +156,12 @@ pub fn format(error: &FormatError, names: &[String]) -> Problem {
         limit: error.limit(),
     };
     Problem::new(code, format!("{error}.")).with(place)
+}
+
+/// Tells the metrics of a file that could not be read.
+pub fn count_unreadable(format: &'static str, problem: &Problem) {
+    let reason = problem.code().to_owned();
+    metrics::counter!(names::PARSE_ERRORS, "format" => format, "reason" => reason).increment(1);
 }
 
 /// The engine's words, with the channel's name beside its number.

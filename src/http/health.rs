@@ -8,6 +8,7 @@ use super::doors::Caller;
 use super::params::{NoParams, Params};
 use super::problem::{Answer, Problem};
 use super::{Shared, codes, json};
+use crate::compute::Class;
 use crate::models::Degraded;
 
 #[derive(Debug, Serialize)]
@@ -50,5 +51,19 @@ async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
         .map(|(state, n)| (state.as_str().to_owned(), n.into()))
         .collect();
     let store = if room { "ok" } else { "full" };
-    Ok(json!({"store": store, "draining": false, "jobs": jobs}))
+    let compute = [Class::Predict, Class::Long].map(|class| http.compute.turns(class));
+    let queues: serde_json::Map<_, _> = http
+        .admission
+        .all()
+        .into_iter()
+        .chain(compute)
+        .map(|turns| {
+            let (class, in_use, waiting) = turns.depth();
+            (class.to_owned(), json!({"in_use": in_use, "waiting": waiting}))
+        })
+        .collect();
+    let loaded_models = http.models.loaded();
+    Ok(json!({
+        "store": store, "draining": false, "jobs": jobs, "queues": queues, "loaded_models": loaded_models
+    }))
 }

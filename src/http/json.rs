@@ -13,9 +13,9 @@ use serde_path_to_error::Path;
 use super::Shared;
 use super::arrays::{self, HoldsSignals};
 use super::body::{self, Limited};
-use super::codes;
-use super::problem::{Answer, FieldError, Problem};
+use super::problem::{Answer, FieldError, Problem, shortened};
 use super::strict::Strict;
+use super::{codes, errors};
 use crate::compute::Class;
 use crate::domain::problem::pointer;
 
@@ -24,6 +24,13 @@ pub const MEDIA_TYPE: &str = "application/json";
 
 /// Deepest nesting of arrays and objects.
 const MAX_DEPTH: usize = 64;
+
+/// Largest body without signals. What it becomes may take thirty times its size in memory; the largest
+/// rig or selection of runs that makes sense has a tenth of this.
+const MAX_DOCUMENT_BYTES: u64 = 1 << 20;
+
+/// Longest part of a parser's message that a client gets back: it may quote all that was sent.
+const MAX_QUOTED: usize = 300;
 
 /// Larger bodies are parsed off the async threads: a quarter MiB takes about a millisecond.
 pub const PARSE_HERE_BYTES: usize = 256 << 10;
@@ -37,7 +44,7 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Shared> for Json<T> {
 
     async fn from_request(request: Request, http: &Shared) -> Result<Self, Problem> {
         let (parts, body) = request.into_parts();
-        take(&parts.headers, body, http, &[MEDIA_TYPE], parse).await.map(Self)
+        take(&parts.headers, body, http, &[MEDIA_TYPE]).await.map(Self)
     }
 }
 
@@ -50,31 +57,55 @@ impl<T: HoldsSignals + Send + 'static> FromRequest<Shared> for SignalsJson<T> {
 
     async fn from_request(request: Request, http: &Shared) -> Result<Self, Problem> {
         let (parts, body) = request.into_parts();
-        take(&parts.headers, body, http, &[MEDIA_TYPE], arrays::parse).await.map(Self)
+        take_signals(&parts.headers, body, http).await.map(Self)
     }
 }
 
-/// Reads a body of one of these media types, which `parse` takes apart.
+/// Reads a body without signals of one of these media types.
 ///
 /// # Errors
 /// `content_type.unsupported`, `body.*`.
-pub async fn take<T: Send + 'static>(
+pub async fn take<T: DeserializeOwned + Send + 'static>(
     headers: &HeaderMap,
     body: axum::body::Body,
     http: &Shared,
     media_types: &[&str],
+) -> Answer<T> {
+    let limit = http.limits.json_bytes.min(MAX_DOCUMENT_BYTES);
+    read(headers, body, http, media_types, limit, parse).await
+}
+
+/// Reads a body that may hold signals.
+///
+/// # Errors
+/// As [`take`].
+pub async fn take_signals<T: HoldsSignals + Send + 'static>(
+    headers: &HeaderMap,
+    body: axum::body::Body,
+    http: &Shared,
+) -> Answer<T> {
+    read(headers, body, http, &[MEDIA_TYPE], http.limits.json_bytes, arrays::parse).await
+}
+
+async fn read<T: Send + 'static>(
+    headers: &HeaderMap,
+    body: axum::body::Body,
+    http: &Shared,
+    media_types: &[&str],
+    limit: u64,
     parse: fn(&[u8]) -> Answer<T>,
 ) -> Answer<T> {
     let found = body::media_type(headers);
     if !found.as_deref().is_some_and(|f| media_types.contains(&f)) {
         return Err(body::unsupported(found.as_deref(), media_types));
     }
-    let bytes = Limited::new(headers, body, http.limits.json_bytes)?.collect().await?;
-    if bytes.len() <= PARSE_HERE_BYTES {
-        parse(&bytes)
-    } else {
-        http.off_thread(Class::of_bytes(bytes.len()), move || parse(&bytes)).await?
-    }
+    let bytes = Limited::new(headers, body, limit, http.limits.pace)?.collect().await?;
+    let size = bytes.len();
+    let parse = move || {
+        let parsed = parse(&bytes);
+        parsed.inspect_err(|problem| errors::count_unreadable("json", problem))
+    };
+    if size <= PARSE_HERE_BYTES { parse() } else { http.off_thread(Class::of_bytes(size), parse).await? }
 }
 
 /// Parses a document.
@@ -105,7 +136,8 @@ fn refusal(error: serde_json::Error, path: &Path) -> Problem {
     }
     let text = error.to_string();
     // Line and column of a field that has a pointer say nothing more.
-    let text = text.split(" at line ").next().unwrap_or(&text);
+    let text = shortened(text.split(" at line ").next().unwrap_or(&text), MAX_QUOTED);
+    let text = text.as_ref();
     let named = text.split('`').nth(1).unwrap_or_default();
     let pointer = pointer(path);
     let (code, pointer) = if text.starts_with("unknown field") {

@@ -3,15 +3,18 @@
 //! Handlers parse, call and map. What needs the processor goes through [`crate::compute`]; what
 //! is wrong becomes a problem (`problem`), whose document the outermost layer (`observe`)
 //! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal; each stands behind
-//! a door ([`Doors`]) that asks for the right that the table gives it.
+//! a door ([`Doors`]) that asks for the right that the table gives it, and waits for a turn of the class
+//! of traffic ([`Traffic`]) that it has there.
 
 mod active_model;
+mod admission;
 mod adopt;
 mod arrays;
 mod body;
 pub mod codes;
 mod contract;
 mod damage;
+mod deadline;
 mod diagnoses;
 mod doors;
 mod errors;
@@ -44,6 +47,7 @@ mod unreadable;
 mod upload;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::http::header::AUTHORIZATION;
@@ -59,11 +63,13 @@ use crate::models::Models;
 use crate::storage::Store;
 use problem::Answer;
 
+pub use admission::{Admission, AdmissionSettings, Traffic};
+pub use body::Pace;
 pub use doors::Doors;
 pub use rights::Right;
-pub use unreadable::Connection;
+pub use unreadable::{Connection, too_many_connections};
 
-/// Largest bodies that are read.
+/// Largest bodies that are read, and the longest that is waited for them and for answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// JSON bodies, bytes.
@@ -72,12 +78,22 @@ pub struct Limits {
     pub drive_bytes: u64,
     /// Run files and weights, bytes.
     pub upload_bytes: u64,
+    /// Slowest bodies.
+    pub pace: Pace,
+    /// Longest work for an answer once its request was read, the wait for a turn included.
+    pub deadline: Duration,
 }
 
 impl Default for Limits {
-    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB.
+    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB; a minute.
     fn default() -> Self {
-        Self { json_bytes: 64 << 20, drive_bytes: 128 << 20, upload_bytes: 4 << 30 }
+        Self {
+            json_bytes: 64 << 20,
+            drive_bytes: 128 << 20,
+            upload_bytes: 4 << 30,
+            pace: Pace::default(),
+            deadline: Duration::from_secs(60),
+        }
     }
 }
 
@@ -93,7 +109,9 @@ pub struct Http {
     pub models: Models,
     /// The door to the processor.
     pub compute: Compute,
-    /// Largest bodies.
+    /// Turns of requests.
+    pub admission: Admission,
+    /// Largest and slowest bodies.
     pub limits: Limits,
     /// The time.
     pub clock: Clock,
@@ -121,7 +139,7 @@ impl Http {
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        self.compute.run(class, work).await.map_err(Into::into)
+        self.compute.run(class, admission::who(), work).await.map_err(Into::into)
     }
 }
 
@@ -133,7 +151,9 @@ pub fn router(http: Shared) -> Router {
             let guard = from_fn_with_state((http.clone(), route.right), doors::guard);
             // Inside the guard: an answer is given again to whom it was given before.
             let once = from_fn_with_state(http.clone(), once::once);
-            router.route(route.path, (route.handler)().route_layer(once).route_layer(guard))
+            let admit = from_fn_with_state((http.clone(), route.traffic), admission::admit);
+            let handler = (route.handler)().route_layer(once).route_layer(admit).route_layer(guard);
+            router.route(route.path, handler)
         })
         .fallback(problem::no_route)
         .method_not_allowed_fallback(problem::no_method)

@@ -86,8 +86,7 @@ pub async fn import(
     if !found.as_deref().is_some_and(|f| IMPORT_TYPES.contains(&f)) {
         return Err(body::unsupported(found.as_deref(), IMPORT_TYPES));
     }
-    let upload =
-        upload::receive(&headers, request, http.limits.upload_bytes, &http.store.scratch_dir()).await?;
+    let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
     let new =
         http.off_thread(class, move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
@@ -99,7 +98,11 @@ pub async fn import(
 /// Reads a weight file and holds it against the rig. What is stored is our own form of it, so
 /// that every stored file reads the same way.
 fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
-    let model = from_safetensors(bytes).map_err(|error| errors::engine(&error, &[], ""))?;
+    let model = from_safetensors(bytes).map_err(|error| {
+        let problem = errors::engine(&error, &[], "");
+        errors::count_unreadable("safetensors", &problem);
+        problem
+    })?;
     suits(rig, &model)?;
     let weights = Bytes::from(crate::engine::model::to_safetensors(&model));
     Ok(NewModel {

@@ -63,7 +63,7 @@ async fn under_key(http: &Shared, request: Request, next: Next) -> Answer {
         body: Arc::default(),
     };
     if let Some(before) = http.store.before(&keyed.owner, &keyed.key).await? {
-        let mut body = Limited::new(&parts.headers, body, http.limits.upload_bytes)?;
+        let mut body = Limited::new(&parts.headers, body, http.limits.upload_bytes, http.limits.pace)?;
         while let Some(chunk) = body.next().await? {
             keyed.hash(&chunk);
         }

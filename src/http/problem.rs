@@ -3,6 +3,8 @@
 //! A [`Problem`] becomes a response whose body is still empty; the outermost layer
 //! ([`super::observe`]) writes the document, because only there the request id is known.
 
+use std::borrow::Cow;
+
 use axum::http::header::{ALLOW, RETRY_AFTER};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -14,6 +16,12 @@ pub use crate::domain::FieldError;
 
 /// Media type of problem documents.
 pub const MEDIA_TYPE: &str = "application/problem+json";
+
+/// Longest text of a problem, characters: it may quote what was sent, which has no such limit.
+const MAX_TEXT: usize = 2000;
+
+/// Most places that a problem names.
+const MAX_ERRORS: usize = 20;
 
 /// Why a request was not answered as asked.
 #[derive(Debug, Clone)]
@@ -46,6 +54,7 @@ pub type Answer<T = Response> = Result<T, Problem>;
 impl Problem {
     /// A problem of a documented kind; `detail` says what is wrong with this request.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        let detail = cut(detail.into());
         domain::Problem::new(code.status, code.name, code.title, detail).into()
     }
 
@@ -64,14 +73,19 @@ impl Problem {
     }
 
     /// Adds a place.
-    pub fn with(mut self, error: FieldError) -> Self {
-        self.0.what.errors.push(error);
-        self
+    pub fn with(self, error: FieldError) -> Self {
+        self.with_all([error])
     }
 
-    /// Adds places.
+    /// Adds places, as many as an answer has room for.
     pub fn with_all(mut self, errors: impl IntoIterator<Item = FieldError>) -> Self {
-        self.0.what.errors.extend(errors);
+        let room = MAX_ERRORS.saturating_sub(self.0.what.errors.len());
+        self.0.what.errors.extend(errors.into_iter().take(room).map(|error| FieldError {
+            pointer: cut(error.pointer),
+            channel: error.channel.map(cut),
+            limit: error.limit.map(cut),
+            ..error
+        }));
         self
     }
 
@@ -89,6 +103,16 @@ impl Problem {
     /// Its stable code.
     pub fn code(&self) -> &str {
         &self.0.what.code
+    }
+
+    /// Its status.
+    pub(super) fn status(&self) -> StatusCode {
+        StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one")
+    }
+
+    /// The header that its answer has.
+    pub(super) fn header(&self) -> Option<(HeaderName, HeaderValue)> {
+        self.0.header.clone()
     }
 
     /// What only the log may say.
@@ -124,6 +148,21 @@ impl Problem {
     }
 }
 
+/// A text, without what lies beyond so many characters.
+pub fn shortened(text: &str, most: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(most) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => Cow::Owned(format!("{}...", &text[..end])),
+    }
+}
+
+fn cut(text: String) -> String {
+    match shortened(&text, MAX_TEXT) {
+        Cow::Owned(short) => short,
+        Cow::Borrowed(_) => text,
+    }
+}
+
 impl From<domain::Problem> for Problem {
     fn from(what: domain::Problem) -> Self {
         Self(Box::new(Parts { what, cause: None, header: None }))
@@ -132,9 +171,8 @@ impl From<domain::Problem> for Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let status = StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one");
-        let mut response = status.into_response();
-        if let Some((name, value)) = self.0.header.clone() {
+        let mut response = self.status().into_response();
+        if let Some((name, value)) = self.header() {
             response.headers_mut().insert(name, value);
         }
         response.extensions_mut().insert(self);

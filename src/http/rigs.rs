@@ -65,7 +65,7 @@ pub async fn change(
     body: Body,
 ) -> Answer {
     let tags = if_match(&headers)?;
-    let patch: Value = json::take(&headers, body, &http, PATCH_TYPES, json::parse).await?;
+    let patch: Value = json::take(&headers, body, &http, PATCH_TYPES).await?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let current = rig.etag();
     match http.store.patch_rig(&id, tags.check(&current)?, &patch, http.now()).await? {

@@ -48,7 +48,7 @@ pub async fn show(
     ];
     let class = Class::of_values(run.samples as usize * run.channels.len());
     let bytes = http
-        .off_thread(class, move || {
+        .in_time(class, move |_| {
             let signal = whole.select(&columns).slice(range.clone());
             match media_type {
                 NPY => formats::npy::write(signal.channels(), Dtype::F8, Order::C).map_err(Problem::internal),
@@ -63,7 +63,7 @@ pub async fn show(
                 }
             }
         })
-        .await??;
+        .await?;
     Ok((head, bytes).into_response())
 }
 

@@ -35,6 +35,14 @@ impl Format {
         }
     }
 
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Npy => "npy",
+            Self::Json => "json",
+        }
+    }
+
     fn read(self, bytes: &[u8]) -> Result<ParsedRun, formats::FormatError> {
         match self {
             Self::Csv => formats::csv::read(bytes),
@@ -73,18 +81,21 @@ impl RunFile {
     /// # Errors
     /// What the format's reader refuses; channels, sample rate or units that are not the rig's.
     pub fn prepare(self, rig: &Rig, meta: RunMeta, format: Format, upload: &Upload) -> Answer<PreparedRun> {
+        // What the query alone gets wrong is told before the file is taken apart.
+        check_channels(self.channels.iter().flatten(), rig)?;
+        self.rate(None, rig)?;
         let bytes = upload.read().map_err(Problem::internal)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
-        let parsed = format.read(&bytes).map_err(|error| errors::format(&error, named))?;
+        let parsed = format.read(&bytes).map_err(|error| {
+            let problem = errors::format(&error, named);
+            errors::count_unreadable(format.as_str(), &problem);
+            problem
+        })?;
         drop(bytes);
         let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
         let names = self.names(names, channels.len(), rig_names)?;
-        if let Some(name) = names.iter().find(|name| rig.channel(name).is_none()) {
-            let detail = format!("The rig has no channel {name:?}.");
-            return Err(Problem::new(codes::RUN_UNKNOWN_CHANNEL, detail)
-                .with(FieldError::new("", "a channel of the rig").on_channel(name)));
-        }
+        check_channels(&names, rig)?;
         let rate = self.rate(sample_rate_hz, rig)?;
         let refuse = |error| errors::engine(&error, &names, "");
         let mut signal = Signal::new(rate, channels).map_err(refuse)?;
@@ -133,5 +144,16 @@ impl RunFile {
             return Ok(rig.sample_rate_hz);
         }
         if self.resample { Ok(rate) } else { Err(refuse(rate, rig.sample_rate_hz)) }
+    }
+}
+
+fn check_channels<'a>(names: impl IntoIterator<Item = &'a String>, rig: &Rig) -> Answer<()> {
+    match names.into_iter().find(|name| rig.channel(name).is_none()) {
+        None => Ok(()),
+        Some(name) => {
+            let detail = format!("The rig has no channel {name:?}.");
+            Err(Problem::new(codes::RUN_UNKNOWN_CHANNEL, detail)
+                .with(FieldError::new("", "a channel of the rig").on_channel(name)))
+        }
     }
 }

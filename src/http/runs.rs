@@ -47,8 +47,7 @@ pub async fn upload(
     params.finish()?;
     let format = Format::of(body::media_type(&headers).as_deref())?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let upload =
-        upload::receive(&headers, request, http.limits.upload_bytes, &http.store.scratch_dir()).await?;
+    let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
     let run = http.off_thread(class, move || file.prepare(&rig, meta, format, &upload)).await??;
     match http.store.insert_run(&id, run, key.once(), http.now()).await? {
@@ -95,7 +94,7 @@ pub async fn change(
     headers: HeaderMap,
     body: Body,
 ) -> Answer {
-    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES, json::parse).await?;
+    let patch: RunPatch = json::take(&headers, body, &http, rigs::PATCH_TYPES).await?;
     match http.store.patch_run(&rig, id, patch).await? {
         RunUpdate::Updated(run) => json::answer(&*run),
         RunUpdate::Missing => Err(no_run(&id.to_string())),

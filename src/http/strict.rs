@@ -15,6 +15,12 @@ use serde::de::{
 /// A part of the conversation between a type and a format, made strict.
 pub struct Strict<T>(pub T);
 
+/// Most keys of an object: each that has come is kept.
+const MAX_KEYS: usize = 10_000;
+
+/// Longest key, bytes: names of channels are the longest that mean something.
+const MAX_KEY_BYTES: usize = 4096;
+
 /// The entries of an object, with the keys that have come.
 struct Entries<A> {
     access: A,
@@ -134,6 +140,12 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Entries<A> {
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
         let Some(key) = self.access.next_key::<String>()? else { return Ok(None) };
+        if key.len() > MAX_KEY_BYTES {
+            return Err(Error::custom(format_args!("a key of more than {MAX_KEY_BYTES} bytes")));
+        }
+        if self.seen.len() == MAX_KEYS {
+            return Err(Error::custom(format_args!("more than {MAX_KEYS} keys")));
+        }
         if self.seen.contains(&key) {
             return Err(Error::custom(format_args!("duplicate field `{key}`")));
         }

@@ -86,22 +86,33 @@ fn code(status: StatusCode) -> codes::Code {
 /// The whole answer; hyper closes the connection after it.
 fn refusal(status: StatusCode, id: &str) -> Vec<u8> {
     let code = code(status);
-    let status = code.status;
     let detail = match code {
         codes::REQUEST_HEAD_TOO_LARGE => "There are more than 100 headers, or they are too long.",
         codes::REQUEST_URI_TOO_LONG => "The path and the query are longer than 65,534 bytes.",
         _ => "The request line and the headers cannot be read as HTTP/1.1.",
     };
-    let problem = Problem::new(code, detail);
+    written(&Problem::new(code, detail), id)
+}
+
+/// The whole answer to a connection beyond the limits, which is closed after it.
+pub fn too_many_connections(http: &Shared) -> Vec<u8> {
+    let detail = "Too many connections are open; try again.";
+    written(&Problem::new(codes::BUSY, detail).retry_after(1), &http.new_id().to_string())
+}
+
+/// A problem as the bytes of a last answer.
+fn written(problem: &Problem, id: &str) -> Vec<u8> {
     let document = problem.document(id);
-    let reason = StatusCode::from_u16(status).ok().and_then(|status| status.canonical_reason());
+    let status = problem.status();
+    let reason = status.canonical_reason();
     let mut head = format!(
-        "HTTP/1.1 {status} {}\r\nconnection: close\r\nx-request-id: {id}\r\ncontent-type: {}\r\ncontent-length: {}\r\n",
+        "HTTP/1.1 {} {}\r\nconnection: close\r\nx-request-id: {id}\r\ncontent-type: {}\r\ncontent-length: {}\r\n",
+        status.as_str(),
         reason.unwrap_or_default(),
         problem::MEDIA_TYPE,
         document.len()
     );
-    let mut fields = HeaderMap::new();
+    let mut fields: HeaderMap = problem.header().into_iter().collect();
     protect(&mut fields);
     for (name, value) in &fields {
         head.push_str(&format!("{name}: {}\r\n", value.to_str().unwrap_or_default()));

@@ -12,8 +12,8 @@ use tempfile::NamedTempFile;
 use tokio::io::{AsyncWriteExt, BufWriter};
 
 use super::body::Limited;
-use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use super::{Http, Limits, codes};
 use crate::storage::StoreError;
 
 /// Bytes that gather before a write to disk.
@@ -47,13 +47,17 @@ impl Upload {
     }
 }
 
-/// Receives a body into a temporary file of `directory`.
+/// Receives a body into a temporary file.
 ///
 /// # Errors
-/// `body.too_large`, `body.incomplete`, `digest.malformed`, `digest.mismatch`, `store.full`.
-pub async fn receive(headers: &HeaderMap, body: Body, limit: u64, directory: &Path) -> Answer<Upload> {
+/// `body.too_large`, `body.too_slow`, `body.incomplete`, `digest.malformed`, `digest.mismatch`, `store.full`.
+pub async fn receive(http: &Http, headers: &HeaderMap, body: Body) -> Answer<Upload> {
+    receive_into(&http.store.scratch_dir(), headers, body, http.limits).await
+}
+
+async fn receive_into(directory: &Path, headers: &HeaderMap, body: Body, limits: Limits) -> Answer<Upload> {
     let wanted = content_digest(headers)?;
-    let mut body = Limited::new(headers, body, limit)?;
+    let mut body = Limited::new(headers, body, limits.upload_bytes, limits.pace)?;
     let file = NamedTempFile::new_in(directory).map_err(disk)?;
     let handle = file.reopen().map_err(disk)?;
     let mut writer = BufWriter::with_capacity(BUFFER_BYTES, tokio::fs::File::from_std(handle));
@@ -116,7 +120,8 @@ mod tests {
         if let Some(digest) = digest {
             headers.insert("content-digest", HeaderValue::from_str(digest).expect("header value"));
         }
-        let outcome = receive(&headers, Body::from("abc"), limit, directory.path()).await;
+        let limits = Limits { upload_bytes: limit, ..Limits::default() };
+        let outcome = receive_into(directory.path(), &headers, Body::from("abc"), limits).await;
         let outcome = outcome
             .map(|upload| {
                 assert_eq!(upload.read().expect("readable"), b"abc");

@@ -88,7 +88,7 @@ async fn compare(
     let seconds: f64 = stretches.iter().map(Stretch::scored_s).sum();
     let scored = bench
         .compute
-        .run(Class::Fit, move || {
+        .run(Class::Fit, None, move || {
             let active = from_safetensors(&weights)?;
             let stretches = reference(stretches, &fitted, &active)?;
             let new = mean_rms(&fitted, &stretches, &watched)?;

@@ -196,7 +196,7 @@ async fn fit(
     let started = std::time::Instant::now();
     let fitted = bench
         .compute
-        .run(Class::Fit, move || {
+        .run(Class::Fit, None, move || {
             let fitted = function(&data, &settings, &shelf, &|progress| watched.watch(progress))?;
             let weights = Bytes::from(to_safetensors(&fitted.model));
             Ok((fitted.model, fitted.report, weights))

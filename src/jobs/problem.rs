@@ -103,7 +103,7 @@ impl From<ComputeError> for JobError {
     fn from(error: ComputeError) -> Self {
         match error {
             ComputeError::Panicked(message) => panicked(&message),
-            ComputeError::Busy { .. } | ComputeError::Threads(_) => {
+            ComputeError::Busy(_) | ComputeError::Threads(_) => {
                 tracing::error!(%error, "a job got no threads");
                 Self::retry(Problem::new(503, codes::BUSY, "Busy", "There were no threads for the job."))
             }

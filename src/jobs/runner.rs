@@ -95,7 +95,10 @@ impl Runner {
                     continue;
                 }
                 Ok(None) => {}
-                Err(error) => tracing::error!(%error, "no job could be claimed"),
+                Err(error) => {
+                    error.count();
+                    tracing::error!(%error, "no job could be claimed");
+                }
             }
             tokio::select! {
                 () = queued => {}
@@ -121,13 +124,17 @@ impl Runner {
             match self.store.requeue_expired(now, &here, now).await {
                 Ok(expired) => {
                     for id in expired {
+                        metrics::counter!(names::LEASES_LOST).increment(1);
                         tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
                         self.hub.changed(id);
                         self.queued.notify_one();
                     }
                 }
                 // One row that cannot be read must not keep the others waiting.
-                Err(error) => tracing::error!(%error, "jobs of lost workers could not be queued again"),
+                Err(error) => {
+                    error.count();
+                    tracing::error!(%error, "jobs of lost workers could not be queued again");
+                }
             }
         }
     }
@@ -158,8 +165,9 @@ impl Runner {
             let work = Arc::clone(&self).perform(claim.clone(), Arc::clone(&control));
             let started = Instant::now();
             let end = self.accompany(&claim, &control, tokio::spawn(work.in_current_span())).await;
-            note_duration(claim.job.kind, &end, started.elapsed());
+            note_end(claim.job.kind, &end, control.stopped(), started.elapsed());
             if let Err(error) = self.finish(&claim, &control, end).await {
+                error.count();
                 // Its lease runs out, and then somebody takes it up again.
                 tracing::error!(%error, "the end of a job could not be written");
             }
@@ -233,7 +241,10 @@ impl Runner {
                 // It was cancelled, or is another's: the next heartbeat says so.
                 Ok(false) => {}
                 // The former one is still there, and the work goes on.
-                Err(error) => tracing::warn!(%error, "a checkpoint could not be stored"),
+                Err(error) => {
+                    error.count();
+                    tracing::warn!(%error, "a checkpoint could not be stored");
+                }
             }
         }
     }
@@ -244,9 +255,15 @@ impl Runner {
         match beat {
             Ok(Beat::Held) => {}
             Ok(Beat::CancelRequested) => control.stop(Stop::Cancelled),
-            Ok(Beat::Lost) => control.stop(Stop::Lost),
+            Ok(Beat::Lost) => {
+                metrics::counter!(names::LEASES_LOST).increment(1);
+                control.stop(Stop::Lost);
+            }
             // The lease outlasts a few of these; if it does not, the next beat says so.
-            Err(error) => tracing::warn!(%error, "a heartbeat could not be written"),
+            Err(error) => {
+                error.count();
+                tracing::warn!(%error, "a heartbeat could not be written");
+            }
         }
         self.hub.changed(claim.job.id);
     }
@@ -285,16 +302,27 @@ impl Runner {
     }
 }
 
-/// Tells the metrics how long a fit ran, and how it ended.
-fn note_duration(kind: JobKind, end: &Result<(), JobError>, elapsed: Duration) {
+/// Tells the metrics how an attempt ended, and how long it ran if it was a fit's.
+fn note_end(kind: JobKind, end: &Result<(), JobError>, stopped: Option<Stop>, elapsed: Duration) {
+    let outcome = match end {
+        Ok(()) => "succeeded",
+        Err(JobError::Failed(_)) => "failed",
+        Err(JobError::Retry(_)) => "retry",
+        Err(JobError::Stopped) => match stopped {
+            Some(Stop::Cancelled) => "cancelled",
+            Some(Stop::Shutdown) => "released",
+            Some(Stop::Lost) | None => "lost",
+        },
+    };
+    metrics::counter!(names::ATTEMPTS, "kind" => kind.as_str(), "outcome" => outcome).increment(1);
     if kind == JobKind::Fit {
-        let outcome = match end {
-            Ok(()) => "succeeded",
-            Err(JobError::Failed(_)) => "failed",
-            Err(JobError::Retry(_)) => "interrupted",
-            Err(JobError::Stopped) => "stopped",
-        };
         metrics::histogram!(names::FIT_SECONDS, "outcome" => outcome).record(elapsed.as_secs_f64());
+    }
+    if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = end
+        && let Some(kind) = problem.code.strip_prefix("store.")
+    {
+        // Ours are few: full, unavailable, damaged.
+        metrics::counter!(names::STORE_ERRORS, "kind" => kind.to_owned()).increment(1);
     }
 }
 

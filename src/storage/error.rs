@@ -1,5 +1,7 @@
 //! Why the store failed, as opposed to what it did not find.
 
+use crate::telemetry::names;
+
 /// A failure of the store; never the client's fault.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -93,6 +95,26 @@ impl StoreError {
 }
 
 impl StoreError {
+    /// What kind of failure it is, as a metric's label.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            error if error.is_disk_full() => "full",
+            Self::ObjectMissing { .. }
+            | Self::ObjectDamaged { .. }
+            | Self::Damaged { .. }
+            | Self::Row { .. } => "damaged",
+            error if error.is_unavailable() => "unavailable",
+            _ => "defect",
+        }
+    }
+
+    /// Tells the metrics.
+    pub fn count(&self) {
+        if !matches!(self, Self::Repeated | Self::Stopped) {
+            metrics::counter!(names::STORE_ERRORS, "kind" => self.kind()).increment(1);
+        }
+    }
+
     /// Whether the store is out of reach for a while, by no fault of a request: locks, reads and writes
     /// that fail, no connection.
     pub fn is_unavailable(&self) -> bool {

@@ -244,6 +244,24 @@ impl Store {
         all(rows)
     }
 
+    /// Errors on validation data of the newest fitted model of each rig, one an output; at most `limit` rigs,
+    /// by id.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn validation_errors(&self, limit: u32) -> Result<Vec<(String, Vec<Option<f64>>)>, StoreError> {
+        let rows: Vec<(String, sqlx::types::Json<Vec<Option<f64>>>)> = sqlx::query_as(
+            "SELECT rig, json_extract(report, '$.validation_rms') FROM models AS newest
+             WHERE report IS NOT NULL AND json_extract(report, '$.validation_rms') IS NOT NULL AND version =
+                 (SELECT max(version) FROM models WHERE rig = newest.rig AND origin = 'fit')
+             ORDER BY rig LIMIT ?",
+        )
+        .bind(limit)
+        .fetch_all(self.reader())
+        .await?;
+        Ok(rows.into_iter().map(|(rig, errors)| (rig, errors.0)).collect())
+    }
+
     /// The weight file of a model, verified.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use rigcast::http::Right;
+use rigcast::http::{Right, Traffic};
 
 use crate::support::{Contract, OPENAPI, TestApp};
 
@@ -57,6 +57,18 @@ fn the_contract_asks_of_every_operation_what_the_table_of_rights_asks() {
             Right::Role(role) => (Some(role.as_str()), None, None, [true; 2]),
             Right::AllRigs(role) => (Some(role.as_str()), None, Some(true), [true; 2]),
         };
+        assert_eq!(found, expected, "{} {}", route.method, route.path);
+    }
+}
+
+#[test]
+fn the_contract_says_of_every_operation_how_it_is_refused_under_load() {
+    let document = &Contract::get().document;
+    for route in rigcast::http::routes::ROUTES {
+        let operation = &document["paths"][route.path][route.method.as_str().to_lowercase()];
+        let found = ["408", "429", "503", "504"].map(|status| operation["responses"].get(status).is_some());
+        let body = operation.get("requestBody").is_some();
+        let expected = [body, true, true, route.traffic == Traffic::Predict];
         assert_eq!(found, expected, "{} {}", route.method, route.path);
     }
 }

@@ -2,6 +2,7 @@
 //! nothing acknowledged is lost, and with room again everything works again.
 //!
 //! Needs a small file system of its own: skipped where the user may not mount one.
+//! `RIGCAST_TEST_FILLINGS=20 cargo test --test api full_disk -- --nocapture` fills it more often.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -77,7 +78,8 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
     client.import("bench", gain_weights(&["u"], &["y"], 2.0)).await.expect("a model");
     let mut runs = vec![upload(&client, 0, 3000).await.expect("a run")];
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
-    for round in 1..=4 {
+    let rounds: u64 = std::env::var("RIGCAST_TEST_FILLINGS").map_or(4, |n| n.parse().expect("a number"));
+    for round in 1..=rounds {
         // Filled by uploads, or at once by somebody else.
         let ballast = (round % 2 == 0).then(|| disk.fill());
         let full = loop {
@@ -93,25 +95,33 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
             assert_eq!(refused, (507, "store.full".into()));
             client.post("/v1/rigs/bench/predict", &drive).await.expect("predictions go on");
         }
-        let refused = refusal(client.fit("bench", &json!({"kind": "frf"})).await);
-        assert!([507, 503].contains(&refused.0), "{refused:?}");
+        // A job is a row: it may still find room in the database where runs were deleted before.
+        let fit = client.fit("bench", &json!({"kind": "frf"})).await;
+        if fit.is_err() || round == 1 {
+            let refused = refusal(fit);
+            assert!([507, 503].contains(&refused.0), "{refused:?}");
+        }
         let ready = client.get("/readyz?verbose").await.expect("ready to predict");
         assert_eq!(ready["checks"]["store"], "full");
         std::fs::remove_file(filler).expect("room");
         if let Some(ballast) = ballast.filter(|path| size(path) > 0) {
             std::fs::remove_file(ballast).expect("room");
         }
-        let last = runs.pop().expect("a run");
         let room = Instant::now();
-        let path = format!("/v1/rigs/bench/runs/{}", last["id"].as_str().expect("an id"));
-        while client.delete(&path).await.is_err() {
-            assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds");
-            tokio::time::sleep(Duration::from_millis(100)).await;
+        // One of them may be a small one, whose room an upload needs twice over.
+        for run in runs.split_off(runs.len() - 3) {
+            let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+            while let Err(error) = client.delete(&path).await {
+                assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
         }
         loop {
             match upload(&client, 100 * round + 99, 3000).await {
                 Ok(run) => break runs.push(run),
-                Err(_) => assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds"),
+                Err(error) => {
+                    assert!(room.elapsed() < Duration::from_secs(10), "back within ten seconds, not {error}")
+                }
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
@@ -124,5 +134,8 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
         assert_eq!(client.get(&path).await.expect("it is there")["sha256"], run["sha256"]);
         client.get(&format!("{path}/data?to_s=1")).await.expect("and whole");
     }
-    println!("a disk filled 4 times: {} runs acknowledged and there, every prediction answered", runs.len());
+    println!(
+        "a disk filled {rounds} times: {} runs acknowledged and there, every prediction answered",
+        runs.len()
+    );
 }

@@ -2,6 +2,7 @@
 //! its own, and every answer is held against `openapi.yaml`.
 
 mod backups;
+mod bad_input;
 mod bad_runs;
 mod contract;
 mod damage;
@@ -16,6 +17,7 @@ mod jobs;
 mod kills;
 mod models;
 mod operations;
+mod overload;
 mod predictions;
 mod problems;
 mod readme;

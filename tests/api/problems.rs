@@ -129,6 +129,10 @@ async fn a_json_body_over_the_limit_is_refused_by_its_length_and_while_it_comes(
     let answer = exchange(app.address(), declared.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413"), "refused before a byte of it came: {answer}");
     assert!(answer.contains("body.too_large") && answer.contains("1000 bytes"), "{answer}");
+    // Where nothing can be a signal a megabyte is the most, whatever signals may have.
+    let plain = TestApp::start();
+    let answer = exchange(plain.address(), format!("{head}content-length: 1048577\r\n\r\n").as_bytes());
+    assert!(answer.contains("body.too_large") && answer.contains("1048576 bytes"), "{answer}");
     let chunk = format!("3e9\r\n{}\r\n0\r\n\r\n", " ".repeat(1001));
     let answer =
         exchange(app.address(), format!("{head}transfer-encoding: chunked\r\n\r\n{chunk}").as_bytes());

@@ -132,11 +132,11 @@ mod tests {
         }
         assert_eq!(pieces.len(), 2);
         assert_eq!(pieces.concat(), whole.channel(0));
-        assert!(predictor.rest(&mut prediction).is_err(), "all has been given");
+        assert!(predictor.rest(&mut prediction, &unwatched).is_err(), "all has been given");
         assert_eq!(predictor.next(&mut prediction).unwrap(), None);
         let mut prediction = predictor.begin(inputs(1100.0)).unwrap();
         let first = predictor.next(&mut prediction).unwrap().unwrap();
-        let rest = predictor.rest(&mut prediction).unwrap();
+        let rest = predictor.rest(&mut prediction, &unwatched).unwrap();
         assert_eq!([first.channel(0), rest.channel(0)].concat(), whole.channel(0));
     }
 

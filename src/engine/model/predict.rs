@@ -20,6 +20,7 @@ use super::trust::{self, Trust};
 use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
 use crate::engine::frf::FrfFilter;
 use crate::engine::lstm::{self, Recombine, Streaming};
+use crate::engine::progress::{Watch, report, unwatched};
 use crate::engine::windowing::check_window;
 use crate::engine::{EngineError, Signal};
 
@@ -72,11 +73,14 @@ impl Predictor {
     /// of a prediction's time goes into. 0 without a network.
     pub fn network_work(&self, samples: usize) -> f64 {
         let Some(part) = &self.model.lstm else { return 0.0 };
-        let steps_per_sample = match part.recombine {
-            Recombine::Welch => part.window_len as f64 / part.hop.max(1) as f64,
-            Recombine::Stream => 1.0,
+        let steps = match part.recombine {
+            // Every sample has its full set of windows, which reach beyond either end.
+            Recombine::Welch => {
+                part.window_len as f64 / part.hop.max(1) as f64 * (samples + part.window_len) as f64
+            }
+            Recombine::Stream => samples as f64,
         };
-        2.0 * part.net.n_parameters() as f64 * steps_per_sample * samples as f64
+        2.0 * part.net.n_parameters() as f64 * steps
     }
 
     /// Response to `x`, whose channels are the model's inputs in order; as long as `x`.
@@ -84,7 +88,7 @@ impl Predictor {
     /// # Errors
     /// As [`Predictor::begin`] and [`Predictor::next`].
     pub fn predict(&self, x: Signal) -> Result<Signal, EngineError> {
-        self.rest(&mut self.begin(x)?)
+        self.rest(&mut self.begin(x)?, &unwatched)
     }
 
     /// Begins the prediction of the response to `x`, whose channels are the model's inputs in
@@ -104,12 +108,14 @@ impl Predictor {
         next(&self.model, self.filter.as_ref(), prediction)
     }
 
-    /// All samples of the response that have not been given yet, at least one.
+    /// All samples of the response that have not been given yet, at least one. Between pieces it asks
+    /// `watch` whether to go on.
     ///
     /// # Errors
-    /// As [`Predictor::next`]; [`EngineError::TooShort`] when all have been given.
-    pub fn rest(&self, prediction: &mut Prediction) -> Result<Signal, EngineError> {
-        rest(&self.model, self.filter.as_ref(), prediction)
+    /// As [`Predictor::next`]; [`EngineError::TooShort`] when all have been given;
+    /// [`EngineError::Cancelled`].
+    pub fn rest(&self, prediction: &mut Prediction, watch: Watch<'_>) -> Result<Signal, EngineError> {
+        rest(&self.model, self.filter.as_ref(), prediction, watch)
     }
 
     /// Where the inputs of a prediction leave what the model was fitted on.
@@ -136,7 +142,7 @@ impl Prediction {
 pub(super) fn whole(model: &RigModel, x: &Signal) -> Result<Signal, EngineError> {
     let mut prediction = begin(model, x.clone())?;
     let filter = model.frf.as_ref().map(|frf| frf.filter()).transpose()?;
-    rest(model, filter.as_ref(), &mut prediction)
+    rest(model, filter.as_ref(), &mut prediction, &unwatched)
 }
 
 fn begin(model: &RigModel, x: Signal) -> Result<Prediction, EngineError> {
@@ -172,14 +178,15 @@ fn rest(
     model: &RigModel,
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
+    watch: Watch<'_>,
 ) -> Result<Signal, EngineError> {
     if model.effects.is_empty() {
-        return rest_without_effects(model, filter, prediction);
+        return rest_without_effects(model, filter, prediction, watch);
     }
     if prediction.at == prediction.n_samples() {
         return Err(ALL_GIVEN);
     }
-    let whole = with_effects(model, filter, prediction)?;
+    let whole = with_effects(model, filter, prediction, watch)?;
     let n = whole.n_samples();
     let from = std::mem::replace(&mut prediction.at, n);
     Ok(if from == 0 { whole } else { whole.slice(from..n) })
@@ -197,7 +204,7 @@ fn next(
         prediction.whole = None;
         return Ok(None);
     }
-    let whole = with_effects(model, filter, prediction)?;
+    let whole = with_effects(model, filter, prediction, &unwatched)?;
     let range = prediction.at..whole.n_samples().min(prediction.at + PIECE_SAMPLES);
     prediction.at = range.end;
     let piece = whole.slice(range);
@@ -210,11 +217,12 @@ fn with_effects(
     model: &RigModel,
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
+    watch: Watch<'_>,
 ) -> Result<Signal, EngineError> {
     if let Some(whole) = prediction.whole.take() {
         return Ok(whole);
     }
-    let base = rest_without_effects(model, filter, prediction)?;
+    let base = rest_without_effects(model, filter, prediction, watch)?;
     prediction.at = 0;
     effect::apply_all(&model.effects, &prediction.x, base)
 }
@@ -223,6 +231,7 @@ fn rest_without_effects(
     model: &RigModel,
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
+    watch: Watch<'_>,
 ) -> Result<Signal, EngineError> {
     let left = prediction.n_samples() - prediction.at;
     let first = piece(model, filter, prediction)?.ok_or(ALL_GIVEN)?;
@@ -236,6 +245,7 @@ fn rest_without_effects(
         for (channel, next) in channels.iter_mut().zip(next.channels()) {
             channel.extend_from_slice(next);
         }
+        report(watch, "prediction", prediction.at as f64 / prediction.n_samples() as f64)?;
     }
     Signal::new(rate, channels)
 }

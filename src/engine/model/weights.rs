@@ -22,6 +22,10 @@ use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
 /// Version of names and meanings in the file.
 const SCHEMA: u32 = 1;
 
+/// Longest header of a file that is read, far above the names and shapes of any model: a header takes
+/// up to fifty times its size in memory.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
+
 /// Bound on sizes read from a file, far above any sensible network.
 const MAX_CHANNELS: usize = 128;
 
@@ -124,6 +128,7 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
 /// [`EngineError::Weights`] for files, metadata or values that make no sense, and
 /// [`EngineError::TensorShape`] naming the tensor whose shape does not fit.
 pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
+    check_header_len(bytes)?;
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
     let text = header
         .metadata()
@@ -132,6 +137,7 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         .ok_or_else(|| wrong("the metadata key `rigcast` is missing"))?;
     let meta: Metadata =
         serde_json::from_str(text).map_err(|e| wrong(format!("metadata key `rigcast`: {e}")))?;
+    drop(header);
     check(&meta)?;
     let mut file =
         File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
@@ -157,6 +163,16 @@ fn wrong(message: impl Into<String>) -> EngineError {
 
 fn unreadable(error: SafeTensorError) -> EngineError {
     wrong(format!("not a readable safetensors file: {error}"))
+}
+
+/// Looks at the length of the header before anything is made of it.
+fn check_header_len(bytes: &[u8]) -> Result<(), EngineError> {
+    match bytes.first_chunk() {
+        Some(length) if u64::from_le_bytes(*length) > MAX_HEADER_BYTES => {
+            Err(wrong(format!("the header is longer than {MAX_HEADER_BYTES} bytes")))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn check(meta: &Metadata) -> Result<(), EngineError> {
@@ -257,13 +273,15 @@ impl File<'_> {
         }
         let full = [Some(lines), Some(n_outputs), Some(n_inputs)];
         let (_, re) = self.values("frf.re", &full)?;
+        let mut h: Vec<Complex64> = re.into_iter().map(|re| Complex64::new(re, 0.0)).collect();
         let (_, im) = self.values("frf.im", &full)?;
+        h.iter_mut().zip(im).for_each(|(h, im)| h.im = im);
         Ok(Frf {
             sample_rate_hz: meta.sample_rate_hz,
             segment_len,
             n_inputs,
             n_outputs,
-            h: re.into_iter().zip(im).map(|(re, im)| Complex64::new(re, im)).collect(),
+            h,
             usable_hz: meta.usable_hz.unwrap_or([0.0, meta.sample_rate_hz / 2.0]),
             x_mean: self.vector_or_zeros("frf.x_mean", n_inputs)?,
             y_mean: self.vector_or_zeros("frf.y_mean", n_outputs)?,

@@ -1,39 +1,74 @@
 //! Rows of cells with the line on which each stands.
 //!
-//! The csv crate splits rows and cells. Its own line numbers lag behind in files with CRLF, and it
-//! passes over empty lines; so lines are counted here, from the byte at which each row begins.
+//! csv-core splits rows and cells. Its own line numbers lag behind in files with CRLF, and it passes
+//! over empty lines; so lines are counted here, from the byte at which each row begins. A row of more
+//! cells than a file may have is counted and not kept.
+
+use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
 use super::number::trim;
-use crate::formats::FormatError;
+use crate::formats::{FormatError, MAX_CHANNELS};
 
 /// Reads row after row.
 pub(super) struct Rows<'a> {
     file: &'a [u8],
-    reader: csv::Reader<&'a [u8]>,
-    cells: csv::ByteRecord,
+    reader: Reader,
     separator: u8,
+    /// Text of the current row's cells, one behind the other, and where each ends.
+    text: Vec<u8>,
+    ends: Vec<usize>,
+    /// Cells of the current row, be they kept or not.
+    len: usize,
     /// Line of the current row, from 1; 0 before the first.
     row: u64,
     /// Cells of the first row.
     width: usize,
-    /// Where the csv crate stopped reading.
+    /// Where csv-core stopped reading.
     end: usize,
     /// Line of the byte at `counted`, from 1.
     line: u64,
     counted: usize,
 }
 
+/// Cells of a row; none of a row that has too many.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cells<'r> {
+    text: &'r [u8],
+    ends: &'r [usize],
+    len: usize,
+}
+
+impl<'r> Cells<'r> {
+    /// How many the row has.
+    pub(super) fn len(self) -> usize {
+        self.len
+    }
+
+    /// Their text.
+    pub(super) fn iter(self) -> impl Iterator<Item = &'r [u8]> + Clone {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(self.ends).map(move |(start, &end)| &self.text[start..end])
+    }
+}
+
 impl<'a> Rows<'a> {
     /// Before the first row of `file`.
     pub(super) fn new(file: &'a [u8]) -> Self {
         let separator = separator(file);
-        let reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .delimiter(separator)
-            .from_reader(file);
-        let cells = csv::ByteRecord::new();
-        Self { file, reader, cells, separator, row: 0, width: 0, end: 0, line: 1, counted: 0 }
+        Self {
+            file,
+            reader: ReaderBuilder::new().delimiter(separator).build(),
+            separator,
+            text: vec![0; 1024],
+            // One more than may be, to see that it is too many.
+            ends: vec![0; MAX_CHANNELS + 1],
+            len: 0,
+            row: 0,
+            width: 0,
+            end: 0,
+            line: 1,
+            counted: 0,
+        }
     }
 
     /// What separates cells.
@@ -53,23 +88,47 @@ impl<'a> Rows<'a> {
         }
         let empty_line = self.count_lines_to(start);
         let empty = self.file[start..].iter().take_while(|b| matches!(b, b'\r' | b'\n')).count();
-        let more = self.reader.read_byte_record(&mut self.cells).expect("reading memory cannot fail");
-        if !more {
+        if !self.split() {
             return Ok(false);
         }
         if self.row == 0 {
-            self.width = self.cells.len();
+            self.width = self.len;
         } else if empty > 0 {
             return Err(FormatError::CsvRagged { row: empty_line, expected: self.width, found: 0 });
         }
         self.row = self.count_lines_to(start + empty);
-        self.end = self.reader.position().byte() as usize;
         Ok(true)
     }
 
+    /// Takes the next row apart; false at the end.
+    fn split(&mut self) -> bool {
+        self.len = 0;
+        let (mut kept, mut text_len) = (0, 0);
+        loop {
+            let (result, read, written, ended) = self.reader.read_record(
+                &self.file[self.end..],
+                &mut self.text[text_len..],
+                &mut self.ends[kept..],
+            );
+            self.end += read;
+            text_len += written;
+            kept += ended;
+            self.len += ended;
+            match result {
+                ReadRecordResult::InputEmpty => {}
+                ReadRecordResult::OutputFull if self.len > kept => text_len = 0,
+                ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
+                ReadRecordResult::OutputEndsFull => (kept, text_len) = (0, 0),
+                ReadRecordResult::Record => return true,
+                ReadRecordResult::End => return false,
+            }
+        }
+    }
+
     /// Cells of the current row.
-    pub(super) fn cells(&self) -> &csv::ByteRecord {
-        &self.cells
+    pub(super) fn cells(&self) -> Cells<'_> {
+        let ends = self.ends.get(..self.len).unwrap_or_default();
+        Cells { text: &self.text, ends, len: self.len }
     }
 
     /// Line of the current row, from 1.

@@ -13,6 +13,25 @@ fn names(run: &ParsedRun) -> Vec<&str> {
 }
 
 #[test]
+fn what_is_longer_than_any_name_and_wider_than_any_file_is_counted_and_not_kept() {
+    let long = format!("u,{}\n1,2\n", "n".repeat(5000));
+    let error = read_text(&long).unwrap_err();
+    assert_eq!((error.code(), error.to_string().len() < 200), ("run.unknown_channel", true));
+    let wide = vec!["1"; 5000].join(",");
+    assert_eq!(
+        read_text(&wide),
+        Err(FormatError::TooManyChannels { found: 5000, limit: crate::formats::MAX_CHANNELS })
+    );
+    for n in [1024, 1025, 1026, 2050, 2051, 5000] {
+        let text = format!("u,v\n{}\n", vec!["1"; n].join(","));
+        assert_eq!(read_text(&text), Err(FormatError::CsvRagged { row: 2, expected: 2, found: n }), "{n}");
+    }
+    let full = format!("{0}\n{0}\n", vec!["1.5"; 1024].join(","));
+    let run = read_text(&full).unwrap();
+    assert!(run.channels.len() == 1024 && run.channels.iter().all(|c| c == &[1.5, 1.5]));
+}
+
+#[test]
 fn header_units_and_time_are_taken_off_the_samples() {
     let run = read_text("time,drive_x,\"force, x\"\ns,kN,[mm]\n0,1,-2\n0.5,1e3,2.5\n1,0,0\n").unwrap();
     assert_eq!(run.sample_rate_hz, Some(2.0));

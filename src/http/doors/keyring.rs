@@ -91,6 +91,9 @@ impl Keys {
 }
 
 #[cfg(test)]
+mod timing;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::domain::{Secret, TokenDraft, TokenRole};

@@ -1,6 +1,7 @@
 //! Computes a prediction and writes it: all of it off the async threads.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -8,13 +9,15 @@ use serde::Serialize;
 use super::NPY;
 use super::inputs::{Drive, Target};
 use super::request::Include;
+use super::stages::Stages;
 use crate::compute::Class;
 use crate::domain::Rig;
 use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
 use crate::engine::model::{ModelKind, Predictor, RigModel, TrustSpan};
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Progress, Signal};
 use crate::formats;
+use crate::http::deadline::{self, Deadline};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::signals::write_json;
 use crate::http::{codes, errors, json};
@@ -105,12 +108,13 @@ impl Job {
     ///
     /// # Errors
     /// Another sample rate than the model's, a target of another length, settings outside their
-    /// limits, a result that is not finite.
-    pub fn run(self) -> Answer<Computed> {
+    /// limits, a result that is not finite; the deadline.
+    pub fn run(self, deadline: &Deadline, stages: &mut Stages) -> Answer<Computed> {
         let Self { rig, model: loaded, drive, target, include, damage, media_type } = self;
         let (model, predictor) = (loaded.model(), &loaded.predictor);
-        let drive = parsed(drive, &model.inputs)?;
         check_rate(model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
+        let drive = parsed(drive, &model.inputs)?;
+        stages.end("parse");
         if let Some(target) = &target {
             check_rate(model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
             check_length(&drive, &target.signal)?;
@@ -131,11 +135,20 @@ impl Job {
             let mut npy = formats::npy::Writer::new(n, outputs.len());
             while let Some(piece) = predictor.next(&mut prediction).map_err(refuse)? {
                 npy.write(piece.channels()).map_err(|error| errors::format(&error, outputs))?;
+                deadline.check()?;
             }
+            stages.end("simulate");
             return Ok(Computed { bytes: npy.finish(), media_type, samples, inside });
         }
-        let response = predictor.rest(&mut prediction).map_err(refuse)?;
+        let watch = |_: Progress<'_>| {
+            if deadline.check().is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        };
+        let response = match predictor.rest(&mut prediction, &watch) {
+            Err(EngineError::Cancelled) => return Err(deadline::over()),
+            response => response.map_err(refuse)?,
+        };
         drop(prediction);
+        stages.end("simulate");
         let name = ModelName { version: loaded.version, kind: model.kind, sha256: &loaded.sha256 };
         let mut answer = json::Object::new();
         answer.add("model", &name)?;
@@ -151,6 +164,7 @@ impl Job {
         if include.trust {
             answer.add("trust", &trust)?;
         }
+        stages.end("report");
         Ok(Computed { bytes: answer.finish(), media_type: json::MEDIA_TYPE, samples, inside })
     }
 }
@@ -169,12 +183,18 @@ fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
         Drive::Signal(signal) => return Ok(signal),
         Drive::Npy { bytes, sample_rate_hz } => (bytes, sample_rate_hz),
     };
-    let run = formats::npy::read(&bytes).map_err(|error| errors::format(&error, inputs))?;
-    if run.channels.len() != inputs.len() {
+    let refuse = |error| {
+        let problem = errors::format(&error, inputs);
+        errors::count_unreadable("npy", &problem);
+        problem
+    };
+    let columns = formats::npy::header(&bytes).map_err(refuse)?.channels;
+    if columns != inputs.len() {
         let limit = format!("{} columns: {}", inputs.len(), inputs.join(", "));
-        let detail = format!("The array has {} columns; the model takes {limit}.", run.channels.len());
+        let detail = format!("The array has {columns} columns; the model takes {limit}.");
         return Err(Problem::new(codes::SIGNAL_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
     }
+    let run = formats::npy::read(&bytes).map_err(refuse)?;
     Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
 }
 

@@ -27,6 +27,14 @@ pub enum Drive {
 }
 
 impl Drive {
+    /// Samples per second.
+    pub fn sample_rate_hz(&self) -> f64 {
+        match self {
+            Self::Signal(signal) => signal.sample_rate_hz(),
+            Self::Npy { sample_rate_hz, .. } => *sample_rate_hz,
+        }
+    }
+
     /// Samples of each input, as far as an array's bytes can tell before they are parsed.
     pub fn n_samples(&self, inputs: usize) -> usize {
         match self {

@@ -6,6 +6,7 @@
 mod answer;
 mod inputs;
 mod request;
+mod stages;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,17 +17,19 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
+use super::deadline::Deadline;
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
 use super::signals::header_names;
-use super::{Shared, arrays, body, codes, json, negotiate};
+use super::{Shared, body, codes, json, negotiate};
 use crate::domain::{ModelName, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
 use answer::{Computed, Job};
 use inputs::Drive;
 use request::{NpyQuery, PredictRequest};
+use stages::Stages;
 
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";
@@ -40,12 +43,13 @@ pub async fn predict(
     request: Body,
 ) -> Answer {
     let found = body::media_type(&headers);
+    let mut stages = Stages::begin();
     match found.as_deref() {
         Some(json::MEDIA_TYPE) => {
             params.finish()?;
             let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY])?;
-            let request: PredictRequest =
-                json::take(&headers, request, &http, &[json::MEDIA_TYPE], arrays::parse).await?;
+            let request: PredictRequest = json::take_signals(&headers, request, &http).await?;
+            stages.end("receive");
             let (rig, model) = find(&http, &id, request.model).await?;
             let include = request.includes()?;
             let drive = inputs::drive(&http, &id, request.drive, &model).await?;
@@ -53,6 +57,7 @@ pub async fn predict(
                 Some(source) => Some(inputs::target(&http, &id, source, &model).await?),
                 None => None,
             };
+            stages.end("load");
             let job = Job {
                 rig,
                 model,
@@ -62,15 +67,17 @@ pub async fn predict(
                 damage: request.damage.unwrap_or_default(),
                 media_type,
             };
-            compute(&http, job).await
+            compute(&http, job, stages).await
         }
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
             let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE])?;
-            let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes)?.collect().await?;
+            let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes, http.limits.pace)?
+                .collect()
+                .await?;
             let (rig, model) = find(&http, &id, query.model).await?;
             let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
-            compute(&http, Job::of_npy(rig, model, drive, media_type)).await
+            compute(&http, Job::of_npy(rig, model, drive, media_type), stages).await
         }
         other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
     }
@@ -92,12 +99,15 @@ async fn find(http: &Shared, id: &RigId, name: ModelName) -> Answer<(Rig, Arc<Lo
     Ok((rig, model))
 }
 
-async fn compute(http: &Shared, job: Job) -> Answer {
-    let kind = job.kind();
+async fn compute(http: &Shared, job: Job, mut stages: Stages) -> Answer {
+    let (kind, class) = (job.kind(), job.class());
     let model = job.model.clone();
     let started = Instant::now();
-    let Computed { bytes, media_type, samples, inside } =
-        http.off_thread(job.class(), move || job.run()).await??;
+    let work = move |deadline: &Deadline| {
+        stages.end("wait");
+        job.run(deadline, &mut stages)
+    };
+    let Computed { bytes, media_type, samples, inside } = http.in_time(class, work).await?;
     metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);
     metrics::counter!(names::PREDICTED_SAMPLES).increment(samples);
     metrics::histogram!(names::PREDICTION_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());

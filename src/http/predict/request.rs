@@ -128,6 +128,9 @@ impl NpyQuery {
         let sample_rate_hz = params.number("sample_rate_hz", limit)?;
         params.finish()?;
         let sample_rate_hz = sample_rate_hz.ok_or_else(|| invalid("sample_rate_hz", "is missing", limit))?;
+        if sample_rate_hz <= 0.0 {
+            return Err(invalid("sample_rate_hz", format!("is {sample_rate_hz}"), limit));
+        }
         Ok(Self { model, sample_rate_hz })
     }
 }

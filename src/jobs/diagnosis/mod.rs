@@ -62,7 +62,7 @@ async fn sim(bench: &Workbench, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     let Some(model) = &plan.model else { return Ok(Sim::Outside) };
     let weights = bench.store.weights(model).await?;
     let predictor =
-        bench.compute.run(Class::Fit, move || Predictor::new(from_safetensors(&weights)?)).await?;
+        bench.compute.run(Class::Fit, None, move || Predictor::new(from_safetensors(&weights)?)).await?;
     predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
         tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
         let detail = "The stored weights cannot be read as a model.";
@@ -91,7 +91,7 @@ async fn load(
             let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
             measured(&plan, &sim, &part.run, &kept)
         };
-        baseline.push(bench.compute.run(Class::Fit, cut).await??);
+        baseline.push(bench.compute.run(Class::Fit, None, cut).await??);
         step(control, "loading runs", baseline.len() as f64 / steps)?;
     }
     let mut runs = Vec::with_capacity(plan.runs.len());
@@ -119,7 +119,7 @@ async fn load(
             let measured = measured(&plan, &sim, &run, &whole)?;
             Ok::<_, JobError>(diagnosis::Run { simulated: Some(simulated), started_s, ..measured })
         };
-        runs.push(bench.compute.run(Class::Fit, simulate).await??);
+        runs.push(bench.compute.run(Class::Fit, None, simulate).await??);
         step(control, "simulating runs", (baseline.len() + runs.len()) as f64 / steps)?;
     }
     let channel = |c: &Channel| diagnosis::Channel {
@@ -222,7 +222,7 @@ async fn diagnose(
     let watch = move |p: Progress<'_>| {
         watched.watch(Progress { stage: p.stage, fraction: LOADED + (1.0 - LOADED) * p.fraction })
     };
-    let found = bench.compute.run(Class::Fit, move || diagnosis::diagnose(&input, &watch)).await?;
+    let found = bench.compute.run(Class::Fit, None, move || diagnosis::diagnose(&input, &watch)).await?;
     found.map_err(|error| of_diagnosis(&error, &plan.channels()))
 }
 
@@ -243,7 +243,7 @@ async fn written(
         serde_json::from_slice::<Findings>(&bytes)?;
         Ok::<_, serde_json::Error>(bytes)
     };
-    let findings = bench.compute.run(Class::Fit, encode).await?.map_err(|error| {
+    let findings = bench.compute.run(Class::Fit, None, encode).await?.map_err(|error| {
         tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
         let detail = "A number of the report is not finite; the report is not stored.";
         JobError::failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))

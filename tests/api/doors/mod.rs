@@ -5,10 +5,12 @@ mod headers;
 mod hostile;
 mod loopback;
 mod matrix;
+mod names;
 mod scope;
 mod secrets;
 mod strict;
 mod tokens;
+mod traced;
 
 use crate::support::Reply;
 

@@ -39,27 +39,28 @@ impl TestApp {
 
     /// Starts a service with other limits.
     pub fn start_with(limits: Limits) -> Self {
-        Self::start_in(Arc::new(TempDir::new().expect("a directory")), limits)
+        Self::start_as(move |config| Config { limits, ..config })
+    }
+
+    /// Starts a service with settings that differ from the default.
+    pub fn start_as(change: impl FnOnce(Config) -> Config) -> Self {
+        Self::start_in(Arc::new(TempDir::new().expect("a directory")), change)
     }
 
     /// Stops the service and starts another one on the same data.
     pub fn restart(mut self) -> Self {
         self.end();
-        let mut next = Self::start_in(self.directory.clone(), Limits::default());
+        let mut next = Self::start_in(self.directory.clone(), |config| config);
         next.token = self.token.take();
         next
     }
 
     /// The server has threads of its own, so that a test that waits never starves it.
-    fn start_in(directory: Arc<TempDir>, limits: Limits) -> Self {
+    fn start_in(directory: Arc<TempDir>, change: impl FnOnce(Config) -> Config) -> Self {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
-        let config = Config {
-            data_dir: directory.path().to_owned(),
-            listen: ([127, 0, 0, 1], 0).into(),
-            jobs: jobs(),
-            limits,
-        };
+        let listen = ([127, 0, 0, 1], 0).into();
+        let config = Config { jobs: jobs(), ..change(Config::new(directory.path().to_owned(), listen)) };
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {

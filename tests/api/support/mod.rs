@@ -12,6 +12,6 @@ pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
 pub use program::{Program, lives, rigcast, signal, try_signal};
-pub use raw::exchange;
+pub use raw::{exchange, read_all};
 pub use reply::Reply;
 pub use vectors::{columns, vector_file, vector_rig};

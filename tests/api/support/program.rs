@@ -18,6 +18,11 @@ pub fn rigcast(arguments: &[&str]) -> Command {
     command
 }
 
+/// `rigcast serve`.
+fn serve(address: &str, data_dir: &Path) -> Command {
+    rigcast(&["serve", "--listen", address, "--data-dir", data_dir.to_str().expect("UTF-8")])
+}
+
 /// State and parent of a process.
 fn state(pid: u32) -> Option<(char, u32)> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
@@ -62,12 +67,24 @@ impl Program {
         Self::listening("127.0.0.1:0", data_dir, environment)
     }
 
+    /// The same as a child of another program, which is given its command line.
+    pub fn under(tracer: &[&str], data_dir: &Path) -> Self {
+        let serve = serve("127.0.0.1:0", data_dir);
+        let mut command = Command::new(tracer[0]);
+        command.args(&tracer[1..]).arg(serve.get_program()).args(serve.get_args());
+        for (name, _) in serve.get_envs() {
+            command.env_remove(name);
+        }
+        Self::started(command.stderr(Stdio::piped()).stdout(Stdio::null()))
+    }
+
     /// The same at another address.
     pub fn listening(address: &str, data_dir: &Path, environment: &[(&str, &str)]) -> Self {
-        let directory = data_dir.to_str().expect("UTF-8");
-        let arguments = ["serve", "--listen", address, "--data-dir", directory];
-        let mut child =
-            rigcast(&arguments).envs(environment.iter().copied()).spawn().expect("the program starts");
+        Self::started(serve(address, data_dir).envs(environment.iter().copied()))
+    }
+
+    fn started(command: &mut Command) -> Self {
+        let mut child = command.spawn().expect("the program starts");
         let mut log = BufReader::new(child.stderr.take().expect("piped")).lines();
         let base = loop {
             let line = log.next().expect("the program says where it listens").expect("text");

@@ -18,3 +18,11 @@ pub fn exchange(address: SocketAddr, request: &[u8]) -> String {
     stream.read_to_end(&mut answer).expect("an answer");
     String::from_utf8(answer).expect("text")
 }
+
+/// What comes until the other end closes the connection, which it must within half a minute.
+pub fn read_all(mut stream: TcpStream) -> String {
+    stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a timeout");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).expect("an end");
+    String::from_utf8(answer).expect("text")
+}

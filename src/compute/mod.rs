@@ -1,17 +1,20 @@
-//! The only door from async code to work for the processor: permits, blocking threads, spans.
+//! The only door from async code to work for the processor: turns, blocking threads, spans.
 //!
-//! Each class of work has its own permits and its own pool of threads, so that a fit that keeps
+//! Each class of work has its own turns ([`turns`]) and its own pool of threads, so that a fit that keeps
 //! every core busy never holds a thread that a prediction needs, and a prediction of an hour none
 //! that one of seconds waits for: it is the system that shares the cores between them. Threads of
 //! long work and of fits have lower priorities: they get what the others leave.
 
+pub mod turns;
+
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use tokio::sync::Semaphore;
+
+use turns::{Refused, TurnSettings, Turns, Who};
 
 /// Niceness of threads that fit. Ten of nineteen: against a thread of normal priority they get
 /// about a tenth of a core, and all of it when nobody else wants it.
@@ -39,17 +42,13 @@ pub enum Class {
 /// How much may happen at once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ComputeSettings {
-    /// Predictions at once.
-    pub predict_permits: usize,
-    /// Predictions that may wait; more are told that the service is busy.
-    pub predict_queue: usize,
-    /// Threads that share the work of predictions.
+    /// Predictions and other short work.
+    pub predict: TurnSettings,
+    /// Threads that share it.
     pub predict_threads: usize,
-    /// Pieces of long work at once; each holds an hour of signal or more in memory.
-    pub long_permits: usize,
-    /// Pieces of long work that may wait.
-    pub long_queue: usize,
-    /// Threads that share long work.
+    /// Long work; each piece holds an hour of signal or more in memory.
+    pub long: TurnSettings,
+    /// Threads that share it.
     pub long_threads: usize,
     /// Fits at once; as many as there are job workers, which are their only queue.
     pub fit_permits: usize,
@@ -76,16 +75,19 @@ impl Class {
 }
 
 impl Default for ComputeSettings {
-    /// One prediction, one piece of long work and one thread of each class a core, thirty-two
-    /// waiting of each a core, one fit.
+    /// One turn and one thread of each class a core, thirty-two tasks that wait a core, one fit. The
+    /// queue of short work is kept short once it has stood for a tenth of a second: some ten
+    /// predictions, which then wait for those under way and no more.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let predict = TurnSettings {
+            patience: Duration::from_millis(100),
+            ..TurnSettings::new(cores, 32 * cores, Duration::from_secs(5))
+        };
         Self {
-            predict_permits: cores,
-            predict_queue: 32 * cores,
+            predict,
             predict_threads: cores,
-            long_permits: cores,
-            long_queue: 32 * cores,
+            long: TurnSettings::new(cores, 32 * cores, Duration::from_secs(30)),
             long_threads: cores,
             fit_permits: 1,
             fit_threads: cores,
@@ -96,12 +98,9 @@ impl Default for ComputeSettings {
 /// Why work was not done.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ComputeError {
-    /// Too many wait already: try again later.
-    #[error("busy: {waiting} tasks wait already")]
-    Busy {
-        /// How many.
-        waiting: usize,
-    },
+    /// Too much to do: try again later.
+    #[error("busy: {0}")]
+    Busy(#[from] Refused),
     /// A defect of ours; the message is for the log, not for a client.
     #[error("panicked: {0}")]
     Panicked(String),
@@ -118,13 +117,10 @@ pub struct Compute {
     fit: Arc<Lane>,
 }
 
-/// Permits and threads of one class.
+/// Turns and threads of one class.
 #[derive(Debug)]
 struct Lane {
-    permits: Arc<Semaphore>,
-    /// Tasks that wait for a permit, and how many may.
-    waiting: AtomicUsize,
-    queue: usize,
+    turns: Arc<Turns>,
     threads: ThreadPool,
 }
 
@@ -134,44 +130,39 @@ impl Compute {
     /// # Errors
     /// [`ComputeError::Threads`] when the system gives no threads.
     pub fn new(settings: &ComputeSettings) -> Result<Self, ComputeError> {
-        let lane = |permits: usize, queue, threads: usize, name: &'static str, niceness: i32| {
+        let lane = |name, turns, threads: usize, niceness| -> Result<Arc<Lane>, ComputeError> {
             let threads = ThreadPoolBuilder::new()
                 .num_threads(threads.max(1))
                 .thread_name(move |i| format!("{name}-{i}"))
                 .start_handler(move |_| lower_priority(niceness))
                 .build()
                 .map_err(|error| ComputeError::Threads(error.to_string()))?;
-            let permits = Arc::new(Semaphore::new(permits.max(1)));
-            Ok(Arc::new(Lane { permits, waiting: AtomicUsize::new(0), queue, threads }))
+            Ok(Arc::new(Lane { turns: Turns::new(name, turns), threads }))
         };
         let s = settings;
+        let fits = TurnSettings::new(s.fit_permits, usize::MAX, Duration::MAX);
         Ok(Self {
-            predict: lane(s.predict_permits, s.predict_queue, s.predict_threads, "predict", 0)?,
-            long: lane(s.long_permits, s.long_queue, s.long_threads, "long", LONG_NICENESS)?,
-            fit: lane(s.fit_permits, usize::MAX, s.fit_threads, "fit", FIT_NICENESS)?,
+            predict: lane("predict", s.predict.clone(), s.predict_threads, 0)?,
+            long: lane("long", s.long.clone(), s.long_threads, LONG_NICENESS)?,
+            fit: lane("fit", fits, s.fit_threads, FIT_NICENESS)?,
         })
     }
 
-    /// Does `work` on the threads of its class, inside the current tracing span, and waits. Work
-    /// that has begun goes on, and keeps its permit, when the caller goes away.
+    /// Does `work` of `who` on the threads of its class, inside the current tracing span, and waits.
+    /// Work that has begun goes on, and keeps its turn, when the caller goes away.
     ///
     /// # Errors
-    /// [`ComputeError::Busy`] at once when too many wait; [`ComputeError::Panicked`].
-    pub async fn run<T, F>(&self, class: Class, work: F) -> Result<T, ComputeError>
+    /// [`ComputeError::Busy`], at once when too many wait; [`ComputeError::Panicked`].
+    pub async fn run<T, F>(&self, class: Class, who: Who, work: F) -> Result<T, ComputeError>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        let lane = match class {
-            Class::Predict => &self.predict,
-            Class::Long => &self.long,
-            Class::Fit => &self.fit,
-        };
-        let permit = lane.permit().await?;
+        let lane = Arc::clone(self.lane(class));
+        let turn = lane.turns.take(who).await?;
         let span = tracing::Span::current();
-        let lane = Arc::clone(lane);
         let task = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
+            let _turn = turn;
             let inside = || span.in_scope(|| catch_unwind(AssertUnwindSafe(work)));
             lane.threads.install(inside)
         });
@@ -181,29 +172,18 @@ impl Compute {
             Err(error) => Err(ComputeError::Threads(error.to_string())),
         }
     }
-}
 
-/// Counts a task as waiting for as long as it does, cancelled ones included.
-struct Waiting<'a>(&'a AtomicUsize);
-
-impl Drop for Waiting<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
+    /// Turns of a class.
+    pub fn turns(&self, class: Class) -> &Turns {
+        &self.lane(class).turns
     }
-}
 
-impl Lane {
-    async fn permit(&self) -> Result<tokio::sync::OwnedSemaphorePermit, ComputeError> {
-        let closed = |error: &dyn std::error::Error| ComputeError::Threads(error.to_string());
-        if let Ok(permit) = Arc::clone(&self.permits).try_acquire_owned() {
-            return Ok(permit);
+    fn lane(&self, class: Class) -> &Arc<Lane> {
+        match class {
+            Class::Predict => &self.predict,
+            Class::Long => &self.long,
+            Class::Fit => &self.fit,
         }
-        let waiting = self.waiting.fetch_add(1, Ordering::Relaxed);
-        let _counted = Waiting(&self.waiting);
-        if waiting >= self.queue {
-            return Err(ComputeError::Busy { waiting });
-        }
-        Arc::clone(&self.permits).acquire_owned().await.map_err(|error| closed(&error))
     }
 }
 
@@ -235,12 +215,11 @@ mod tests {
     use super::*;
 
     fn compute(permits: usize, queue: usize) -> Compute {
+        let turns = TurnSettings::new(permits, queue, Duration::from_secs(60));
         Compute::new(&ComputeSettings {
-            predict_permits: permits,
-            predict_queue: queue,
+            predict: turns.clone(),
             predict_threads: 2,
-            long_permits: permits,
-            long_queue: queue,
+            long: turns,
             long_threads: 2,
             fit_permits: 1,
             fit_threads: 1,
@@ -254,35 +233,60 @@ mod tests {
         let (release, gate) = mpsc::channel::<()>();
         let run = |work: Box<dyn FnOnce() + Send>| {
             let compute = compute.clone();
-            tokio::spawn(async move { compute.run(Class::Predict, work).await })
+            tokio::spawn(async move { compute.run(Class::Predict, None, work).await })
+        };
+        let depth = || {
+            let (_, in_use, waiting) = compute.turns(Class::Predict).depth();
+            (in_use, waiting)
         };
         let first = run(Box::new(move || gate.recv().unwrap()));
-        while compute.predict.permits.available_permits() > 0 {
+        while depth() != (1, 0) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         let second = run(Box::new(|| ()));
-        while compute.predict.waiting.load(Ordering::Relaxed) == 0 {
+        while depth() != (1, 1) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        let third = compute.run(Class::Predict, || ()).await;
-        assert_eq!(third, Err(ComputeError::Busy { waiting: 1 }));
-        // Fits have permits of their own.
-        assert_eq!(compute.run(Class::Fit, || 7).await, Ok(7));
+        let third = compute.run(Class::Predict, None, || ()).await;
+        assert_eq!(third, Err(ComputeError::Busy(Refused::Full)));
+        // Fits have turns of their own.
+        assert_eq!(compute.run(Class::Fit, None, || 7).await, Ok(7));
         // One that gives up waiting makes room.
         second.abort();
         assert!(second.await.unwrap_err().is_cancelled());
-        assert_eq!(compute.predict.waiting.load(Ordering::Relaxed), 0);
+        assert_eq!(depth(), (1, 0));
         release.send(()).unwrap();
         first.await.unwrap().unwrap();
-        assert_eq!(compute.run(Class::Predict, || 7).await, Ok(7));
+        assert_eq!(compute.run(Class::Predict, None, || 7).await, Ok(7));
+    }
+
+    #[tokio::test]
+    async fn work_whose_caller_has_gone_keeps_its_turn_until_it_ends() {
+        let compute = compute(1, 1);
+        let (release, gate) = mpsc::channel::<()>();
+        let (started, at_work) = mpsc::channel::<()>();
+        let work = move || {
+            started.send(()).unwrap();
+            gate.recv().unwrap();
+        };
+        let task = tokio::spawn({
+            let compute = compute.clone();
+            async move { compute.run(Class::Predict, None, work).await }
+        });
+        tokio::task::spawn_blocking(move || at_work.recv().unwrap()).await.unwrap();
+        task.abort();
+        assert!(task.await.unwrap_err().is_cancelled());
+        assert_eq!(compute.turns(Class::Predict).depth().1, 1);
+        release.send(()).unwrap();
+        assert_eq!(compute.run(Class::Predict, None, || 7).await, Ok(7));
     }
 
     #[tokio::test]
     async fn a_panic_is_an_error_and_its_permit_comes_back() {
         let compute = compute(1, 0);
-        let panicked = compute.run(Class::Predict, || -> () { panic!("a defect") }).await;
+        let panicked = compute.run(Class::Predict, None, || -> () { panic!("a defect") }).await;
         assert_eq!(panicked, Err(ComputeError::Panicked("a defect".into())));
-        assert_eq!(compute.run(Class::Predict, || 1).await, Ok(1));
+        assert_eq!(compute.run(Class::Predict, None, || 1).await, Ok(1));
     }
 
     #[tokio::test]
@@ -298,18 +302,18 @@ mod tests {
                     started.send(()).unwrap();
                     gate.recv().unwrap();
                 };
-                (release, tokio::spawn(async move { compute.run(Class::Long, work).await }))
+                (release, tokio::spawn(async move { compute.run(Class::Long, None, work).await }))
             })
             .collect();
         tokio::task::spawn_blocking(move || (0..2).for_each(|_| at_work.recv().unwrap())).await.unwrap();
         // The third waits for a permit; nobody short does.
         let third = tokio::spawn({
             let compute = compute.clone();
-            async move { compute.run(Class::Long, || 3).await }
+            async move { compute.run(Class::Long, None, || 3).await }
         });
         let join = || rayon::join(|| 1, || 2);
         for _ in 0..3 {
-            assert_eq!(compute.run(Class::Predict, join).await, Ok((1, 2)));
+            assert_eq!(compute.run(Class::Predict, None, join).await, Ok((1, 2)));
         }
         assert!(!third.is_finished(), "long work waits for its own kind");
         for (release, task) in gates {
@@ -338,7 +342,7 @@ mod tests {
         let classes = [(Class::Predict, "predict-", 2), (Class::Long, "long-", 2), (Class::Fit, "fit-", 1)];
         for (class, name, threads) in classes {
             let names: Vec<String> = compute
-                .run(class, || {
+                .run(class, None, || {
                     (0..64)
                         .into_par_iter()
                         .map(|_| std::thread::current().name().unwrap().to_owned())
@@ -347,7 +351,7 @@ mod tests {
                 .await
                 .unwrap();
             assert!(names.iter().all(|found| found.starts_with(name)), "{names:?}");
-            assert_eq!(compute.run(class, rayon::current_num_threads).await, Ok(threads));
+            assert_eq!(compute.run(class, None, rayon::current_num_threads).await, Ok(threads));
         }
     }
 
@@ -357,8 +361,8 @@ mod tests {
         let compute = compute(1, 1);
         let niceness = || rustix::process::getpriority_process(None).unwrap();
         let own = niceness();
-        assert_eq!(compute.run(Class::Predict, niceness).await, Ok(own));
-        assert_eq!(compute.run(Class::Long, niceness).await, Ok(own.max(LONG_NICENESS)));
-        assert_eq!(compute.run(Class::Fit, niceness).await, Ok(own.max(FIT_NICENESS)));
+        assert_eq!(compute.run(Class::Predict, None, niceness).await, Ok(own));
+        assert_eq!(compute.run(Class::Long, None, niceness).await, Ok(own.max(LONG_NICENESS)));
+        assert_eq!(compute.run(Class::Fit, None, niceness).await, Ok(own.max(FIT_NICENESS)));
     }
 }

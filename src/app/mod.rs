@@ -1,12 +1,16 @@
 //! The service as a whole: built from its settings, served until it is told to stop.
 
+mod connections;
+mod stalled;
+
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use axum::Router;
-use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
-use hyper_util::server::conn::auto;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
@@ -15,11 +19,15 @@ use tokio::sync::watch;
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::Config;
 use crate::domain::TokenRole;
-use crate::http::{self, Connection, Doors, Http, Shared};
+use crate::http::{self, Admission, Connection, Doors, Http, Shared};
 use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
-use crate::telemetry;
+use crate::telemetry::{self, names};
+use connections::{Connections, Place};
+use stalled::Stalled;
+
+pub use connections::ConnectionSettings;
 
 /// Models that stay in memory; one of the usual size takes some three megabytes, most of it the
 /// FRF's spectra.
@@ -29,8 +37,9 @@ const MODEL_CACHE: usize = 32;
 /// 30 seconds that a stop may take.
 const DRAIN: Duration = Duration::from_secs(20);
 
-/// How long a client may take to send the head of a request.
-const HEAD_TIMEOUT: Duration = Duration::from_secs(15);
+/// How often measured times are put into their buckets, whether somebody asks for them or not: until
+/// then each takes memory of its own.
+const UPKEEP: Duration = Duration::from_secs(5);
 
 /// Pause after an accept that failed for want of file handles, so that closing ones can catch up.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -59,6 +68,8 @@ pub struct App {
     store: Store,
     jobs: Jobs,
     draining: watch::Sender<bool>,
+    settings: ConnectionSettings,
+    connections: Arc<Connections>,
 }
 
 /// The one place that reads the clock; everything below is handed this function.
@@ -87,7 +98,7 @@ impl App {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));
         }
-        let settings = ComputeSettings { fit_permits: config.jobs.workers, ..ComputeSettings::default() };
+        let settings = ComputeSettings { fit_permits: config.jobs.workers, ..config.compute.clone() };
         let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
         let jobs = Jobs::start(store.clone(), compute.clone(), now, config.jobs.clone()).await?;
@@ -98,12 +109,20 @@ impl App {
             doors: Doors::new(store.clone(), on_loopback),
             models,
             compute,
+            admission: Admission::new(config.admission.clone()),
             limits: config.limits,
             clock: now,
             draining: seen,
             metrics: telemetry::metrics_handle(),
         });
-        Ok(Self { router: http::router(http.clone()), http, store, jobs, draining })
+        let settings = config.connections.clone();
+        let connections = Connections::new(&settings);
+        Ok(Self { router: http::router(http.clone()), http, store, jobs, draining, settings, connections })
+    }
+
+    /// What answers requests, for whoever brings them by another way than [`App::serve`].
+    pub fn router(&self) -> Router {
+        self.router.clone()
     }
 
     /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
@@ -111,16 +130,21 @@ impl App {
     /// into the queue, the database is closed.
     pub async fn serve(self, listener: TcpListener, shutdown: impl Future<Output = ()>) {
         let connections = GracefulShutdown::new();
+        let mut upkeep = tokio::time::interval(UPKEEP);
         let mut shutdown = std::pin::pin!(shutdown);
         loop {
             tokio::select! {
                 accepted = listener.accept() => match accepted {
-                    Ok((stream, _)) => self.answer(stream, &connections),
+                    Ok((stream, peer)) => match self.connections.enter(peer.ip()) {
+                        Some(place) => self.answer(stream, place, &connections),
+                        None => self.connections.refuse(stream, http::too_many_connections(&self.http)),
+                    },
                     Err(error) => {
                         tracing::warn!(error = %error, "a connection could not be accepted");
                         tokio::time::sleep(ACCEPT_PAUSE).await;
                     }
                 },
+                _ = upkeep.tick() => self.http.metrics.run_upkeep(),
                 () = &mut shutdown => break,
             }
         }
@@ -138,20 +162,27 @@ impl App {
     }
 
     /// Serves one connection on a task of its own.
-    fn answer(&self, stream: TcpStream, connections: &GracefulShutdown) {
+    fn answer(&self, stream: TcpStream, place: Place, connections: &GracefulShutdown) {
         // A failure costs a few milliseconds a request, no more.
         let _ = stream.set_nodelay(true);
-        let mut server = auto::Builder::new(TokioExecutor::new());
-        server.http1().timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).half_close(true);
+        let mut server = http1::Builder::new();
+        // The time for a head runs while none is there: it ends idle connections too.
+        server.timer(TokioTimer::new()).header_read_timeout(self.settings.head_timeout).half_close(true);
         let service = TowerToHyperService::new(self.router.clone());
+        let stream = Stalled::new(stream, self.settings.answer_timeout);
+        let begun = stream.begun();
         let stream = Connection::new(stream, self.http.clone());
-        let connection = server.serve_connection(TokioIo::new(stream), service).into_owned();
-        let connection = connections.watch(connection);
+        let connection = connections.watch(server.serve_connection(TokioIo::new(stream), service));
         tokio::spawn(async move {
             if let Err(error) = connection.await {
+                if error.is_timeout() {
+                    let slow_in = if begun.load(Ordering::Relaxed) { "head" } else { "idle" };
+                    metrics::counter!(names::CONNECTIONS_ENDED, "slow_in" => slow_in).increment(1);
+                }
                 // Clients that go away are everyday business.
                 tracing::debug!(error = %error, "a connection ended early");
             }
+            drop(place);
         });
     }
 }

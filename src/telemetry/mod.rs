@@ -3,11 +3,14 @@
 //! Log lines are readable alone and carry dotted fields with the unit in the name; sample data
 //! and request bodies never enter them. Metrics are Prometheus', in seconds and bytes.
 
+pub mod names;
+
 use std::fmt;
 use std::sync::OnceLock;
 
 use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
+use names::Kind;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::FormatFields;
@@ -20,28 +23,6 @@ pub enum LogFormat {
     Text,
     /// One JSON object an event.
     Json,
-}
-
-/// Names of the metrics, in one place for those who write and those who read them.
-pub mod names {
-    /// Answers, by route, method and status.
-    pub const REQUESTS: &str = "rigcast_http_requests_total";
-    /// Time until the answer's head, by route and method.
-    pub const REQUEST_SECONDS: &str = "rigcast_http_request_duration_seconds";
-    /// Jobs in the store, by state.
-    pub const JOBS: &str = "rigcast_jobs";
-    /// Predictions answered, by kind of model.
-    pub const PREDICTIONS: &str = "rigcast_predictions_total";
-    /// Samples predicted, all outputs together.
-    pub const PREDICTED_SAMPLES: &str = "rigcast_predicted_samples_total";
-    /// Time that a prediction took to compute, by kind of model.
-    pub const PREDICTION_SECONDS: &str = "rigcast_prediction_duration_seconds";
-    /// Time that a fit ran, by how it ended.
-    pub const FIT_SECONDS: &str = "rigcast_fit_duration_seconds";
-    /// Models read from the store into memory.
-    pub const MODEL_LOADS: &str = "rigcast_model_loads_total";
-    /// 1, with the version as label.
-    pub const BUILD_INFO: &str = "rigcast_build_info";
 }
 
 /// A log filter that cannot be understood.
@@ -113,6 +94,7 @@ pub fn metrics_handle() -> PrometheusHandle {
                 .install_recorder()
                 .expect("nobody else installs a metrics recorder");
             describe();
+            count_panics();
             handle
         })
         .clone()
@@ -124,25 +106,35 @@ const REQUEST_BUCKETS: [f64; 13] =
 /// From an FRF to a night's LSTM, seconds.
 const FIT_BUCKETS: [f64; 9] = [0.1, 1.0, 5.0, 15.0, 60.0, 300.0, 900.0, 3600.0, 14400.0];
 
+/// Says what each metric is, and shows what nothing has happened to yet as zero: an alarm on a rise
+/// needs a value to rise from.
 fn describe() {
-    describe_counter!(names::REQUESTS, Unit::Count, "Answers, by route, method and status.");
-    describe_histogram!(
-        names::REQUEST_SECONDS,
-        Unit::Seconds,
-        "Time until the head of the answer, by route and method."
-    );
-    describe_gauge!(names::JOBS, Unit::Count, "Jobs in the store, by state.");
-    describe_counter!(names::PREDICTIONS, Unit::Count, "Predictions answered, by kind of model.");
-    describe_counter!(names::PREDICTED_SAMPLES, Unit::Count, "Samples predicted, all outputs together.");
-    describe_histogram!(
-        names::PREDICTION_SECONDS,
-        Unit::Seconds,
-        "Time that a prediction took to compute, by kind of model."
-    );
-    describe_histogram!(names::FIT_SECONDS, Unit::Seconds, "Time that a fit ran, by how it ended.");
-    describe_counter!(names::MODEL_LOADS, Unit::Count, "Models read from the store into memory.");
-    describe_gauge!(names::BUILD_INFO, Unit::Count, "1, with the version of the program as label.");
+    for &(kind, name, help) in names::ALL {
+        let unit = if name.ends_with("_seconds") { Unit::Seconds } else { Unit::Count };
+        match kind {
+            Kind::Counter => describe_counter!(name, unit, help),
+            // One that is written by hand, with its own words.
+            Kind::Gauge if name == names::VALIDATION_ERROR => {}
+            Kind::Gauge => describe_gauge!(name, unit, help),
+            Kind::Histogram => describe_histogram!(name, unit, help),
+        }
+    }
+    for name in
+        [names::PREDICTED_SAMPLES, names::DEADLINES, names::LEASES_LOST, names::MODEL_LOADS, names::PANICS]
+    {
+        metrics::counter!(name).increment(0);
+    }
+    metrics::gauge!(names::CONNECTIONS).set(0.0);
     metrics::gauge!(names::BUILD_INFO, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+}
+
+/// Counts panics, wherever they are caught.
+fn count_panics() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        metrics::counter!(names::PANICS).increment(1);
+        before(info);
+    }));
 }
 
 #[cfg(test)]

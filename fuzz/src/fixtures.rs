@@ -1,0 +1,88 @@
+//! A rig, a model of it and files of runs, as small as they may be.
+
+use realfft::num_complex::Complex64;
+use rigcast::engine::frf::Frf;
+use rigcast::engine::lstm::{LstmBlock, LstmNet, Recombine};
+use rigcast::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, to_safetensors};
+use rigcast::formats::npy::{self, Dtype, Order};
+use serde_json::{Value, json};
+
+/// A rig of one drive `u` and one response `y` at 100 Hz.
+pub fn rig(id: &str) -> Value {
+    json!({
+        "id": id, "name": "Bench", "sample_rate_hz": 100.0,
+        "channels": [
+            {"name": "u", "unit": "kN", "role": "drive", "quantity": "force"},
+            {"name": "y", "unit": "mm", "role": "response", "quantity": "displacement", "axis": "z"},
+        ],
+    })
+}
+
+/// `y = 2 u` as an FRF, alone or with a network of two cells that adds nothing yet.
+pub fn weights(kind: ModelKind) -> Vec<u8> {
+    let segment_len = 8;
+    let frf = Frf {
+        sample_rate_hz: 100.0,
+        segment_len,
+        n_inputs: 1,
+        n_outputs: 1,
+        h: vec![Complex64::new(2.0, 0.0); segment_len / 2 + 1],
+        usable_hz: [0.0, 50.0],
+        x_mean: vec![0.0],
+        y_mean: vec![0.0],
+    };
+    let inputs = if kind == ModelKind::Hybrid2 { 2 } else { 1 };
+    let block = LstmBlock {
+        inputs,
+        cells: 2,
+        weight_ih: (0..8 * inputs).map(|i| 0.1 * i as f32).collect(),
+        weight_hh: vec![0.1; 16],
+        bias: vec![0.5; 8],
+    };
+    let net = LstmNet { blocks: vec![block], outputs: 1, fc_weight: vec![0.0; 2], fc_bias: vec![0.0] };
+    let scaler = |n: usize| Scaler { mean: vec![0.0; n], std: vec![1.0; n] };
+    let lstm = LstmPart {
+        net,
+        x: scaler(inputs),
+        y: scaler(1),
+        window_len: 16,
+        hop: 8,
+        recombine: Recombine::Welch,
+    };
+    to_safetensors(&RigModel {
+        kind,
+        inputs: vec!["u".into()],
+        outputs: vec!["y".into()],
+        sample_rate_hz: 100.0,
+        preprocess: Preprocess::default(),
+        frf: (kind != ModelKind::Lstm).then_some(frf),
+        lstm: (kind != ModelKind::Frf).then_some(lstm),
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0 }],
+        effects: Vec::new(),
+    })
+}
+
+/// A sample that moves.
+fn sample(channel: usize, i: usize) -> f64 {
+    (0.9 * i as f64 + channel as f64).sin()
+}
+
+/// A run of both channels as CSV.
+pub fn csv(samples: usize) -> Vec<u8> {
+    let rows =
+        (0..samples).map(|i| format!("{:.2},{:.4},{:.4}\n", 0.01 * i as f64, sample(0, i), sample(1, i)));
+    ["time_s,u,y\ns,kN,mm\n".to_owned()].into_iter().chain(rows).collect::<String>().into_bytes()
+}
+
+/// The first channels of the rig as NPY.
+pub fn npy(samples: usize, channels: usize) -> Vec<u8> {
+    let channels: Vec<Vec<f64>> =
+        (0..channels).map(|c| (0..samples).map(|i| sample(c, i)).collect()).collect();
+    npy::write(&channels, Dtype::F8, Order::C).expect("finite and equally long")
+}
+
+/// A run of both channels as JSON.
+pub fn json(samples: usize) -> Vec<u8> {
+    let channel = |c: usize| (0..samples).map(|i| sample(c, i)).collect::<Vec<_>>();
+    json!({"sample_rate_hz": 100.0, "channels": {"u": channel(0), "y": channel(1)}}).to_string().into_bytes()
+}

@@ -1,0 +1,67 @@
+#!/usr/bin/env bash
+# Holds the running program against openapi.yaml: schemathesis sends what the contract allows, and what
+# it forbids, with all checks on.
+#
+#   scripts/contract.sh CASES        # about so many; settings in scripts/contract.toml
+#
+# Says that it skips, and succeeds, where Python or its packages cannot be had. RIGCAST names the program.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+cases=${1:-300}
+root=$PWD
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+program=${RIGCAST:-$target/debug/rigcast}
+tools=$target/contract
+work=$(mktemp -d)
+server=
+stop() {
+  if [ -n "$server" ]; then kill "$server" 2>/dev/null || true; wait "$server" 2>/dev/null || true; fi
+  rm -rf "$work"
+}
+trap stop EXIT
+
+# Another version of a package is another environment.
+wanted=$(sha256sum scripts/contract-requirements.txt | cut -c1-16)
+if [ ! -x "$tools-$wanted/bin/st" ]; then
+  if ! { python3 -m venv "$tools-$wanted" && "$tools-$wanted/bin/pip" install --quiet --disable-pip-version-check \
+         --requirement scripts/contract-requirements.txt; } >"$work/venv.log" 2>&1; then
+    rm -rf "$tools-$wanted"
+    echo "contract: skipped, schemathesis cannot be installed here: $(tail -1 "$work/venv.log")"
+    exit 0
+  fi
+fi
+st=$tools-$wanted/bin/st
+
+secret=$("$program" token create --role admin --name contract --data-dir "$work/data" 2>/dev/null)
+"$program" serve --listen 127.0.0.1:0 --data-dir "$work/data" --log warn,rigcast=info >"$work/out.log" 2>"$work/log" &
+server=$!
+base=
+for _ in $(seq 200); do
+  base=$(sed -n 's/.*rigcast listens on \(http:[^" ]*\).*/\1/p' "$work/log" | head -1)
+  [ -n "$base" ] && break
+  sleep 0.05
+done
+[ -n "$base" ] || { cat "$work/log"; echo "contract: the program did not start"; exit 1; }
+
+export RIGCAST_TOKEN=$secret
+python3 scripts/contract_rig.py "$base" "$work/always" "$work/there"
+status=0
+total=0
+# Once into a rig that is there, with runs and a model; once into the void.
+for void in no yes; do
+  cat scripts/contract.toml "$([ $void = yes ] && echo /dev/null || echo "$work/there")" "$work/always" >"$work/contract.toml"
+  # Each operation has some fixed cases of its own beside those that are drawn.
+  each=$((cases / 2 / 38 + 1))
+  # It leaves a folder of its own where it runs.
+  (cd "$work" && "$st" --config-file contract.toml run "$root/openapi.yaml" --url "$base" --header "Authorization: Bearer $secret" \
+    --max-examples "$each" --seed "${SEED:-1}" --no-color) >"$work/report.$void" 2>&1 || status=1
+  awk '/= (FAILURES|ERRORS) =/ { on = 1 } on' "$work/report.$void" | head -400
+  ran=$(sed -n 's/.*[^0-9]\([0-9][0-9,]*\) generated.*/\1/p' "$work/report.$void" | tr -d , | head -1)
+  total=$((total + ${ran:-0}))
+done
+kill -0 "$server" || { echo "contract: the program is gone"; tail -20 "$work/log"; status=1; }
+if grep ' ERROR ' "$work/log" | head -5 | grep .; then status=1; fi
+echo "contract: $total cases, $([ $status = 0 ] && echo 0 failures || echo failures above)"
+[ "$total" -ge "$cases" ] || { echo "contract: fewer than the $cases cases asked for"; status=1; }
+exit $status

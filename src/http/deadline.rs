@@ -1,0 +1,80 @@
+//! Until when an answer is worth its work: the deadline of the settings, or until its caller goes away.
+
+use std::sync::{Arc, Weak};
+use std::time::Instant;
+
+use super::problem::{Answer, Problem};
+use super::{Http, codes};
+use crate::compute::Class;
+use crate::telemetry::names;
+
+/// What long work looks at between its steps.
+#[derive(Debug)]
+pub struct Deadline {
+    at: Instant,
+    /// Lives as long as somebody waits for the answer.
+    caller: Weak<()>,
+}
+
+impl Deadline {
+    /// Ends work that nobody waits for any more.
+    ///
+    /// # Errors
+    /// `predict.deadline`.
+    pub fn check(&self) -> Answer<()> {
+        if Instant::now() > self.at || self.caller.strong_count() == 0 { Err(over()) } else { Ok(()) }
+    }
+}
+
+/// The refusal of what was not ready.
+pub fn over() -> Problem {
+    let detail =
+        "The answer was not ready before the deadline of the service; ask for a shorter signal, or later.";
+    Problem::new(codes::PREDICT_DEADLINE, detail)
+}
+
+impl Http {
+    /// Does work for an answer that must be ready before the deadline, its wait for a turn included. Work
+    /// that has begun has the time until it next looks at the deadline, and keeps its turn so long.
+    pub(super) async fn in_time<T, F>(&self, class: Class, work: F) -> Answer<T>
+    where
+        T: Send + 'static,
+        F: FnOnce(&Deadline) -> Answer<T> + Send + 'static,
+    {
+        let caller = Arc::new(());
+        let deadline =
+            Deadline { at: Instant::now() + self.limits.deadline, caller: Arc::downgrade(&caller) };
+        let work = self.off_thread(class, move || {
+            deadline.check()?;
+            work(&deadline)
+        });
+        let done = match tokio::time::timeout(self.limits.deadline, work).await {
+            Ok(done) => done.flatten(),
+            Err(_) => Err(over()),
+        };
+        if done.as_ref().is_err_and(|problem| problem.code() == codes::PREDICT_DEADLINE.name) {
+            metrics::counter!(names::DEADLINES).increment(1);
+        }
+        done
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn work_is_worth_doing_until_the_deadline_and_while_somebody_waits() {
+        let caller = Arc::new(());
+        let until = |at| Deadline { at, caller: Arc::downgrade(&caller) };
+        let later = until(Instant::now() + Duration::from_secs(600));
+        assert!(later.check().is_ok());
+        let before = Instant::now();
+        std::thread::sleep(Duration::from_millis(1));
+        assert!(until(before).check().is_err_and(|problem| problem.code() == "predict.deadline"));
+        drop(caller);
+        assert!(later.check().is_err());
+    }
+}

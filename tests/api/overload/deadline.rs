@@ -1,0 +1,58 @@
+//! Answers that would take too long.
+
+use std::time::Duration;
+
+use rigcast::compute::turns::TurnSettings;
+use serde_json::json;
+
+use super::{refusal, slow_weights, until};
+use crate::support::{TestApp, bench, npy};
+
+/// So long that the whole would take minutes on any machine.
+const SAMPLES: usize = 4_000_000;
+
+#[tokio::test]
+async fn work_that_is_not_done_at_the_deadline_is_given_up_and_its_turn_comes_back() {
+    let app = TestApp::start_as(|mut config| {
+        config.compute.long = TurnSettings::new(1, 0, Duration::from_secs(60));
+        config.limits.deadline = Duration::from_millis(500);
+        config
+    });
+    app.rig(&bench()).await;
+    app.activate("bench", slow_weights()).await;
+    let drive = npy("<f4", false, &format!("({SAMPLES}, 1)"), &vec![0; 4 * SAMPLES]);
+    let predict = || {
+        let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
+        tokio::spawn(
+            call.header("accept", "application/x-npy").body("application/x-npy", drive.clone()).send(),
+        )
+    };
+    let first = predict();
+    until(&app, "long", (1, 0)).await;
+    refusal(predict().await.expect("no panic"), 503, "busy");
+    first.await.expect("no panic").problem(504, "predict.deadline");
+    until(&app, "long", (0, 0)).await;
+
+    let zeros = vec![0; 400_000];
+    let request =
+        json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": zeros}}, "include": ["response"]});
+    app.post_json("/v1/rigs/bench/predict", &request).await.problem(504, "predict.deadline");
+    until(&app, "long", (0, 0)).await;
+}
+
+#[tokio::test]
+async fn work_whose_client_has_gone_is_given_up() {
+    let app = TestApp::start_as(|mut config| {
+        config.compute.long = TurnSettings::new(1, 0, Duration::from_secs(60));
+        config
+    });
+    app.rig(&bench()).await;
+    app.activate("bench", slow_weights()).await;
+    let drive = npy("<f4", false, &format!("({SAMPLES}, 1)"), &vec![0; 4 * SAMPLES]);
+    let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
+    let call =
+        tokio::spawn(call.header("accept", "application/x-npy").body("application/x-npy", drive).send());
+    until(&app, "long", (1, 0)).await;
+    call.abort();
+    until(&app, "long", (0, 0)).await;
+}

@@ -1,0 +1,57 @@
+//! More than can be done, and clients that take for ever: who is refused, how, and who is not.
+
+mod connections;
+mod deadline;
+mod faults;
+mod turns;
+
+use std::time::Duration;
+
+use rand::SeedableRng;
+use rigcast::engine::lstm::{LstmNet, Recombine};
+use rigcast::engine::model::{LstmPart, ModelKind, RigModel, Scaler, to_safetensors};
+use serde_json::Value;
+
+use crate::support::{TestApp, gain_model};
+
+/// Turns under way and tasks that wait, of a class.
+async fn depth(app: &TestApp, class: &str) -> (u64, u64) {
+    let ready = app.get("/readyz?verbose").await.expect(200).json();
+    let of = |key: &str| ready["checks"]["queues"][class][key].as_u64().expect("a number");
+    (of("in_use"), of("waiting"))
+}
+
+/// Waits until a class has so many turns under way and so many tasks waiting.
+async fn until(app: &TestApp, class: &str, expected: (u64, u64)) {
+    let mut found = (0, 0);
+    for _ in 0..3000 {
+        found = depth(app, class).await;
+        if found == expected {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("{class} stays at {found:?}, {expected:?} was expected");
+}
+
+/// A refusal for too much work: what it says, and when to come again.
+fn refusal(reply: crate::support::Reply, status: u16, code: &str) -> Value {
+    assert_eq!(reply.header("retry-after"), "1");
+    reply.problem(status, code)
+}
+
+/// Weights of a network with a window at every sample: some two million operations each.
+fn slow_weights() -> Vec<u8> {
+    let scaler = || Scaler { mean: vec![0.0], std: vec![1.0] };
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+    let part = LstmPart {
+        net: LstmNet::init(1, &[60], 1, 1.0, &mut rng),
+        x: scaler(),
+        y: scaler(),
+        window_len: 64,
+        hop: 1,
+        recombine: Recombine::Welch,
+    };
+    let model = gain_model(&["u"], &["y"], 1.0);
+    to_safetensors(&RigModel { kind: ModelKind::Lstm, frf: None, lstm: Some(part), ..model })
+}
