@@ -30,7 +30,7 @@ fn repeats_share_their_free_runs_and_nothing_changes() {
     assert_eq!(firsts(&alone.fit, false), [0, 1, 2, 3]);
     for parts in [vec![cubic.clone()], vec![drift.clone()], vec![cubic, drift]] {
         let candidate = Candidate { parts, retune: false };
-        let p: Vec<f64> = (0..candidate.parameters(&problem)).map(|i| 0.1 + 1e-3 * i as f64).collect();
+        let p: Vec<f64> = (0..candidate.parameters(&problem)).map(|i| 1e-6 * (1.0 + i as f64)).collect();
         let rows = |problem| candidate.residual_rows(problem, &problem.fit, &p).unwrap();
         assert_eq!(rows(&problem), rows(&alone));
         let scale = vec![1.0; p.len()];
