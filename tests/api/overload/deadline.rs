@@ -5,7 +5,7 @@ use std::time::Duration;
 use rigcast::compute::turns::TurnSettings;
 use serde_json::json;
 
-use super::{refusal, slow_weights, until};
+use super::{predict_npy, refusal, slow_weights, until};
 use crate::support::{TestApp, bench, npy};
 
 /// So long that the whole would take many times the deadline on any machine, and short enough that who is
@@ -22,12 +22,7 @@ async fn work_that_is_not_done_at_the_deadline_is_given_up_and_its_turn_comes_ba
     app.rig(&bench()).await;
     app.activate("bench", slow_weights()).await;
     let drive = npy("<f4", false, &format!("({SAMPLES}, 1)"), &vec![0; 4 * SAMPLES]);
-    let predict = || {
-        let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
-        tokio::spawn(
-            call.header("accept", "application/x-npy").body("application/x-npy", drive.clone()).send(),
-        )
-    };
+    let predict = || predict_npy(&app, &drive);
     let first = predict();
     until(&app, "long", (1, 0)).await;
     refusal(predict().await.expect("no panic"), 503, "busy");
@@ -50,9 +45,7 @@ async fn work_whose_client_has_gone_is_given_up() {
     app.rig(&bench()).await;
     app.activate("bench", slow_weights()).await;
     let drive = npy("<f4", false, &format!("({SAMPLES}, 1)"), &vec![0; 4 * SAMPLES]);
-    let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
-    let call =
-        tokio::spawn(call.header("accept", "application/x-npy").body("application/x-npy", drive).send());
+    let call = predict_npy(&app, &drive);
     until(&app, "long", (1, 0)).await;
     call.abort();
     until(&app, "long", (0, 0)).await;

@@ -11,8 +11,9 @@ use rand::SeedableRng;
 use rigcast::engine::lstm::{LstmNet, Recombine};
 use rigcast::engine::model::{LstmPart, ModelKind, RigModel, Scaler, to_safetensors};
 use serde_json::Value;
+use tokio::task::JoinHandle;
 
-use crate::support::{TestApp, gain_model};
+use crate::support::{Reply, TestApp, gain_model};
 
 /// Turns under way and tasks that wait, of a class.
 async fn depth(app: &TestApp, class: &str) -> (u64, u64) {
@@ -35,9 +36,15 @@ async fn until(app: &TestApp, class: &str, expected: (u64, u64)) {
 }
 
 /// A refusal for too much work: what it says, and when to come again.
-fn refusal(reply: crate::support::Reply, status: u16, code: &str) -> Value {
+fn refusal(reply: Reply, status: u16, code: &str) -> Value {
     assert_eq!(reply.header("retry-after"), "1");
     reply.problem(status, code)
+}
+
+/// A prediction for the bench from an NPY drive, on a task of its own.
+fn predict_npy(app: &TestApp, drive: &[u8]) -> JoinHandle<Reply> {
+    let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
+    tokio::spawn(call.header("accept", "application/x-npy").body("application/x-npy", drive).send())
 }
 
 /// Weights of a network with a window at every sample: some two million operations each.

@@ -9,7 +9,7 @@ use rigcast::config::Config;
 use serde_json::json;
 use tokio::task::JoinHandle;
 
-use super::{refusal, slow_weights, until};
+use super::{predict_npy, refusal, slow_weights, until};
 use crate::support::{Reply, TestApp, bench, gain_weights, npy, read_all};
 
 const CSV: &str = "u,y\n1,2\n3,4\n";
@@ -39,6 +39,18 @@ fn half_an_upload(app: &TestApp, token: &str) -> TcpStream {
 fn finish(mut upload: TcpStream) -> String {
     upload.write_all(CSV.strip_prefix("u,y\n").expect("its head was sent").as_bytes()).expect("sent");
     read_all(upload)
+}
+
+/// A service with two operators' tokens, the first of which has the one turn for uploads.
+async fn two_tokens(queue: usize) -> (TestApp, String, String, TcpStream) {
+    let mut app = one_upload(queue);
+    app.rig(&bench()).await;
+    app.close_doors().await;
+    let (many, _) = app.token(&json!({"role": "operator"})).await;
+    let (few, _) = app.token(&json!({"role": "operator"})).await;
+    let first = half_an_upload(&app, &many);
+    until(&app, "upload", (1, 0)).await;
+    (app, many, few, first)
 }
 
 /// An upload on a task of its own.
@@ -77,13 +89,7 @@ async fn who_finds_the_queue_full_is_told_when_to_come_again_and_nothing_is_done
 
 #[tokio::test]
 async fn turns_go_round_between_tokens() {
-    let mut app = one_upload(8);
-    app.rig(&bench()).await;
-    app.close_doors().await;
-    let (many, _) = app.token(&json!({"role": "operator"})).await;
-    let (few, _) = app.token(&json!({"role": "operator"})).await;
-    let first = half_an_upload(&app, &many);
-    until(&app, "upload", (1, 0)).await;
+    let (app, many, few, first) = two_tokens(8).await;
     let mut waiting = Vec::new();
     for (token, name) in
         [(&many, "many-2"), (&many, "many-3"), (&many, "many-4"), (&few, "few-1"), (&few, "few-2")]
@@ -100,13 +106,7 @@ async fn turns_go_round_between_tokens() {
 
 #[tokio::test]
 async fn a_token_that_fills_the_queue_makes_room_for_another_and_is_told_429() {
-    let mut app = one_upload(2);
-    app.rig(&bench()).await;
-    app.close_doors().await;
-    let (many, _) = app.token(&json!({"role": "operator"})).await;
-    let (few, _) = app.token(&json!({"role": "operator"})).await;
-    let first = half_an_upload(&app, &many);
-    until(&app, "upload", (1, 0)).await;
+    let (app, many, few, first) = two_tokens(2).await;
     let second = upload(&app, &many, "many-2");
     until(&app, "upload", (1, 1)).await;
     let third = upload(&app, &many, "many-3");
@@ -175,12 +175,7 @@ async fn predictions_beyond_the_queue_are_refused_and_their_connections_kept() {
     app.rig(&bench()).await;
     app.activate("bench", slow_weights()).await;
     let drive = npy("<f8", false, "(4000, 1)", &[0; 32_000]);
-    let predict = || {
-        let call = app.call("POST", "/v1/rigs/bench/predict?sample_rate_hz=100");
-        tokio::spawn(
-            call.header("accept", "application/x-npy").body("application/x-npy", drive.clone()).send(),
-        )
-    };
+    let predict = || predict_npy(&app, &drive);
     predict().await.expect("no panic").expect(200);
     let (mut served, mut refused) = (0, 0);
     for round in [predict(), predict(), predict(), predict(), predict(), predict(), predict(), predict()] {
