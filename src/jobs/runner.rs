@@ -254,10 +254,14 @@ impl Runner {
         let beat = self.store.heartbeat(&claim.lease, stage, *fraction, self.lease_until(now), now).await;
         match beat {
             Ok(Beat::Held) => {}
-            Ok(Beat::CancelRequested) => control.stop(Stop::Cancelled),
+            Ok(Beat::CancelRequested) => {
+                control.stop(Stop::Cancelled);
+            }
+            // Once: heartbeats go on until the work has ended.
             Ok(Beat::Lost) => {
-                metrics::counter!(names::LEASES_LOST).increment(1);
-                control.stop(Stop::Lost);
+                if control.stop(Stop::Lost) {
+                    metrics::counter!(names::LEASES_LOST).increment(1);
+                }
             }
             // The lease outlasts a few of these; if it does not, the next beat says so.
             Err(error) => {
