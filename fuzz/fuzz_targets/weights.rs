@@ -5,6 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use rigcast::engine::Signal;
 use rigcast::engine::model::{Predictor, from_safetensors, to_safetensors};
+use rigcast::engine::progress::unwatched;
 use rigcast_fuzz::plant;
 
 /// Operations of a network above which predicting would only be slow.
@@ -22,6 +23,6 @@ fuzz_target!(init: plant("weights"), |file: &[u8]| {
         return;
     }
     let Ok(mut prediction) = predictor.begin(drive) else { return };
-    let Ok(response) = predictor.rest(&mut prediction) else { return };
+    let Ok(response) = predictor.rest(&mut prediction, &unwatched) else { return };
     assert!(response.channels().iter().flatten().all(|v| v.is_finite()), "what is answered is finite");
 });

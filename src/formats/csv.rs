@@ -16,8 +16,10 @@ mod rows;
 mod time;
 mod write;
 
+use std::io::Read;
+
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, check_channel_count, check_name};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError, check_channel_count, check_name};
 use number::{number, trim};
 use rows::Rows;
 use time::TimeColumn;
@@ -29,11 +31,18 @@ pub use write::write;
 /// # Errors
 /// The `csv.*` codes with row and column; `run.*` codes with channel and sample.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
-    let file = file.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(file);
-    let mut rows = Rows::new(file);
+    read_from(file, file.len() as u64).map_err(ReadError::of_bytes)
+}
+
+/// The same from a file of `len` bytes that is not in memory, of which no more than a piece is kept.
+///
+/// # Errors
+/// As [`read`]; what reading the file says.
+pub fn read_from(file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
+    let mut rows = Rows::new(file)?;
     let mut table = Table { decimal_comma: rows.separator() != b',', ..Table::default() };
     if !rows.next()? {
-        return Err(FormatError::Empty);
+        return Err(FormatError::Empty.into());
     }
     table.width = rows.cells().len();
     check_channel_count(table.width as u64)?;
@@ -55,12 +64,19 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
         None => None,
     };
     table.first_row = rows.row();
+    let begin = rows.passed();
     while more {
         table.take(&rows, time.as_ref())?;
+        if table.columns[0].len() == TRIED {
+            table.reserve((len.saturating_sub(begin)) / (rows.passed() - begin).max(1));
+        }
         more = rows.next()?;
     }
-    table.finish(time)
+    Ok(table.finish(time)?)
 }
+
+/// Rows that tell how many there will be, if the others are as long.
+const TRIED: usize = 64;
 
 /// What has been read so far; a time column still among the others.
 #[derive(Default)]
@@ -77,7 +93,7 @@ struct Table {
 
 impl Table {
     /// Whether the first row has names; a mixture would lose a sample, or a name.
-    fn is_header(&self, rows: &Rows<'_>) -> Result<bool, FormatError> {
+    fn is_header(&self, rows: &Rows<impl Read>) -> Result<bool, FormatError> {
         let is_number = |cell: &[u8]| number(cell, self.decimal_comma).is_some();
         let Some(column) = rows.cells().iter().position(is_number) else { return Ok(true) };
         if rows.cells().iter().all(is_number) {
@@ -87,13 +103,13 @@ impl Table {
         Err(FormatError::CsvHeader { row: rows.row(), column: column + 1, reason })
     }
 
-    fn is_units(&self, rows: &Rows<'_>) -> bool {
+    fn is_units(&self, rows: &Rows<impl Read>) -> bool {
         let mut cells = rows.cells().iter();
         cells.clone().all(|cell| number(cell, self.decimal_comma).is_none())
             && cells.any(|cell| !trim(cell).is_empty())
     }
 
-    fn check_width(&self, rows: &Rows<'_>) -> Result<(), FormatError> {
+    fn check_width(&self, rows: &Rows<impl Read>) -> Result<(), FormatError> {
         let found = rows.cells().len();
         if found == self.width {
             return Ok(());
@@ -102,7 +118,7 @@ impl Table {
     }
 
     /// Takes one row of samples.
-    fn take(&mut self, rows: &Rows<'_>, time: Option<&TimeColumn>) -> Result<(), FormatError> {
+    fn take(&mut self, rows: &Rows<impl Read>, time: Option<&TimeColumn>) -> Result<(), FormatError> {
         self.check_width(rows)?;
         for (column, cell) in rows.cells().iter().enumerate() {
             let Some(value) = number(cell, self.decimal_comma) else {
@@ -124,6 +140,16 @@ impl Table {
             self.columns[column].push(value);
         }
         Ok(())
+    }
+
+    /// Makes room for `times` as many rows as there are: columns that grow side by side leave as much
+    /// behind as they hold. Room that nothing is put into takes no memory.
+    fn reserve(&mut self, times: u64) {
+        let rows = self.columns[0].len().saturating_mul(times as usize);
+        for column in &mut self.columns {
+            // Without room at hand it grows as it can.
+            let _ = column.try_reserve_exact(rows);
+        }
     }
 
     fn channel_at(&self, column: usize, time: Option<&TimeColumn>) -> ChannelAt {
@@ -148,7 +174,7 @@ impl Table {
 }
 
 /// Channel names of a header row: not empty, each once.
-fn names(rows: &Rows<'_>) -> Result<Vec<String>, FormatError> {
+fn names(rows: &Rows<impl Read>) -> Result<Vec<String>, FormatError> {
     let mut names: Vec<String> = Vec::with_capacity(rows.cells().len());
     for (column, cell) in rows.cells().iter().enumerate() {
         let name = rows.text(cell)?;
@@ -165,7 +191,7 @@ fn names(rows: &Rows<'_>) -> Result<Vec<String>, FormatError> {
     Ok(names)
 }
 
-fn units(rows: &Rows<'_>) -> Result<Vec<String>, FormatError> {
+fn units(rows: &Rows<impl Read>) -> Result<Vec<String>, FormatError> {
     rows.cells().iter().map(|cell| Ok(without_brackets(rows.text(cell)?).to_owned())).collect()
 }
 

@@ -20,6 +20,27 @@ impl std::fmt::Display for ChannelAt {
     }
 }
 
+/// Why a file could not be taken: it is wrong, or it could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file is wrong.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// Whatever it is read from.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+impl ReadError {
+    /// The error of a file in memory.
+    pub(crate) fn of_bytes(self) -> FormatError {
+        match self {
+            Self::Format(error) => error,
+            Self::Io(error) => unreachable!("bytes in memory can be read ({error}): this is a bug"),
+        }
+    }
+}
+
 /// Why a file was refused. Rows and columns count from 1, as editors show them: a row is a line of
 /// the file, a column a cell (CSV) or a byte (JSON). Samples count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

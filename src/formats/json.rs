@@ -4,28 +4,46 @@
 //! that a typing error is no silent default.
 
 use std::fmt;
+use std::io::{BufReader, Read};
 
 use serde::Deserializer;
 use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, check_channel_count, check_name};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError, check_channel_count, check_name};
 
 /// Reads a file.
 ///
 /// # Errors
 /// The `json.*` codes, with row and column where the parser has them; `run.*` codes.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
+    parse(serde_json::Deserializer::from_slice(file)).map_err(ReadError::of_bytes)
+}
+
+/// The same from a file that is not in memory, of which no more than a piece is kept.
+///
+/// # Errors
+/// As [`read`]; what reading the file says.
+pub fn read_from(file: impl Read) -> Result<ParsedRun, ReadError> {
+    parse(serde_json::Deserializer::from_reader(BufReader::with_capacity(PIECE, file)))
+}
+
+/// Bytes of a file that are kept at once.
+const PIECE: usize = 64 << 10;
+
+fn parse<'de>(
+    mut json: serde_json::Deserializer<impl serde_json::de::Read<'de>>,
+) -> Result<ParsedRun, ReadError> {
     let mut place = Place::default();
-    let mut json = serde_json::Deserializer::from_slice(file);
     let read = File(&mut place).deserialize(&mut json).and_then(|run| json.end().map(|()| run));
     match read {
         Ok((sample_rate_hz, channels)) => {
             let (names, channels) = channels.into_iter().unzip();
             let names = Some(names);
-            ParsedRun { sample_rate_hz: Some(sample_rate_hz), names, units: None, channels }.check()
+            Ok(ParsedRun { sample_rate_hz: Some(sample_rate_hz), names, units: None, channels }.check()?)
         }
-        Err(error) => Err(place.explain(&error)),
+        Err(error) if error.is_io() => Err(ReadError::Io(error.into())),
+        Err(error) => Err(place.explain(&error).into()),
     }
 }
 

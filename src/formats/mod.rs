@@ -1,7 +1,7 @@
 //! Measurement files in and out, one file a format: bytes in, a run out.
 //!
-//! Every reader takes the whole file and answers a [`ParsedRun`] or a [`FormatError`] that says
-//! where the file is wrong. Memory follows the bytes that came: no size that a file declares is
+//! Every reader takes the file from memory or piece by piece and answers a [`ParsedRun`] or a
+//! [`FormatError`] that says where the file is wrong. Memory follows the bytes that came: no size that a file declares is
 //! believed before it is compared with them. On the wire arrays are `[sample, channel]`, in memory
 //! `[channel][sample]`.
 
@@ -12,7 +12,7 @@ pub mod npy;
 
 use std::collections::HashSet;
 
-pub use error::{ChannelAt, FormatError};
+pub use error::{ChannelAt, FormatError, ReadError};
 
 use crate::engine::first_not_finite;
 
@@ -98,7 +98,56 @@ pub(crate) fn check_channel_count(found: u64) -> Result<(), FormatError> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read;
+
     use super::*;
+
+    /// A file that comes in pieces of three bytes: wherever it is cut, it is the same file.
+    pub(super) struct Pieces<'a>(pub &'a [u8]);
+
+    impl Read for Pieces<'_> {
+        fn read(&mut self, space: &mut [u8]) -> std::io::Result<usize> {
+            let n = space.len().min(3);
+            self.0.read(&mut space[..n])
+        }
+    }
+
+    #[test]
+    fn a_file_that_comes_in_pieces_is_the_same_with_the_same_faults() {
+        let same = |at_once: Result<ParsedRun, FormatError>, in_pieces: Result<ParsedRun, ReadError>| {
+            assert_eq!(at_once, in_pieces.map_err(ReadError::of_bytes));
+        };
+        for text in ["", "a,b\n1,2\n3,4", "\u{feff}a\r\n1\r\n", "a,b\n1,x", "a\n1\n\n2", "a,a\n1,1"] {
+            let file = text.as_bytes();
+            same(csv::read(file), csv::read_from(Pieces(file), file.len() as u64));
+        }
+        for text in [
+            r#"{"sample_rate_hz": 5, "channels": {"a": [1, 2.5], "b": [3, 4]}}"#,
+            "{\n\"sample_rate_hz\": 5, \"channels\":\n{\"a\": [1, null]}}",
+            r#"{"sample_rate_hz": 5, "channels": {"a": [1e999]}}"#,
+            r#"{"rate": 5}"#,
+            "{",
+        ] {
+            // The column may be one further, since a reader has to look ahead.
+            let told = |error: FormatError| {
+                (error.code(), error.row(), error.channel().map(str::to_owned), error.sample())
+            };
+            let in_pieces = json::read_from(Pieces(text.as_bytes())).map_err(ReadError::of_bytes);
+            assert_eq!(json::read(text.as_bytes()).map_err(told), in_pieces.map_err(told));
+        }
+        let channels = vec![(0..3000).map(f64::from).collect::<Vec<_>>(), vec![0.5; 3000]];
+        for order in [npy::Order::C, npy::Order::Fortran] {
+            let file = npy::write(&channels, npy::Dtype::F8, order).unwrap();
+            for len in [0, 5, 9, 11, 60, file.len() - 1, file.len()] {
+                same(npy::read(&file[..len]), npy::read_from(Pieces(&file[..len]), len as u64));
+            }
+            // Shorter than its length was said to be: nobody's fault but the disk's.
+            for len in [60, file.len() - 1] {
+                let read = npy::read_from(Pieces(&file[..len]), file.len() as u64);
+                assert!(matches!(read, Err(ReadError::Io(_))), "{read:?}");
+            }
+        }
+    }
 
     fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun {
         let names = Some(names.iter().map(|n| n.to_string()).collect());

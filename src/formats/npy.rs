@@ -6,9 +6,11 @@
 
 mod header;
 
+use std::io::Read;
+
 use npyz::WriterBuilder;
 
-use super::{ChannelAt, FormatError, ParsedRun};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError};
 
 pub use header::{Header, header};
 
@@ -55,37 +57,70 @@ const SAMPLES_AT_ONCE: usize = 1024;
 /// Those of [`header`]; `run.non_finite` with channel and sample.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
     let header = header(file)?;
-    let data = &file[header.data_offset..];
-    let channels = match (header.dtype, header.big_endian) {
-        (Dtype::F4, false) => values(&header, data, |b| f64::from(f32::from_le_bytes(b))),
-        (Dtype::F4, true) => values(&header, data, |b| f64::from(f32::from_be_bytes(b))),
-        (Dtype::F8, false) => values(&header, data, f64::from_le_bytes),
-        (Dtype::F8, true) => values(&header, data, f64::from_be_bytes),
-        (Dtype::I2, false) => values(&header, data, |b| f64::from(i16::from_le_bytes(b))),
-        (Dtype::I2, true) => values(&header, data, |b| f64::from(i16::from_be_bytes(b))),
-        (Dtype::I4, false) => values(&header, data, |b| f64::from(i32::from_le_bytes(b))),
-        (Dtype::I4, true) => values(&header, data, |b| f64::from(i32::from_be_bytes(b))),
+    numbers(&header, &file[header.data_offset..]).map_err(ReadError::of_bytes)
+}
+
+/// The same from a file of `len` bytes that is not in memory, of which no more than a piece is kept.
+///
+/// # Errors
+/// As [`read`]; what reading the file says.
+pub fn read_from(mut file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
+    let mut start = Vec::new();
+    (&mut file).take(header::START as u64).read_to_end(&mut start)?;
+    let text = header::text(&start, len)?;
+    // It is no longer than the file.
+    (&mut file).take(text.end.saturating_sub(start.len()) as u64).read_to_end(&mut start)?;
+    let Some(found) = start.get(text.clone()) else {
+        return Err(std::io::Error::from(std::io::ErrorKind::UnexpectedEof).into());
     };
-    ParsedRun { sample_rate_hz: None, names: None, units: None, channels }.check()
+    let header = header::check(found, text.end, len - text.end as u64)?;
+    // A short header ends before the start does.
+    let rest = start.split_off(text.end);
+    numbers(&header, rest.as_slice().chain(file))
+}
+
+/// Reads what follows a header.
+fn numbers(header: &Header, data: impl Read) -> Result<ParsedRun, ReadError> {
+    let channels = match (header.dtype, header.big_endian) {
+        (Dtype::F4, false) => values(header, data, |b| f64::from(f32::from_le_bytes(b))),
+        (Dtype::F4, true) => values(header, data, |b| f64::from(f32::from_be_bytes(b))),
+        (Dtype::F8, false) => values(header, data, f64::from_le_bytes),
+        (Dtype::F8, true) => values(header, data, f64::from_be_bytes),
+        (Dtype::I2, false) => values(header, data, |b| f64::from(i16::from_le_bytes(b))),
+        (Dtype::I2, true) => values(header, data, |b| f64::from(i16::from_be_bytes(b))),
+        (Dtype::I4, false) => values(header, data, |b| f64::from(i32::from_le_bytes(b))),
+        (Dtype::I4, true) => values(header, data, |b| f64::from(i32::from_be_bytes(b))),
+    }?;
+    Ok(ParsedRun { sample_rate_hz: None, names: None, units: None, channels }.check()?)
 }
 
 /// Numbers of `N` bytes, sorted into channels.
-fn values<const N: usize>(header: &Header, data: &[u8], number: impl Fn([u8; N]) -> f64) -> Vec<Vec<f64>> {
-    let (numbers, _) = data.as_chunks::<N>();
-    match header.order {
-        Order::Fortran => {
-            numbers.chunks_exact(header.samples).map(|c| c.iter().map(|&b| number(b)).collect()).collect()
-        }
-        Order::C => {
-            let mut channels = vec![Vec::with_capacity(header.samples); header.channels];
-            for rows in numbers.chunks(SAMPLES_AT_ONCE * header.channels) {
-                for (c, channel) in channels.iter_mut().enumerate() {
-                    channel.extend(rows[c..].iter().step_by(header.channels).map(|&b| number(b)));
-                }
+fn values<const N: usize>(
+    header: &Header,
+    mut data: impl Read,
+    number: impl Fn([u8; N]) -> f64,
+) -> std::io::Result<Vec<Vec<f64>>> {
+    // The bytes that follow were held against these sizes.
+    let mut channels = vec![Vec::with_capacity(header.samples); header.channels];
+    // One channel after the other is as many files of one channel.
+    let files: Vec<&mut [Vec<f64>]> = match header.order {
+        Order::C => vec![&mut channels],
+        Order::Fortran => channels.chunks_mut(1).collect(),
+    };
+    let mut piece = Vec::new();
+    for channels in files {
+        for from in (0..header.samples).step_by(SAMPLES_AT_ONCE) {
+            let rows = SAMPLES_AT_ONCE.min(header.samples - from);
+            piece.resize(rows * channels.len() * N, 0);
+            data.read_exact(&mut piece)?;
+            let (numbers, _) = piece.as_chunks::<N>();
+            let step = channels.len();
+            for (c, channel) in channels.iter_mut().enumerate() {
+                channel.extend(numbers[c..].iter().step_by(step).map(|&b| number(b)));
             }
-            channels
         }
     }
+    Ok(channels)
 }
 
 /// Writes `[channel][sample]` as `<f4` or `<f8` (integers are not written) of shape

@@ -172,8 +172,7 @@ fn send_away(request: Request, why: Refused) -> Response {
     Problem::from(why).into_response()
 }
 
-/// Largest body that is read to its end for nothing. It keeps the connection, and the answer on it:
-/// closing one whose bytes nobody read takes away what the client has not read either.
+/// Largest body that is read to its end for nothing: that keeps the connection for the next request.
 const MAX_DRAINED: u64 = 1 << 20;
 
 /// How long that may take.

@@ -8,8 +8,9 @@ use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 
+use super::codes;
 use super::json::{self, PARSE_HERE_BYTES};
-use super::problem::Answer;
+use super::problem::{Answer, FieldError, Problem};
 use super::signals::Channels;
 
 /// Bytes of numbers that one thread reads at a stretch.
@@ -20,6 +21,10 @@ const MAX_DEPTH: usize = 16;
 
 /// Most arrays that are lifted: more than a body may have.
 const MAX_ARRAYS: usize = 1024;
+
+/// Most values of a document: what they and the document take in memory stays within 64 MiB and four
+/// times its bytes.
+const MAX_VALUES: usize = 31_000_000;
 
 /// The key whose objects hold signals, wherever it stands.
 const CHANNELS: &[u8] = b"channels";
@@ -33,8 +38,14 @@ pub trait HoldsSignals: DeserializeOwned {
 /// Parses a document; a long one on the threads of the caller's pool.
 ///
 /// # Errors
-/// As [`json::parse`].
+/// As [`json::parse`]; `body.too_large` for too many values.
 pub fn parse<T: HoldsSignals>(bytes: &[u8]) -> Answer<T> {
+    // Shorter ones cannot hold so many.
+    if bytes.len() >= 2 * MAX_VALUES && memchr_iter(b',', bytes).count() >= MAX_VALUES {
+        let limit = format!("{MAX_VALUES} values");
+        return Err(Problem::new(codes::BODY_TOO_LARGE, format!("The body holds more than {limit}."))
+            .with(FieldError::new("", limit)));
+    }
     match quick(bytes) {
         Some(value) => Ok(value),
         None => json::parse(bytes),
@@ -300,6 +311,16 @@ mod tests {
         assert_eq!(read(&[&text, " "], true), Some(vec![samples.clone(), vec![]]));
         assert_eq!(read(&[&text, "", &text], false), Some(vec![samples.clone(), vec![], samples]));
         assert_eq!(read(&[&format!("{text},")], true), None);
+    }
+
+    #[test]
+    fn more_values_than_memory_may_take_are_refused_by_their_number() {
+        let refused = |values: usize| {
+            let body = format!("{{\"drive\": {{\"channels\": {{\"a\": [{}1]}}", "1,".repeat(values - 1));
+            parse::<Body>(body.as_bytes()).map_err(|problem| problem.code().to_owned())
+        };
+        assert_eq!(refused(MAX_VALUES), Err("body.syntax".to_owned()), "a bracket is missing");
+        assert_eq!(refused(MAX_VALUES + 1), Err("body.too_large".to_owned()));
     }
 
     proptest! {

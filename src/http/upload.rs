@@ -38,6 +38,14 @@ impl Upload {
         self.size
     }
 
+    /// The file, at its beginning.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn open(&self) -> std::io::Result<std::fs::File> {
+        self.file.reopen()
+    }
+
     /// The bytes. Blocks: call it off the async threads.
     ///
     /// # Errors
@@ -105,7 +113,8 @@ fn malformed() -> Problem {
         .with(FieldError::new("", limit))
 }
 
-fn disk(error: std::io::Error) -> Problem {
+/// What stands for an error of the disk.
+pub(super) fn disk(error: std::io::Error) -> Problem {
     StoreError::DataDir { path: "scratch".into(), source: error }.into()
 }
 

@@ -1,17 +1,22 @@
 //! Rows of cells with the line on which each stands.
 //!
 //! csv-core splits rows and cells. Its own line numbers lag behind in files with CRLF, and it passes
-//! over empty lines; so lines are counted here, from the byte at which each row begins. A row of more
-//! cells than a file may have is counted and not kept.
+//! over empty lines; so lines are counted here, and empty ones seen. A row of more cells than a file
+//! may have is counted and not kept. Of the file no more is kept than a piece.
+
+use std::io::Read;
 
 use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
 use super::number::trim;
-use crate::formats::{FormatError, MAX_CHANNELS};
+use crate::formats::{FormatError, MAX_CHANNELS, ReadError};
+
+/// Bytes of the file that are kept at once.
+const PIECE: usize = 64 << 10;
 
 /// Reads row after row.
-pub(super) struct Rows<'a> {
-    file: &'a [u8],
+pub(super) struct Rows<R> {
+    bytes: Bytes<R>,
     reader: Reader,
     separator: u8,
     /// Text of the current row's cells, one behind the other, and where each ends.
@@ -23,11 +28,6 @@ pub(super) struct Rows<'a> {
     row: u64,
     /// Cells of the first row.
     width: usize,
-    /// Where csv-core stopped reading.
-    end: usize,
-    /// Line of the byte at `counted`, from 1.
-    line: u64,
-    counted: usize,
 }
 
 /// Cells of a row; none of a row that has too many.
@@ -51,12 +51,16 @@ impl<'r> Cells<'r> {
     }
 }
 
-impl<'a> Rows<'a> {
-    /// Before the first row of `file`.
-    pub(super) fn new(file: &'a [u8]) -> Self {
-        let separator = separator(file);
-        Self {
-            file,
+impl<R: Read> Rows<R> {
+    /// Before the first row of a file.
+    ///
+    /// # Errors
+    /// What reading it says.
+    pub(super) fn new(file: R) -> std::io::Result<Self> {
+        let mut bytes = Bytes::new(file)?;
+        let separator = bytes.separator()?;
+        Ok(Self {
+            bytes,
             reader: ReaderBuilder::new().delimiter(separator).build(),
             separator,
             text: vec![0; 1024],
@@ -65,10 +69,12 @@ impl<'a> Rows<'a> {
             len: 0,
             row: 0,
             width: 0,
-            end: 0,
-            line: 1,
-            counted: 0,
-        }
+        })
+    }
+
+    /// Bytes of the file up to the end of the current row.
+    pub(super) fn passed(&self) -> u64 {
+        self.bytes.before + self.bytes.passed as u64
     }
 
     /// What separates cells.
@@ -79,38 +85,44 @@ impl<'a> Rows<'a> {
     /// Goes to the next row; false at the end.
     ///
     /// # Errors
-    /// `csv.ragged_row` for an empty line between two rows.
-    pub(super) fn next(&mut self) -> Result<bool, FormatError> {
-        let mut start = self.end;
+    /// `csv.ragged_row` for an empty line between two rows; what reading the file says.
+    pub(super) fn next(&mut self) -> Result<bool, ReadError> {
         // The csv crate ends a row at the CR of a CRLF.
-        if self.file[..start].ends_with(b"\r") && self.file[start..].starts_with(b"\n") {
-            start += 1;
+        if self.bytes.after_cr && self.bytes.peek()? == Some(b'\n') {
+            self.bytes.pass(1);
         }
-        let empty_line = self.count_lines_to(start);
-        let empty = self.file[start..].iter().take_while(|b| matches!(b, b'\r' | b'\n')).count();
-        if !self.split() {
+        let empty_line = self.bytes.line()?;
+        let mut empty = false;
+        while matches!(self.bytes.peek()?, Some(b'\r' | b'\n')) {
+            self.bytes.pass(1);
+            empty = true;
+        }
+        let line = self.bytes.line()?;
+        if !self.split()? {
             return Ok(false);
         }
         if self.row == 0 {
             self.width = self.len;
-        } else if empty > 0 {
-            return Err(FormatError::CsvRagged { row: empty_line, expected: self.width, found: 0 });
+        } else if empty {
+            return Err(FormatError::CsvRagged { row: empty_line, expected: self.width, found: 0 }.into());
         }
-        self.row = self.count_lines_to(start + empty);
+        self.row = line;
         Ok(true)
     }
 
     /// Takes the next row apart; false at the end.
-    fn split(&mut self) -> bool {
+    fn split(&mut self) -> std::io::Result<bool> {
         self.len = 0;
         let (mut kept, mut text_len) = (0, 0);
         loop {
+            // None left tells csv-core that the file ends.
+            self.bytes.peek()?;
             let (result, read, written, ended) = self.reader.read_record(
-                &self.file[self.end..],
+                self.bytes.left(),
                 &mut self.text[text_len..],
                 &mut self.ends[kept..],
             );
-            self.end += read;
+            self.bytes.pass(read);
             text_len += written;
             kept += ended;
             self.len += ended;
@@ -119,8 +131,8 @@ impl<'a> Rows<'a> {
                 ReadRecordResult::OutputFull if self.len > kept => text_len = 0,
                 ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
                 ReadRecordResult::OutputEndsFull => (kept, text_len) = (0, 0),
-                ReadRecordResult::Record => return true,
-                ReadRecordResult::End => return false,
+                ReadRecordResult::Record => return Ok(true),
+                ReadRecordResult::End => return Ok(false),
             }
         }
     }
@@ -143,45 +155,99 @@ impl<'a> Rows<'a> {
     pub(super) fn text<'c>(&self, cell: &'c [u8]) -> Result<&'c str, FormatError> {
         std::str::from_utf8(trim(cell)).map_err(|_| FormatError::CsvEncoding { row: self.row })
     }
-
-    /// Line of the byte at `to`, which lies at or behind where counting stopped.
-    fn count_lines_to(&mut self, to: usize) -> u64 {
-        for i in self.counted..to {
-            let lone_cr = self.file[i] == b'\r' && self.file.get(i + 1) != Some(&b'\n');
-            self.line += u64::from(self.file[i] == b'\n' || lone_cr);
-        }
-        self.counted = to;
-        self.line
-    }
 }
 
-/// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so
-/// that one column may have decimal commas.
-fn separator(file: &[u8]) -> u8 {
-    let mut quoted = false;
-    let mut found = [false; 3];
-    const SEPARATORS: [u8; 3] = *b"\t;,";
-    for &byte in file.trim_ascii_start() {
-        match byte {
-            b'"' => quoted = !quoted,
-            b'\r' | b'\n' if !quoted => break,
-            _ if quoted => {}
-            _ => {
-                if let Some(i) = SEPARATORS.iter().position(|&s| s == byte) {
-                    found[i] = true;
-                }
+/// A file piece by piece; counts its lines, which end with LF, CR or CRLF.
+struct Bytes<R> {
+    file: R,
+    piece: Vec<u8>,
+    /// Bytes of the file before the piece.
+    before: u64,
+    /// Bytes of the piece that were passed.
+    passed: usize,
+    /// Line ends passed, the one of a CR that was passed last excepted.
+    lines: u64,
+    after_cr: bool,
+}
+
+impl<R: Read> Bytes<R> {
+    /// Behind the byte order mark, if there is one.
+    fn new(file: R) -> std::io::Result<Self> {
+        let mut bytes = Self { file, piece: Vec::new(), before: 0, passed: 0, lines: 0, after_cr: false };
+        bytes.more()?;
+        if bytes.piece.starts_with(b"\xEF\xBB\xBF") {
+            bytes.passed = 3;
+        }
+        Ok(bytes)
+    }
+
+    /// Adds up to a piece behind what there is; false at the end of the file.
+    fn more(&mut self) -> std::io::Result<bool> {
+        let before = self.piece.len();
+        let read = (&mut self.file).take(PIECE as u64).read_to_end(&mut self.piece);
+        read.map(|_| self.piece.len() > before)
+    }
+
+    /// Bytes at hand that were not passed yet; after [`Bytes::peek`] none only at the end.
+    fn left(&self) -> &[u8] {
+        &self.piece[self.passed..]
+    }
+
+    /// The next byte.
+    fn peek(&mut self) -> std::io::Result<Option<u8>> {
+        if self.passed == self.piece.len() {
+            self.before += self.piece.len() as u64;
+            self.piece.clear();
+            self.passed = 0;
+            self.more()?;
+        }
+        Ok(self.left().first().copied())
+    }
+
+    /// Goes past `n` bytes at hand.
+    fn pass(&mut self, n: usize) {
+        for &byte in &self.piece[self.passed..self.passed + n] {
+            self.lines += u64::from(byte == b'\n' || self.after_cr);
+            self.after_cr = byte == b'\r';
+        }
+        self.passed += n;
+    }
+
+    /// Line of the next byte, from 1.
+    fn line(&mut self) -> std::io::Result<u64> {
+        let lone_cr = self.after_cr && self.peek()? != Some(b'\n');
+        Ok(1 + self.lines + u64::from(lone_cr))
+    }
+
+    /// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so
+    /// that one column may have decimal commas. As much of the file is kept as that row takes.
+    fn separator(&mut self) -> std::io::Result<u8> {
+        const SEPARATORS: [u8; 3] = *b"\t;,";
+        let (mut at, mut quoted, mut begun) = (self.passed, false, false);
+        let mut found = [false; 3];
+        while at < self.piece.len() || self.more()? {
+            let byte = self.piece[at];
+            at += 1;
+            begun |= !byte.is_ascii_whitespace();
+            match byte {
+                _ if !begun => {}
+                b'"' => quoted = !quoted,
+                b'\r' | b'\n' if !quoted => break,
+                _ if quoted => {}
+                _ => SEPARATORS.iter().zip(&mut found).for_each(|(&s, found)| *found |= s == byte),
             }
         }
+        Ok(found.iter().position(|&f| f).map_or(b';', |i| SEPARATORS[i]))
     }
-    found.iter().position(|&f| f).map_or(b';', |i| SEPARATORS[i])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::tests::Pieces;
 
     fn rows(file: &str) -> Vec<(u64, Vec<String>)> {
-        let mut rows = Rows::new(file.as_bytes());
+        let mut rows = Rows::new(file.as_bytes()).unwrap();
         let mut all = Vec::new();
         while rows.next().unwrap() {
             let cells = rows.cells().iter().map(|c| String::from_utf8_lossy(c).into_owned()).collect();
@@ -217,13 +283,10 @@ mod tests {
             let trailing = rows(&["a", "1", "2", "", "", ""].join(end));
             assert_eq!(trailing.len(), 3, "{end:?}");
             let file = ["a", "1", "", "", "2"].join(end);
-            let mut between = Rows::new(file.as_bytes());
+            let mut between = Rows::new(file.as_bytes()).unwrap();
             assert!(between.next().unwrap() && between.next().unwrap());
-            assert_eq!(
-                between.next(),
-                Err(FormatError::CsvRagged { row: 3, expected: 1, found: 0 }),
-                "{end:?}"
-            );
+            let Err(ReadError::Format(error)) = between.next() else { panic!("an empty line") };
+            assert_eq!(error, FormatError::CsvRagged { row: 3, expected: 1, found: 0 }, "{end:?}");
         }
     }
 
@@ -237,7 +300,25 @@ mod tests {
             ("\"a;b\",c", b','),
             ("1,5;2,5", b';'),
         ] {
-            assert_eq!(super::separator(format!("{first}\n1;1,1\t1").as_bytes()), separator, "{first}");
+            let file = format!("{first}\n1;1,1\t1");
+            assert_eq!(Rows::new(file.as_bytes()).unwrap().separator(), separator, "{first}");
+        }
+    }
+
+    #[test]
+    fn lines_are_the_same_wherever_the_file_is_cut_into_pieces() {
+        for filling in [PIECE - 4, PIECE - 3, PIECE - 2, PIECE - 1, PIECE] {
+            let name = "n".repeat(filling);
+            for end in ["\n", "\r\n", "\r"] {
+                let file = [&name, "1", "2", "", "", "3"].join(end);
+                let mut rows = Rows::new(Pieces(file.as_bytes())).unwrap();
+                for line in 1..=3 {
+                    assert!(rows.next().unwrap());
+                    assert_eq!(rows.row(), line, "{filling} {end:?}");
+                }
+                let Err(ReadError::Format(error)) = rows.next() else { panic!("an empty line") };
+                assert_eq!(error.row(), Some(4), "{filling} {end:?}");
+            }
         }
     }
 }

@@ -1,5 +1,7 @@
 //! The header of an NPY file, checked against the bytes behind it.
 
+use std::ops::Range;
+
 use super::{Dtype, Order};
 use crate::formats::error::excerpt;
 use crate::formats::{FormatError, check_channel_count};
@@ -21,11 +23,20 @@ pub struct Header {
     pub data_offset: usize,
 }
 
+/// Bytes from the start of a file that tell how long its header is.
+pub(super) const START: usize = 12;
+
 /// Reads and checks the header of a whole file.
 ///
 /// # Errors
 /// The `npy.*` codes; `run.empty`, `run.no_channels` and `run.too_many_channels` by the shape.
 pub fn header(file: &[u8]) -> Result<Header, FormatError> {
+    let text = text(file, file.len() as u64)?;
+    check(&file[text.clone()], text.end, (file.len() - text.end) as u64)
+}
+
+/// Where the text of the header lies, of a file of `len` bytes that begins like this.
+pub(super) fn text(file: &[u8], len: u64) -> Result<Range<usize>, FormatError> {
     let Some((b"\x93NUMPY", rest)) = file.split_at_checked(6) else {
         return Err(FormatError::NpyHeader("the file does not begin with the magic bytes of NPY"));
     };
@@ -40,9 +51,13 @@ pub fn header(file: &[u8]) -> Result<Header, FormatError> {
         [_, _, ..] => return Err(FormatError::NpyHeader("versions 1.0, 2.0 and 3.0 are read")),
         _ => return Err(cut),
     };
-    let data_offset = text_len.checked_add(text_offset).filter(|&end| end <= file.len()).ok_or(cut)?;
-    let text = std::str::from_utf8(&file[text_offset..data_offset])
-        .map_err(|_| FormatError::NpyHeader("the header is not text"))?;
+    let data_offset = text_len.checked_add(text_offset).filter(|&end| end as u64 <= len).ok_or(cut)?;
+    Ok(text_offset..data_offset)
+}
+
+/// Reads the text of a header before `found` bytes of data, which begin at `data_offset`.
+pub(super) fn check(text: &[u8], data_offset: usize, found: u64) -> Result<Header, FormatError> {
+    let text = std::str::from_utf8(text).map_err(|_| FormatError::NpyHeader("the header is not text"))?;
     let Fields { descr, fortran, shape } = Fields::parse(text)?;
 
     let (dtype, big_endian) = dtype(&descr)?;
@@ -55,7 +70,6 @@ pub fn header(file: &[u8]) -> Result<Header, FormatError> {
         .checked_mul(channels)
         .and_then(|n| n.checked_mul(dtype.size() as u64))
         .ok_or(FormatError::NpyShape { found: shape })?;
-    let found = (file.len() - data_offset) as u64;
     if expected > found {
         return Err(FormatError::NpyTruncated { expected, found });
     }

@@ -53,7 +53,8 @@ fn wrong(right: &[u8], random: &mut ChaCha8Rng) -> Wrong {
     let close = random.random_bool(0.5);
     let beginning = if close { right } else { &other[..] };
     text[..SHARED].copy_from_slice(&beginning[..SHARED]);
-    Wrong { text, close }
+    // Of a hundred thousand with three characters to guess, one may be right.
+    if text == right { self::wrong(right, random) } else { Wrong { text, close } }
 }
 
 /// Nanoseconds that each takes, the warm-up left out.
