@@ -1,14 +1,16 @@
 //! Connections: how many there may be at once, of everybody and of one address.
 
 use std::collections::HashMap;
+use std::future::poll_fn;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
 
+use super::farewell::Farewell;
 use crate::telemetry::names;
 
 /// Refused connections that are told so at once; others beyond them are cut without a word.
@@ -90,16 +92,13 @@ impl Connections {
         None
     }
 
-    /// Tells who got no place, on a task of its own, and waits a moment for the client to read it: closing
-    /// a connection whose bytes nobody read takes away what its client has not read either.
+    /// Tells who got no place, on a task of its own.
     pub(super) fn refuse(&self, mut stream: TcpStream, answer: Vec<u8>) {
         let Ok(telling) = Arc::clone(&self.telling).try_acquire_owned() else { return };
         let told = async move {
             stream.write_all(&answer).await?;
-            stream.shutdown().await?;
-            let mut sent = [0; 4096];
-            while stream.read(&mut sent).await? > 0 {}
-            std::io::Result::Ok(())
+            let mut farewell = Farewell::default();
+            poll_fn(|cx| farewell.poll(&mut stream, cx)).await
         };
         tokio::spawn(async move {
             // Who goes away meanwhile has been told all the same.

@@ -1,6 +1,7 @@
 //! The service as a whole: built from its settings, served until it is told to stop.
 
 mod connections;
+mod farewell;
 mod stalled;
 
 use std::net::SocketAddr;
@@ -36,6 +37,13 @@ const MODEL_CACHE: usize = 32;
 /// How long answers under way may take after the wish to stop. Jobs then have the rest of the
 /// 30 seconds that a stop may take.
 const DRAIN: Duration = Duration::from_secs(20);
+
+/// How long connections are still accepted after the wish to stop: who came before readiness said no is
+/// answered.
+const LAST_CALL: Duration = Duration::from_millis(100);
+
+/// How long the last of them have to send a request.
+const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// How often measured times are put into their buckets, whether somebody asks for them or not: until
 /// then each takes memory of its own.
@@ -125,40 +133,73 @@ impl App {
         self.router.clone()
     }
 
-    /// Answers requests until `shutdown` comes, then ends: readiness says no at once, no
+    /// Answers requests until `shutdown` comes, then ends: readiness says no at once, soon no
     /// connection is accepted any more, answers under way are finished, running jobs go back
     /// into the queue, the database is closed.
     pub async fn serve(self, listener: TcpListener, shutdown: impl Future<Output = ()>) {
         let connections = GracefulShutdown::new();
-        let mut upkeep = tokio::time::interval(UPKEEP);
-        let mut shutdown = std::pin::pin!(shutdown);
-        loop {
-            tokio::select! {
-                accepted = listener.accept() => match accepted {
-                    Ok((stream, peer)) => match self.connections.enter(peer.ip()) {
-                        Some(place) => self.answer(stream, place, &connections),
-                        None => self.connections.refuse(stream, http::too_many_connections(&self.http)),
-                    },
-                    Err(error) => {
-                        tracing::warn!(error = %error, "a connection could not be accepted");
-                        tokio::time::sleep(ACCEPT_PAUSE).await;
-                    }
-                },
-                _ = upkeep.tick() => self.http.metrics.run_upkeep(),
-                () = &mut shutdown => break,
-            }
+        tokio::select! {
+            () = self.accept(&listener, &connections) => {}
+            () = self.upkeep() => {}
+            () = shutdown => {}
         }
-        tracing::info!("stopping: no more connections are accepted");
+        tracing::info!("stopping: soon no more connections are accepted");
         self.draining.send_replace(true);
-        drop(listener);
-        // Jobs stop while answers are finished; that also ends the streams that follow jobs.
-        let drained = tokio::time::timeout(DRAIN, connections.shutdown());
-        let (drained, ()) = tokio::join!(drained, self.jobs.shutdown());
+        let doors = async {
+            let _ = tokio::time::timeout(LAST_CALL, self.accept(&listener, &connections)).await;
+            self.accept_last(listener, &connections);
+            tokio::time::sleep(LAST_WORDS).await;
+            tokio::time::timeout(DRAIN, connections.shutdown()).await
+        };
+        // Jobs stop at once: the longer they go on, the less of the time for a stop is left to put them by.
+        // That also ends the streams that follow jobs.
+        let (drained, ()) = tokio::join!(doors, self.jobs.shutdown());
         if drained.is_err() {
             tracing::warn!(drain_s = DRAIN.as_secs(), "connections were still open and are cut");
         }
         self.store.close().await;
         tracing::info!("stopped");
+    }
+
+    /// Accepts connections for ever.
+    async fn accept(&self, listener: &TcpListener, connections: &GracefulShutdown) {
+        loop {
+            match listener.accept().await {
+                Ok((stream, peer)) => self.enter(stream, peer, connections),
+                Err(error) => {
+                    tracing::warn!(error = %error, "a connection could not be accepted");
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
+                }
+            }
+        }
+    }
+
+    /// Accepts who is connected already, of which the runtime may not have heard yet, and nobody more:
+    /// closing a listener cuts them off.
+    fn accept_last(&self, listener: TcpListener, connections: &GracefulShutdown) {
+        let Ok(listener) = listener.into_std() else { return };
+        for _ in 0..self.settings.most {
+            let Ok((stream, peer)) = listener.accept() else { break };
+            if let Ok(stream) = stream.set_nonblocking(true).and_then(|()| TcpStream::from_std(stream)) {
+                self.enter(stream, peer, connections);
+            }
+        }
+    }
+
+    fn enter(&self, stream: TcpStream, peer: SocketAddr, connections: &GracefulShutdown) {
+        match self.connections.enter(peer.ip()) {
+            Some(place) => self.answer(stream, place, connections),
+            None => self.connections.refuse(stream, http::too_many_connections(&self.http)),
+        }
+    }
+
+    /// Sorts measured times in for ever.
+    async fn upkeep(&self) {
+        let mut upkeep = tokio::time::interval(UPKEEP);
+        loop {
+            upkeep.tick().await;
+            self.http.metrics.run_upkeep();
+        }
     }
 
     /// Serves one connection on a task of its own.

@@ -11,6 +11,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 
+use super::farewell::Farewell;
 use crate::telemetry::names;
 
 /// Ends with an error when nothing could be written for a while.
@@ -21,11 +22,12 @@ pub(super) struct Stalled<S> {
     /// Runs while something waits to be written.
     timer: Option<Pin<Box<Sleep>>>,
     begun: Arc<AtomicBool>,
+    farewell: Farewell,
 }
 
 impl<S> Stalled<S> {
     pub(super) fn new(stream: S, timeout: Duration) -> Self {
-        Self { stream, timeout, timer: None, begun: Arc::default() }
+        Self { stream, timeout, timer: None, begun: Arc::default(), farewell: Farewell::default() }
     }
 
     /// Whether bytes came that no answer has followed yet.
@@ -62,7 +64,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for Stalled<S> {
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Stalled<S> {
+impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for Stalled<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
         self.limited(cx, written)
@@ -86,7 +88,8 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Stalled<S> {
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(cx)
+        let Self { stream, farewell, .. } = &mut *self;
+        farewell.poll(stream, cx)
     }
 }
 

@@ -25,6 +25,7 @@ mod rigs;
 mod runs;
 mod service;
 mod shutdown;
+mod stops;
 mod support;
 mod torch;
 mod workers;

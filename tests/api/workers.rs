@@ -75,9 +75,9 @@ fn frf() -> Value {
     json!({"kind": "frf"})
 }
 
-/// Some seconds of training.
+/// Some seconds of training, long enough to be met under way.
 fn seconds() -> Value {
-    json!({"kind": "lstm", "lstm": {"blocks": [24], "window_len": 128, "epochs": 600, "seeds": [1]}})
+    json!({"kind": "lstm", "lstm": {"blocks": [24], "window_len": 128, "epochs": 3000, "seeds": [1]}})
 }
 
 fn endless() -> Value {

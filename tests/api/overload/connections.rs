@@ -97,6 +97,33 @@ async fn connections_beyond_the_limit_are_told_so_and_places_come_back() {
     }
 }
 
+#[tokio::test]
+async fn who_is_refused_while_a_large_body_is_still_coming_reads_why() {
+    let app = TestApp::start_as(|mut config| {
+        config.limits.upload_bytes = 1000;
+        config
+    });
+    app.rig(&bench()).await;
+    // Refused by its declared length, and by what has come.
+    for length in ["Content-Length: 16777229", "Transfer-Encoding: chunked"] {
+        let head = format!(
+            "POST /v1/rigs/bench/runs HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\n{length}\r\n\r\n"
+        );
+        let mut stream = connect(&app);
+        stream.write_all(head.as_bytes()).expect("sent");
+        let body = vec![b'1'; 16 << 20];
+        let piece = [format!("{:x}\r\n", body.len()).as_bytes(), &body, b"\r\n"].concat();
+        for part in piece.chunks(64 << 10) {
+            stream.write_all(part).expect("whoever sends is not cut off");
+        }
+        let answer = read_all(stream);
+        assert!(
+            answer.starts_with("HTTP/1.1 413") && answer.contains("\"code\":\"body.too_large\""),
+            "{answer}"
+        );
+    }
+}
+
 #[test]
 fn a_stop_closes_idle_connections_at_once() {
     let directory = TempDir::new().expect("a directory");

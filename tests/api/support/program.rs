@@ -86,15 +86,20 @@ impl Program {
     fn started(command: &mut Command) -> Self {
         let mut child = command.spawn().expect("the program starts");
         let mut log = BufReader::new(child.stderr.take().expect("piped")).lines();
+        let mut before = Vec::new();
         let base = loop {
             let line = log.next().expect("the program says where it listens").expect("text");
-            if let Some((_, rest)) = line.split_once("rigcast listens on ") {
+            let base = line.split_once("rigcast listens on ").map(|(_, rest)| {
                 let end = rest.find(['"', ' ']).unwrap_or(rest.len());
-                break rest[..end].to_owned();
+                rest[..end].to_owned()
+            });
+            before.push(line);
+            if let Some(base) = base {
+                break base;
             }
         };
         // A pipe that nobody reads from would hold the program up.
-        let kept = Arc::new(Mutex::new(Vec::new()));
+        let kept = Arc::new(Mutex::new(before));
         let keep = kept.clone();
         let reader = std::thread::spawn(move || {
             for line in log.map_while(Result::ok) {
