@@ -32,9 +32,10 @@ pub(super) struct Control {
 }
 
 impl Control {
-    /// Asks the work to stop and answers whether this is why it does: the first reason stays.
-    pub(super) fn stop(&self, why: Stop) -> bool {
-        self.stop.compare_exchange(0, why as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    /// Asks the work to stop; the first reason stays.
+    pub(super) fn stop(&self, why: Stop) {
+        // Failing means that a reason is there already.
+        let _ = self.stop.compare_exchange(0, why as u8, Ordering::Relaxed, Ordering::Relaxed);
     }
 
     /// Why the work is to stop, if it is.

@@ -124,7 +124,7 @@ impl Runner {
             match self.store.requeue_expired(now, &here, now).await {
                 Ok(expired) => {
                     for id in expired {
-                        metrics::counter!(names::LEASES_LOST).increment(1);
+                        lost();
                         tracing::warn!(job.id = %id, "took a job from a worker that was not heard of");
                         self.hub.changed(id);
                         self.queued.notify_one();
@@ -254,15 +254,8 @@ impl Runner {
         let beat = self.store.heartbeat(&claim.lease, stage, *fraction, self.lease_until(now), now).await;
         match beat {
             Ok(Beat::Held) => {}
-            Ok(Beat::CancelRequested) => {
-                control.stop(Stop::Cancelled);
-            }
-            // Once: heartbeats go on until the work has ended.
-            Ok(Beat::Lost) => {
-                if control.stop(Stop::Lost) {
-                    metrics::counter!(names::LEASES_LOST).increment(1);
-                }
-            }
+            Ok(Beat::CancelRequested) => control.stop(Stop::Cancelled),
+            Ok(Beat::Lost) => control.stop(Stop::Lost),
             // The lease outlasts a few of these; if it does not, the next beat says so.
             Err(error) => {
                 error.count();
@@ -297,13 +290,23 @@ impl Runner {
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
                 Some(Stop::Shutdown) => Outcome::Released,
-                // The row is another's, or gone.
-                Some(Stop::Lost) | None => return Ok(()),
+                Some(Stop::Lost) | None => {
+                    lost();
+                    return Ok(());
+                }
             },
         };
         tracing::info!(job.outcome = ?outcome, "a job ends without a result");
-        self.store.finish_job(&claim.lease, outcome, (self.clock)()).await.map(drop)
+        if !self.store.finish_job(&claim.lease, outcome, (self.clock)()).await? {
+            lost();
+        }
+        Ok(())
     }
+}
+
+/// Counts a lease whose job is another worker's by now, or gone.
+fn lost() {
+    metrics::counter!(names::LEASES_LOST).increment(1);
 }
 
 /// Tells the metrics how an attempt ended, and how long it ran if it was a fit's.
