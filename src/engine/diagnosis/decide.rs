@@ -33,7 +33,7 @@ struct Calibration {
 const CALIBRATION: Calibration = Calibration {
     floor: 0.0003,
     core: 0.08,
-    charge: [0.0, 0.5, 0.8, 1.4],
+    charge: [0.0, 0.9, 0.8, 1.4],
     shape: 0.25,
     needless: 3.0,
     passive: 1.0,

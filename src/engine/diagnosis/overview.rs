@@ -10,7 +10,7 @@ use super::problem::{Problem, Stretch};
 use super::report::{Verdict, VerdictKind};
 
 /// Below this many noise floors squared there is nothing that a drive causes.
-const NOISE_ONLY: f64 = 1.3;
+pub(super) const NOISE_ONLY: f64 = 1.3;
 /// Share of the gap from which on a sim that differs from the core has a bend of its own.
 const BENDS: f64 = 0.01;
 

@@ -9,10 +9,14 @@ use super::input::{Input, Mode, Role};
 use super::kernel::{Clock, Scales};
 use super::linear::{mean, rms};
 use super::noise::{self, Noise, Pair};
+use super::overview::NOISE_ONLY;
 use super::problem::{Course, Plant, Problem, Stretch, share};
 use super::rows::Rows;
 use super::split::{Piece, Split, split};
 use crate::engine::EngineError;
+
+/// Mean square in noise floors from which a gap is there for certain.
+const PLAIN_GAP: f64 = 2.0;
 
 /// A request made ready.
 pub(super) struct Prepared {
@@ -22,6 +26,8 @@ pub(super) struct Prepared {
     pub from_repeats: bool,
     pub pieces: Vec<Piece>,
     pub warnings: Vec<String>,
+    /// Whether the effect acts so seldom that it is chosen on what it is fitted to.
+    pub pooled: bool,
     /// The core's band, cycles a sample.
     pub band: [f64; 2],
     /// What the baseline leaves of each core: the noise before the change.
@@ -38,7 +44,7 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         input.baseline.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect();
     let band = core::drive_band(&baseline)
         .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })?;
-    let Split { pieces, warnings } = split(input);
+    let Split { pieces, mut warnings } = split(input);
     for role in [Role::Fit, Role::Select, Role::Test] {
         if !pieces.iter().any(|p| p.role == role) {
             return Err(EngineError::TooShort {
@@ -72,8 +78,28 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         problems.push(cut.problem(&fit.core, r, &noise)?);
         noises.push(noise);
     }
+    let pooled = pool(&mut problems);
+    if pooled {
+        warnings.push("acts_seldom".into());
+    }
     let baseline_noise = fitted.into_iter().map(|f| f.noise).collect();
-    Ok(Prepared { problems, noises, from_repeats, pieces, warnings, band, baseline_noise })
+    Ok(Prepared { problems, noises, from_repeats, pieces, warnings, pooled, band, baseline_noise })
+}
+
+/// Where only the fit or only the select stretches hold a gap, both are used for both: what acts a few
+/// times in a programme may do so in any of them, and neither alone could tell what it is.
+fn pool(problems: &mut [Problem]) -> bool {
+    let largest =
+        |of: fn(&Problem) -> &[Stretch]| problems.iter().map(|p| p.chi2_none(of(p))).fold(0.0, f64::max);
+    let (fit, select) = (largest(|p| &p.fit), largest(|p| &p.select));
+    let pooled = fit.min(select) < NOISE_ONLY && fit.max(select) >= PLAIN_GAP;
+    if pooled {
+        for problem in problems {
+            problem.fit.extend(problem.select.iter().cloned());
+            problem.select.clone_from(&problem.fit);
+        }
+    }
+    pooled
 }
 
 fn fit_core(

@@ -115,6 +115,10 @@ pub(super) fn judge(
         kind = VerdictKind::Partial;
         because.push("without repeats the noise floor is assumed".into());
     }
+    if kind == VerdictKind::Identified && prepared.pooled {
+        kind = VerdictKind::Partial;
+        because.push("it acts so seldom that it was chosen on what it was fitted to".into());
+    }
     let names_effect = matches!(kind, VerdictKind::Identified | VerdictKind::Partial);
     let names_family = names_effect || kind == VerdictKind::FamilyOnly;
     Verdict {

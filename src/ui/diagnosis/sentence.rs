@@ -176,6 +176,7 @@ pub fn warning(warning: &str) -> String {
     let (code, about) = warning.split_once(": ").unwrap_or((warning, ""));
     match code {
         "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed: it is what the linear core leaves of the baseline runs. A gap that looks systematic may be noise and the other way round; the verdict is at most a partial one. Run one drive twice to know.".into(),
+        "acts_seldom" => "Either the part of the runs that effects are fitted to holds a gap, or the part that they are chosen on, but not both: what causes it acts only a few times. Both parts were therefore used for both, and the verdict is at most a partial one. Longer runs, or higher ones, would tell more.".into(),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),
         _ if about.is_empty() => code.replace('_', " "),
         _ => format!("{}: {about}", code.replace('_', " ")),
@@ -196,6 +197,7 @@ mod tests {
     #[test]
     fn warnings_are_explained_and_unknown_ones_kept() {
         assert!(warning("noise_floor_assumed").contains("Run one drive twice"));
+        assert!(warning("acts_seldom").contains("Longer runs"));
         assert!(warning("repeat_drive_differs: run 7").contains("“run 7” was named"));
         assert_eq!(warning("some_new_thing: here"), "some new thing: here");
     }

@@ -1,4 +1,4 @@
-use super::rig::{few, friction, hardening, none, request};
+use super::rig::{RATE, few, friction, hardening, none, request};
 use crate::engine::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
@@ -42,6 +42,30 @@ fn without_repeats_a_verdict_is_partial_at_most() {
     assert_eq!(found.report.verdict.kind, VerdictKind::Partial, "{:?}", found.report.verdict);
     assert_eq!(found.report.noise_floor_source, NoiseSource::Assumed);
     assert!(found.report.warnings.contains(&"noise_floor_assumed".to_owned()));
+}
+
+#[test]
+fn an_effect_that_acts_only_where_it_is_fitted_or_chosen_is_found_and_called_partial() {
+    let stop = |x: f64, _: f64| 3000.0 * (x.abs() - 9.0).max(0.0).copysign(x);
+    // Half of a run is fitted to, the next quarter is chosen on.
+    for tall_s in [1.0, 9.0] {
+        let mut request = request(none, 0.01);
+        request.catalogue = [few(), vec![Effect::BumpStop]].concat();
+        for (k, run) in request.runs.iter_mut().enumerate() {
+            let mut drive = run.drive.channel(0).to_vec();
+            let tall = (tall_s * RATE) as usize..((tall_s + 1.5) * RATE) as usize;
+            drive.iter_mut().for_each(|u| *u *= 0.6);
+            // The two at full level are repeats.
+            if k % 3 == 0 {
+                drive[tall].iter_mut().for_each(|u| *u *= 8.0);
+            }
+            *run = super::rig::run(&run.name, drive, stop, 0.01, 11 + k as u64);
+        }
+        let found = diagnose(&request, &unwatched).unwrap().report;
+        assert!(found.warnings.contains(&"acts_seldom".to_owned()), "{tall_s}: {:?}", found.gap);
+        assert_eq!(found.verdict.kind, VerdictKind::Partial, "{tall_s}: {:?}", found.verdict);
+        assert_eq!(found.verdict.effect, Some(Effect::BumpStop), "{tall_s}: {:?}", found.verdict);
+    }
 }
 
 #[test]
