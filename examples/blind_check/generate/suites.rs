@@ -82,15 +82,13 @@ impl Suite {
         if self == Self::ThreeAxes || (self == Self::Time && index % 2 == 1) { 3 } else { 1 }
     }
 
-    /// Lengths of its runs: 70 s but for the three axes, of six responses, in situ, where every candidate is
-    /// fitted with a linear retune, the next experiment, which diagnoses three times, and the clocked cases.
+    /// Lengths of its runs: 100 s as the clocked cases but for the three axes, of six responses, and the next
+    /// experiment, which diagnoses three times.
     pub fn lengths(self) -> Lengths {
         match self {
-            Self::InSitu => Lengths { long: 14.0, half: Some(10.0), baseline: 40.0 },
-            Self::ThreeAxes => Lengths { long: 14.0, half: Some(12.0), baseline: 40.0 },
+            Self::ThreeAxes => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
             Self::NextExperiment => Lengths { long: 16.0, half: None, baseline: 30.0 },
-            Self::Time => Lengths { long: 30.0, half: Some(20.0), baseline: 40.0 },
-            _ => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
+            _ => Lengths { long: 30.0, half: Some(20.0), baseline: 40.0 },
         }
     }
 

@@ -15,6 +15,15 @@ struct Calibration {
     /// Charge of each shape number beyond the first, so that a law that contains another does not
     /// win by a hair.
     shape: f64,
+    /// Charge of a sandwich beyond that of its tier: it holds every map of its drive.
+    sandwich: f64,
+    /// Charge of two effects beyond those of each.
+    pair: f64,
+    /// Charge of each unit of log-likelihood behind the best where that leaves nothing but noise, and the
+    /// most that this may come to,
+    behind: [f64; 2],
+    /// and what the best may leave there, in noise floors squared.
+    settled: f64,
     /// Charge of a free shape that nothing needs.
     needless: f64,
     /// Charge of a force that works nowhere as one at the response's own place would.
@@ -35,6 +44,10 @@ const CALIBRATION: Calibration = Calibration {
     core: 0.08,
     charge: [0.0, 0.9, 0.8, 1.4],
     shape: 0.25,
+    sandwich: 0.6,
+    pair: 0.5,
+    behind: [0.03, 1.0],
+    settled: 1.15,
     needless: 3.0,
     passive: 1.0,
     unusual: 0.7,
@@ -70,6 +83,9 @@ pub(super) const NOISE_LEFT: f64 = 1.44;
 const PLAINER: f64 = 0.5;
 /// Probability of an effect that may not be named.
 const UNNAMED: f64 = 0.1;
+/// Below this share of the winner's probability an effect is none of those that may be meant: 2 % of a
+/// large gap are many noise floors.
+const RIVAL: f64 = 0.02;
 /// Below this probability of the effect only the family, or nothing, is stated.
 const SURE: f64 = 0.5;
 
@@ -131,42 +147,57 @@ pub(super) fn of_two(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
 }
 
 /// Charge of one effect's tier and shape on the logarithm of the remaining share.
-pub(super) fn charge(part: &Part) -> f64 {
+fn charge(part: &Part) -> f64 {
     let c = &CALIBRATION;
     match part.effect.tier() {
         Tier::Scalar => c.charge[0],
         Tier::Linear => c.charge[1],
         Tier::Law => c.charge[2] + c.shape * part.shapes().saturating_sub(1) as f64,
-        Tier::Free => c.charge[3],
+        Tier::Free => c.charge[3] + if part.sandwich { c.sandwich } else { 0.0 },
     }
+}
+
+/// Smallest remaining share that is told apart from nothing.
+fn floor(chi2_none: f64, rows: f64) -> f64 {
+    CALIBRATION.floor + (CALIBRATION.core + 1.5 * spread(rows)) / (chi2_none - 1.0).max(0.1)
+}
+
+/// Logarithm of what one effect or two leave of the gap, charged for how much they may bend to.
+pub(super) fn charged(parts: &[Part], remaining: f64, chi2_none: f64, rows: f64) -> f64 {
+    let further = CALIBRATION.pair * parts.len().saturating_sub(1) as f64;
+    (remaining + floor(chi2_none, rows)).ln() + parts.iter().map(charge).sum::<f64>() + further
 }
 
 /// Ranks candidates, the most believable first; `share` is what the right one may leave of the gap.
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
-    let gap = (chi2_none - 1.0).max(0.1);
-    let floor = c.floor + (c.core + 1.5 * spread(rows)) / gap;
-    let charge = |scored: &Scored| {
-        let of_tier = charge(&scored.fitted.candidate.parts[0]);
+    let best = scored.iter().map(|s| s.chi2).fold(f64::INFINITY, f64::min);
+    // Where something is left the likelihood is that of what errs, not of the noise.
+    let per_row = if best < c.settled { 0.5 * c.behind[0] } else { 0.0 };
+    let further = |scored: &Scored| {
         let needless = if scored.needless { c.needless } else { 0.0 };
         let unusual = if scored.unusual { c.unusual } else { 0.0 };
-        of_tier + needless + unusual + c.passive * (1.0 - scored.passivity)
+        let behind = (per_row * rows * (scored.chi2 - best)).min(c.behind[1]);
+        needless + unusual + behind + c.passive * (1.0 - scored.passivity)
     };
     let mut ranked: Vec<Ranked> = scored
         .into_iter()
         .filter(|s| s.remaining.is_finite())
         .map(|scored| {
-            let charged = (scored.remaining + floor).ln() + charge(&scored);
+            let parts = &scored.fitted.candidate.parts[..1];
+            let charged = charged(parts, scored.remaining, chi2_none, rows) + further(&scored);
             Ranked { scored, probability: 0.0, charged }
         })
         .collect();
     ranked.sort_by(|a, b| a.charged.total_cmp(&b.charged));
     let Some(least) = ranked.first().map(|r| r.charged) else { return ranked };
-    // What a straightened free shape closes and the winner does not, is linear and not the winner's.
-    let plainer = ranked.iter().any(|r| {
-        r.scored.needless && r.scored.remaining + floor < PLAINER * (ranked[0].scored.remaining + floor)
-    });
     let best = &ranked[0].scored;
+    // What a straightened free shape closes and the winner does not, is linear and not the winner's.
+    let floor = floor(chi2_none, rows);
+    let plainer = best.remaining > PARTIAL
+        && ranked
+            .iter()
+            .any(|r| r.scored.needless && r.scored.remaining + floor < PLAINER * (best.remaining + floor));
     let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows, share) };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
@@ -203,7 +234,8 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         // What is more flexible than the winner explains as well by construction.
-        if effect.tier() > best.scored.effect().tier() || set.contains(&effect) {
+        let far = other.probability < RIVAL * best.probability;
+        if far || effect.tier() > best.scored.effect().tier() || set.contains(&effect) {
             continue;
         }
         let close = other.scored.remaining - best.scored.remaining < EQUAL;

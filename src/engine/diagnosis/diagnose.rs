@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::augmented::Augmented;
 use super::contest::{Outcome, contest};
 use super::decide::Ranked;
-use super::effect::Effect;
+use super::effect::{Effect, Tier};
 use super::fingerprint;
 use super::held_out::Place;
 use super::hypothesis::{closes_most, hypothesis};
@@ -19,7 +19,7 @@ use super::report::{
     VerdictKind,
 };
 use super::second::second_effect;
-use super::verdict::judge;
+use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
 use super::whereabouts::location;
 use crate::engine::EngineError;
@@ -70,14 +70,16 @@ fn finish(
     watch: Watch<'_>,
 ) -> Result<Diagnosis, EngineError> {
     report(watch, "held-out closure", 0.8)?;
-    // What the verdict says stands; where it says nothing, two effects together may.
+    // What names an effect that does not bend to whatever it meets stands; else two effects together may.
     let nothing = verdict.kind == VerdictKind::NoneOfCatalogue;
-    let two = outcome.as_ref().and_then(|outcome| {
-        let leader = outcome.ranked.first().map(|r| r.scored.effect()).filter(|_| !nothing);
-        second_effect(input, prepared, overview, outcome, leader)
-    });
+    let named = verdict.effect.filter(|effect| effect.tier() != Tier::Free);
+    let two = outcome
+        .as_ref()
+        .and_then(|outcome| second_effect(input, prepared, overview, outcome, named))
+        .filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
-    if let Some(two) = two.as_ref().filter(|_| nothing) {
+    let open = named.is_none() && verdict.kind != VerdictKind::NoMaterialGap;
+    if let Some(two) = two.as_ref().filter(|_| open) {
         ranked[..=two.first].rotate_right(1);
         verdict = verdict.or_two(input, prepared, overview, &ranked[0], two);
     }

@@ -4,7 +4,6 @@ use super::echo::Echo;
 use super::fitting::Fitted;
 use super::input::Input;
 use super::locate;
-use super::overview::gaps;
 use super::prepare::Prepared;
 use super::problem::Problem;
 use super::report::{ChannelHeldOut, HeldOut};
@@ -62,10 +61,12 @@ pub(super) fn held_out(
     let rate = input.sample_rate_hz();
     let noise = &prepared.noises[problem.response];
     let predictions = fitted.candidate.predictions(problem, &problem.test, &fitted.p)?;
-    let before = gaps(problem, &problem.test);
+    let simulated: Vec<Vec<f64>> =
+        problem.test.iter().map(|s| s.sim(input, problem.response).to_vec()).collect();
+    let before: Vec<Vec<f64>> = problem.test.iter().zip(&simulated).map(|(s, y)| s.residual(y)).collect();
     let after: Vec<Vec<f64>> = problem.test.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let (chi2_before, chi2_after) =
-        (problem.chi2_none(&problem.test), problem.chi2(&problem.test, &predictions));
+        (problem.chi2(&problem.test, &simulated), problem.chi2(&problem.test, &predictions));
     let power = |errors: &[Vec<f64>]| locate::power(problem, &problem.test, errors, noise, prepared.band);
     let (of_before, of_after) = (power(&before), power(&after));
     let floor = of_before.noise;
@@ -74,8 +75,6 @@ pub(super) fn held_out(
     let gap = above(rms_before);
     let mut runs: Vec<String> = problem.test.iter().map(|s| input.runs[s.run].name.clone()).collect();
     runs.dedup();
-    let simulated: Vec<Vec<f64>> =
-        problem.test.iter().map(|s| s.simulated[problem.response].clone()).collect();
     Some(HeldOut {
         runs,
         rms_before,

@@ -72,8 +72,9 @@ pub struct Input {
     pub roles: Option<Vec<Role>>,
     /// Runs with the same drive, indices into `runs`.
     pub repeats: Vec<Vec<usize>>,
-    /// Whether the sim is an FRF of the baseline: the core, which is one too and carries less of the
-    /// estimate's error, then stands for it.
+    /// Whether the sim is linear and of the baseline, as any FRF in situ and one that was fitted to it: the
+    /// core, which is too and carries less of the estimate's error, then stands for it. What lies between
+    /// the two is linear, and nothing that a retuned core could take back from another sim.
     pub sim_is_linear: bool,
     /// Whether the sim has seen the effect.
     pub mode: Mode,

@@ -19,6 +19,9 @@ use super::spline::Spline;
 /// Squared correlation with the drive above which the inner signal of a sandwich is the drive.
 const IS_DRIVE: f64 = 0.98;
 
+/// The same with the core's response: a law of the response, and no block before the rig.
+const IS_RESPONSE: f64 = 0.95;
+
 /// Squared correlation with the response above which a force is a straight line of it.
 const IS_LINE: f64 = 0.98;
 
@@ -72,21 +75,24 @@ pub(super) fn straightened(problem: &Problem, fitted: &Fitted) -> Option<f64> {
     Some(problem.chi2(&problem.select, &predictions))
 }
 
-/// Whether the candidate is a sandwich whose inner signal is no other than its drive.
+/// Whether the candidate is a sandwich whose inner signal is no other than its drive or the response.
 pub(super) fn open_sandwich(problem: &Problem, candidate: &Candidate, p: &[f64]) -> bool {
     let order = problem.core.modes.order();
     let Some(part) = candidate.parts.first().filter(|part| part.sandwich) else { return false };
     let (path, direct) = (&p[..order], p[order]);
     debug_assert!(p.len() >= order + 1 + INNER_KNOTS);
-    let (mut uu, mut ss, mut us) = (0.0, 0.0, 0.0);
-    for stretch in &problem.select {
-        let inner = scored(stretch, inner_signal(problem, stretch, part.drive, path, direct));
-        let drive = scored(stretch, stretch.drives[part.drive].clone());
-        uu += dot(&drive, &drive);
-        ss += dot(&inner, &inner);
-        us += dot(&inner, &drive);
-    }
-    us * us > IS_DRIVE * uu * ss
+    let is = |least: f64, of: fn(&Stretch, usize) -> Vec<f64>| {
+        let (mut uu, mut ss, mut us) = (0.0, 0.0, 0.0);
+        for stretch in &problem.select {
+            let inner = scored(stretch, inner_signal(problem, stretch, part.drive, path, direct));
+            let other = scored(stretch, of(stretch, part.drive));
+            uu += dot(&other, &other);
+            ss += dot(&inner, &inner);
+            us += dot(&inner, &other);
+        }
+        us * us > least * uu * ss
+    };
+    is(IS_DRIVE, |s, drive| s.drives[drive].clone()) || is(IS_RESPONSE, |s, _| s.core.to_vec())
 }
 
 /// How far the force of a law of the response works as a force at the response's own place does, from
@@ -151,7 +157,7 @@ pub(super) fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: 
 
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one
 /// law: what is a stop to a soft rig is a clearance to a stiff one. A stop is then what the response
-/// meets less than half of the time, a clearance what it stays in for less.
+/// meets for less than a third of the time.
 pub(super) fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
     let part = &fitted.candidate.parts[0];
     if !fitted.candidate.retune || !matches!(part.forces.as_slice(), [Law::BumpStop | Law::Clearance]) {
@@ -164,7 +170,7 @@ pub(super) fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64
         inside += scored.iter().filter(|y| (*y - problem.scales.y_mean).abs() < gap).count();
         all += scored.len();
     }
-    (2 * inside > all) == (part.forces[0] == Law::Clearance)
+    (3 * inside > 2 * all) == (part.forces[0] == Law::Clearance)
 }
 
 /// Power of the lines of a signal below a quarter of the sample rate, and the length that they are of.
@@ -187,4 +193,31 @@ fn scored(stretch: &Stretch, mut signal: Vec<f64>) -> Vec<f64> {
     let centre = mean(&part);
     part.iter_mut().for_each(|x| *x -= centre);
     part
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::diagnosis::prepare::prepare;
+    use crate::engine::diagnosis::tests::rig::{friction, request};
+
+    #[test]
+    fn a_sandwich_needs_a_block_of_its_own_before_its_middle() {
+        let prepared = prepare(&request(friction, 0.01)).unwrap();
+        let problem = &prepared.problems[0];
+        let core = &problem.core;
+        let candidate = Candidate::of(Part::sandwich(0), false);
+        let open = |path: &[f64], direct: f64| {
+            let mut p = path.to_vec();
+            p.push(direct);
+            p.resize(candidate.parameters(problem), 0.0);
+            open_sandwich(problem, &candidate, &p)
+        };
+        let nothing = vec![0.0; core.modes.order()];
+        assert!(open(&nothing, 1.0), "the drive as it is");
+        assert!(open(&core.input[0], core.direct[0]), "the response: a law of its own");
+        let mut one_mode = nothing;
+        one_mode[0] = 1.0;
+        assert!(!open(&one_mode, 0.0), "a filter");
+    }
 }

@@ -5,7 +5,8 @@
 use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
-use super::decide::charge;
+use super::decide::charged;
+use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, finish, improve};
 use super::input_map::InputMap;
@@ -102,10 +103,8 @@ pub(super) fn best_pair(
         tried = tried.into_par_iter().map(|f| finish(problem, f, Effort { rounds: *rounds })).collect();
     }
     let none = problem.chi2_none(&problem.select);
-    let charged = |pair: &Pair| {
-        let parts = &pair.fitted.candidate.parts;
-        (remaining(pair.chi2, none) + 0.1 / none.max(1.0)).ln() + parts.iter().map(charge).sum::<f64>()
-    };
+    let rows = scored_rows(&problem.select);
+    let charged = |pair: &Pair| charged(&pair.fitted.candidate.parts, remaining(pair.chi2, none), none, rows);
     let finished: Vec<Pair> = tried
         .into_iter()
         .filter_map(|fitted| {

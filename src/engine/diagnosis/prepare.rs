@@ -61,6 +61,7 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
     let cut = Cut { input, pieces: &pieces, simulated: simulate_all(input, &fitted), band, memory };
+    warnings.extend(other_sim(input, &cut.simulated));
     let mut problems = Vec::new();
     let mut noises = Vec::new();
     let mut from_repeats = true;
@@ -136,6 +137,25 @@ fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
             })
         })
         .collect()
+}
+
+/// A warning for each response of which the sim says something else than the core that stands for it.
+fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>]) -> Vec<String> {
+    let differs = |r: &usize| {
+        let (mut difference, mut size) = (0.0, 0.0);
+        for (run, core) in input.runs.iter().zip(simulated) {
+            let Some(sim) = run.simulated.as_ref().filter(|_| input.sim_is_linear) else { continue };
+            let (sim, core) = (sim.channel(*r), &core[*r]);
+            // The beginning is the core's ring-in from rest.
+            let from = sim.len() / 5;
+            let centre = mean(&core[from..]);
+            difference += sim[from..].iter().zip(&core[from..]).map(|(s, c)| (s - c) * (s - c)).sum::<f64>();
+            size += core[from..].iter().map(|c| (c - centre) * (c - centre)).sum::<f64>();
+        }
+        difference > input.material_gap * input.material_gap * size
+    };
+    let responses = (0..input.responses.len()).filter(differs);
+    responses.map(|r| format!("core_stands_for_sim: {}", input.responses[r].name)).collect()
 }
 
 /// A request cut into its stretches.

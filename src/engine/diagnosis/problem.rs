@@ -7,6 +7,7 @@ use realfft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
 use super::core::Core;
+use super::input::{Input, Mode};
 use super::kernel::{Clock, Scales};
 use super::linear::dot;
 use super::rows::Rows;
@@ -147,6 +148,17 @@ impl Stretch {
     /// What the sim leaves of the response.
     pub fn gap(&self, response: usize) -> Vec<f64> {
         self.measured.iter().zip(&self.simulated[response]).map(|(y, s)| y - s).collect()
+    }
+
+    /// What the sim itself says of the response, also where the core stands for it in situ: what an effect
+    /// closes there is counted from the sim as it is. An FRF from before the change errs by its estimate
+    /// alone, and that is no gap.
+    pub fn sim<'a>(&'a self, input: &'a Input, response: usize) -> &'a [f64] {
+        let its_own = !input.sim_is_linear || input.mode == Mode::InSitu;
+        let own = input.runs[self.run].simulated.as_ref().filter(|_| its_own);
+        own.map_or(&self.simulated[response], |sim| {
+            &sim.channel(response)[self.from..self.from + self.measured.len()]
+        })
     }
 
     /// What a prediction leaves.

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::candidate::{Candidate, Part};
 use super::catalogue::{FreeRanges, parts};
 use super::contest::Outcome;
-use super::decide::{Ranked, of_two};
+use super::decide::{Ranked, charged, of_two};
 use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
@@ -20,8 +20,9 @@ use super::report::SecondEffect;
 use super::score::{Scored, remaining, score};
 use super::start::Regression;
 
-/// Above this a second effect is tried.
-const SECOND: f64 = 1.6;
+/// Above this, in noise floors squared, a second effect is tried; beside a shape that bends to what it
+/// meets always.
+const SECOND: f64 = 1.2;
 /// Candidates that are fitted after a regression has sorted them.
 const FITTED: usize = 6;
 /// Share of the first hypothesis' rest that a second effect must close.
@@ -39,7 +40,8 @@ fn place(prepared: &Prepared, overview: &Overview, hosts: &Hosts, first: &Scored
     };
     let untouched: Vec<(Place, bool)> = untouched.map(bare).collect();
     let all = places.into_iter().map(|p| (p, true)).chain(untouched);
-    all.max_by(|a, b| a.0.chi2.total_cmp(&b.0.chi2)).filter(|p| p.0.chi2 > SECOND)
+    let bends = first.effect().tier() == Tier::Free;
+    all.max_by(|a, b| a.0.chi2.total_cmp(&b.0.chi2)).filter(|p| bends || p.0.chi2 > SECOND)
 }
 
 /// Two effects that together close what one alone does not.
@@ -89,10 +91,20 @@ fn together(
     let parts = parts(problem, &input.catalogue, in_situ, ranges);
     let pair = best_pair(regression, &parts, in_situ, named)?;
     let best = &ranked[0].scored;
-    if pair.chi2 - 1.0 > CLOSES * (best.host_chi2 - 1.0) {
+    let members = &pair.fitted.candidate.parts;
+    let none = problem.chi2_none(&problem.select);
+    let rows = scored_rows(&problem.select);
+    let left = remaining(pair.chi2, none);
+    let closes = if best.effect().tier() == Tier::Free {
+        // It leaves little of whatever there is: two that leave as much are the plainer account.
+        let alone = &best.fitted.candidate.parts[..1];
+        charged(members, left, none, rows) < charged(alone, remaining(best.host_chi2, none), none, rows)
+    } else {
+        pair.chi2 - 1.0 <= CLOSES * (best.host_chi2 - 1.0)
+    };
+    if !closes {
         return None;
     }
-    let members = &pair.fitted.candidate.parts;
     let at = |part: &Part| {
         ranked
             .iter()
@@ -108,11 +120,9 @@ fn together(
     let held = held_out(input, prepared, problem, &pair.fitted)?;
     // Two of one family bend to almost anything.
     let differ = members[0].effect.family() != members[1].effect.family();
-    let none = problem.chi2_none(&problem.select);
-    let rows = scored_rows(&problem.select);
     Some(Two {
         first,
-        probability: if differ { of_two(remaining(pair.chi2, none), none, rows) } else { 0.0 },
+        probability: if differ { of_two(left, none, rows) } else { 0.0 },
         second: SecondEffect {
             effect: second.effect,
             family: second.effect.family(),

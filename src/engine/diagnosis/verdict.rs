@@ -11,7 +11,7 @@ use super::report::{Hypothesis, Verdict, VerdictKind};
 use super::second::Two;
 
 /// Below this probability two effects together are no answer.
-const SURE_OF_TWO: f64 = 0.7;
+pub(super) const SURE_OF_TWO: f64 = 0.7;
 /// What an identified effect closes at least on the test runs.
 const CLOSES: f64 = 0.95;
 

@@ -135,10 +135,9 @@ async fn load(
         runs,
         roles: plan.roles.clone(),
         repeats: plan.repeats.clone(),
-        sim_is_linear: plan
-            .model
-            .as_ref()
-            .is_some_and(|m| m.kind == ModelKind::Frf && m.origin == Origin::Fit),
+        sim_is_linear: plan.model.as_ref().is_some_and(|m| {
+            m.kind == ModelKind::Frf && (m.origin == Origin::Fit || plan.request.mode == Mode::InSitu)
+        }),
         mode: plan.request.mode,
         catalogue: plan.effects.clone(),
         material_gap: plan.request.material_gap,

@@ -177,6 +177,7 @@ pub fn warning(warning: &str) -> String {
     match code {
         "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed: it is what the linear core leaves of the baseline runs. A gap that looks systematic may be noise and the other way round; the verdict is at most a partial one. Run one drive twice to know.".into(),
         "acts_seldom" => "Either the part of the runs that effects are fitted to holds a gap, or the part that they are chosen on, but not both: what causes it acts only a few times. Both parts were therefore used for both, and the verdict is at most a partial one. Longer runs, or higher ones, would tell more.".into(),
+        "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs. In situ every effect is sought together with a new linear part, so the core stands for the FRF while effects are sought and the gap is located; what an effect closes is counted from the FRF itself."),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),
         _ if about.is_empty() => code.replace('_', " "),
         _ => format!("{}: {about}", code.replace('_', " ")),
@@ -198,6 +199,7 @@ mod tests {
     fn warnings_are_explained_and_unknown_ones_kept() {
         assert!(warning("noise_floor_assumed").contains("Run one drive twice"));
         assert!(warning("acts_seldom").contains("Longer runs"));
+        assert!(warning("core_stands_for_sim: x").contains("At “x” the FRF"));
         assert!(warning("repeat_drive_differs: run 7").contains("“run 7” was named"));
         assert_eq!(warning("some_new_thing: here"), "some new thing: here");
     }

@@ -1,4 +1,5 @@
 use super::rig::{RATE, few, friction, hardening, none, request};
+use crate::engine::Signal;
 use crate::engine::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
@@ -75,6 +76,41 @@ fn what_the_catalogue_lacks_is_not_blamed_on_something_else() {
     let found = diagnose(&request, &unwatched).unwrap();
     assert_eq!(found.report.verdict.kind, VerdictKind::NoneOfCatalogue, "{:?}", found.report.verdict);
     assert_eq!(found.report.verdict.effect, None);
+}
+
+/// What a shape that bends to whatever it meets closes as well as two effects is told as the two.
+#[test]
+fn friction_beside_an_offset_is_no_free_shape() {
+    let mut request = request(friction, 0.01);
+    for run in &mut request.runs {
+        let shifted = run.response.channel(0).iter().map(|y| y + 0.3).collect();
+        run.response = Signal::new(RATE, vec![shifted]).unwrap();
+    }
+    request.catalogue = [few(), vec![Effect::Offset, Effect::FreeDamping, Effect::Sandwich]].concat();
+    let found = diagnose(&request, &unwatched).unwrap().report;
+    let second = found.remaining.second_effect.as_ref().map(|s| s.effect);
+    let both = [found.verdict.effect, second];
+    assert_eq!(found.verdict.kind, VerdictKind::Partial, "{:?}", found.verdict);
+    assert_eq!(found.hypotheses.first().map(|h| h.effect), found.verdict.effect);
+    for effect in [Effect::CoulombFriction, Effect::Offset] {
+        assert!(both.contains(&Some(effect)), "{both:?}");
+    }
+}
+
+#[test]
+fn a_linear_sim_that_is_not_the_core_is_said_to_be_stood_for() {
+    for (gain, warned) in [(1.0, false), (1.1, true)] {
+        let mut request = request(hardening, 0.01);
+        (request.mode, request.sim_is_linear, request.catalogue) = (Mode::InSitu, true, few());
+        for run in &mut request.runs {
+            let linear = super::rig::respond(run.drive.channel(0), none);
+            let simulated = linear.iter().map(|y| gain * y).collect();
+            run.simulated = Some(Signal::new(RATE, vec![simulated]).unwrap());
+        }
+        let found = diagnose(&request, &unwatched).unwrap().report;
+        let warning = "core_stands_for_sim: disp_x".to_owned();
+        assert_eq!(found.warnings.contains(&warning), warned, "{gain}: {:?}", found.warnings);
+    }
 }
 
 #[test]
