@@ -157,7 +157,7 @@ pub(super) fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: 
 
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one
 /// law: what is a stop to a soft rig is a clearance to a stiff one. A stop is then what the response
-/// meets for less than a third of the time.
+/// meets for less than a third of the time, a clearance what it stays in for less than two thirds.
 pub(super) fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
     let part = &fitted.candidate.parts[0];
     if !fitted.candidate.retune || !matches!(part.forces.as_slice(), [Law::BumpStop | Law::Clearance]) {

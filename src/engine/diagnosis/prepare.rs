@@ -139,12 +139,13 @@ fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
         .collect()
 }
 
-/// A warning for each response of which the sim says something else than the core that stands for it.
+/// A warning for each response of which an FRF in situ says something else than the core that stands for it.
 fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>]) -> Vec<String> {
+    let stands = input.sim_is_linear && input.mode == Mode::InSitu;
     let differs = |r: &usize| {
         let (mut difference, mut size) = (0.0, 0.0);
         for (run, core) in input.runs.iter().zip(simulated) {
-            let Some(sim) = run.simulated.as_ref().filter(|_| input.sim_is_linear) else { continue };
+            let Some(sim) = run.simulated.as_ref().filter(|_| stands) else { continue };
             let (sim, core) = (sim.channel(*r), &core[*r]);
             // The beginning is the core's ring-in from rest.
             let from = sim.len() / 5;
