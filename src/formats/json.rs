@@ -10,7 +10,7 @@ use serde::Deserializer;
 use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, ReadError, check_channel_count, check_name};
+use super::{ChannelAt, FormatError, PIECE, ParsedRun, ReadError, check_channel_count, check_name};
 
 /// Reads a file.
 ///
@@ -27,9 +27,6 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
 pub fn read_from(file: impl Read) -> Result<ParsedRun, ReadError> {
     parse(serde_json::Deserializer::from_reader(BufReader::with_capacity(PIECE, file)))
 }
-
-/// Bytes of a file that are kept at once.
-const PIECE: usize = 64 << 10;
 
 fn parse<'de>(
     mut json: serde_json::Deserializer<impl serde_json::de::Read<'de>>,

@@ -20,6 +20,9 @@ use crate::engine::first_not_finite;
 /// above any rig.
 pub const MAX_CHANNELS: usize = 1024;
 
+/// Bytes of a file that a reader of pieces keeps at once.
+const PIECE: usize = 64 << 10;
+
 /// Longest name of a channel: longer than a rig's may be.
 pub const MAX_NAME_BYTES: usize = 4096;
 

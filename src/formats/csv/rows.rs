@@ -9,10 +9,7 @@ use std::io::Read;
 use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
 use super::number::trim;
-use crate::formats::{FormatError, MAX_CHANNELS, ReadError};
-
-/// Bytes of the file that are kept at once.
-const PIECE: usize = 64 << 10;
+use crate::formats::{FormatError, MAX_CHANNELS, PIECE, ReadError};
 
 /// Reads row after row.
 pub(super) struct Rows<R> {
