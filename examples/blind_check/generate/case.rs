@@ -21,8 +21,9 @@ const PROGRAMME_S: f64 = 4.0 * 3600.0;
 const STARTS_S: [f64; 4] = [720.0, 5040.0, 9360.0, 14040.0];
 /// Length of the stretch on which a strength is found.
 const SHORT_S: f64 = 10.0;
-/// Length of a run on which an adopted effect is checked.
-const CHECK_S: f64 = 14.0;
+/// Length of a run on which an adopted effect is checked: so long that what is found there is what the
+/// interval is of, not another draw.
+const CHECK_S: f64 = 44.0;
 /// Rigs drawn until a strength gives the gap that is wanted.
 const ATTEMPTS: u64 = 50;
 
