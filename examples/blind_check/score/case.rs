@@ -126,8 +126,10 @@ impl Case {
         };
         match (self.suite.as_str(), self.kind()) {
             ("struck", kind) => kind == "none_of_catalogue",
-            // What is not measured and not predictable is rightly called a disturbance.
-            ("outside", "noise_or_unmeasured_disturbance") => self.truth() == "unmeasured_force",
+            // What is not measured and not predictable from the drive is rightly called a disturbance.
+            ("outside", "noise_or_unmeasured_disturbance") => {
+                ["unmeasured_force", "drop_outs"].contains(&self.truth())
+            }
             ("outside", kind) => kind == "none_of_catalogue",
             ("nothing", _) => self.is_right(),
             ("other-equation", "not_distinguishable") => set_holds_family(),

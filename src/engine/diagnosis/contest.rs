@@ -8,11 +8,12 @@ use super::candidate::Candidate;
 use super::catalogue::{FreeRanges, parts};
 use super::decide::{Ranked, allowed, rank};
 use super::echo::Silence;
-use super::fitting::{Effort, Fitted, finish, fit};
+use super::fitting::{Effort, Fitted, finish, fit, tolerant};
 use super::hosts::Hosts;
 use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::prepare::Prepared;
+use super::problem::Problem;
 use super::score::{Scored, score};
 use super::start::Regression;
 use super::twins::exchange;
@@ -28,6 +29,11 @@ const FIRST: usize = 8;
 const BEHIND: f64 = 6.0;
 /// and the least, in noise floors squared, that this is counted from.
 const NEAR: f64 = 0.3;
+
+/// Mean square, in noise floors, from which what the best leaves may be the core's own error,
+pub(super) const CORE_ERRS: f64 = 1.05;
+/// and the Jacobians in which the core may be corrected.
+pub(super) const TOLERANT: usize = 8;
 
 /// The contest's outcome.
 pub(super) struct Outcome<'p> {
@@ -80,22 +86,17 @@ pub(super) fn contest<'p>(
         .collect::<Result<_, EngineError>>()?;
     let mut fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
     exchange(prepared, &mut fitted);
-    let least = |r: usize| {
-        let own = fitted.iter().filter(|f| f.0 == r);
-        own.map(|f| f.1.chi2_fit).fold(f64::INFINITY, f64::min)
-    };
-    let least: Vec<f64> = (0..prepared.problems.len()).map(least).collect();
+    let fitted = further(prepared, fitted, |problem, f, _| {
+        report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
+        Ok(finish(problem, f, Effort { rounds: 40 }))
+    })?;
+    let fitted = further(prepared, fitted, |problem, f, least| {
+        Ok(if least > CORE_ERRS { tolerant(problem, f, Effort { rounds: TOLERANT }) } else { f })
+    })?;
     let scored: Vec<Option<Scored>> = fitted
         .into_par_iter()
-        .map(|(r, mut fitted)| {
-            let problem = &prepared.problems[r];
-            if fitted.chi2_fit - 1.0 < BEHIND * (least[r] - 1.0).max(NEAR) {
-                report(watch, &fitted.candidate.parts[0].effect.name(), 0.6)?;
-                fitted = finish(problem, fitted, Effort { rounds: 40 });
-            }
-            Ok(score(r, problem, fitted, overview.chi2_select[r], rate))
-        })
-        .collect::<Result<_, EngineError>>()?;
+        .map(|(r, fitted)| score(r, &prepared.problems[r], fitted, overview.chi2_select[r], rate))
+        .collect();
     report(watch, "other responses", 0.6)?;
     let silence = Silence::of(prepared, overview, rate);
     let mut by_host: Vec<Vec<Scored>> = vec![Vec::new(); prepared.problems.len()];
@@ -120,4 +121,22 @@ pub(super) fn contest<'p>(
         chi2_none: silence.chi2,
         rows: silence.rows,
     })
+}
+
+/// Fits what comes near the best of its response further, by what that best leaves.
+fn further(
+    prepared: &Prepared,
+    fitted: Vec<(usize, Fitted)>,
+    fit: impl Fn(&Problem, Fitted, f64) -> Result<Fitted, EngineError> + Sync,
+) -> Result<Vec<(usize, Fitted)>, EngineError> {
+    let least = |r: usize| {
+        let own = fitted.iter().filter(|f| f.0 == r);
+        own.map(|f| f.1.chi2_fit).fold(f64::INFINITY, f64::min)
+    };
+    let least: Vec<f64> = (0..prepared.problems.len()).map(least).collect();
+    let near = |r: usize, f: &Fitted| f.chi2_fit - 1.0 < BEHIND * (least[r] - 1.0).max(NEAR);
+    fitted
+        .into_par_iter()
+        .map(|(r, f)| Ok((r, if near(r, &f) { fit(&prepared.problems[r], f, least[r])? } else { f })))
+        .collect()
 }

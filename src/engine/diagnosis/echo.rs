@@ -46,6 +46,7 @@ impl Problem {
             drive_quantiles: self.drive_quantiles.clone(),
             drive_slope: self.drive_slope.clone(),
             band_end: self.band_end,
+            tolerance: self.tolerance.clone(),
         })
     }
 }
@@ -70,7 +71,8 @@ impl Candidate {
 /// Fits the echo of one effect at another response.
 fn echo(host: &Problem, fitted: &Fitted, other: &Problem) -> Option<Echo> {
     let problem = other.carrying(host, fitted)?;
-    let candidate = fitted.candidate.echo()?;
+    // What a linear part may move by is known of the host alone.
+    let candidate = Candidate { retune: host.retunes_freely(&fitted.candidate), ..fitted.candidate.echo()? };
     let regression = Regression::new(&problem, candidate.retune);
     let fitted = if candidate.parts[0].effect == Effect::LinearChange {
         fit(&problem, &regression, &candidate, &[], Effort { rounds: 10 })?

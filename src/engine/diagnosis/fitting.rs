@@ -65,6 +65,22 @@ pub(super) fn finish(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitte
     improve(problem, &fitted.candidate, &start, effort).unwrap_or(fitted)
 }
 
+/// The fit with its linear part let go as far as the baseline runs leave it open; as it was where they are
+/// no bound, or where it is free already.
+pub(super) fn tolerant(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitted {
+    if fitted.candidate.retune || problem.tolerance.is_none() {
+        return fitted;
+    }
+    let candidate = Candidate { retune: true, ..fitted.candidate.clone() };
+    let count = fitted.p.len() + candidate.retuned(problem);
+    let (mut p, mut scale) = (fitted.p.clone(), fitted.scale.clone());
+    p.resize(count, 0.0);
+    // The slopes of a retune need no step.
+    scale.resize(count, 1.0);
+    let start = Start { p, scale, cost: fitted.chi2_fit, linear: vec![false; count] };
+    improve(problem, &candidate, &start, effort).unwrap_or(fitted)
+}
+
 /// Improves one start; with no rounds the start itself is the answer. `None` if its free run does not
 /// stay finite.
 pub(super) fn improve(
@@ -74,7 +90,7 @@ pub(super) fn improve(
     effort: Effort,
 ) -> Option<Fitted> {
     let rows = problem.fit.iter().map(|s| s.rows.len()).sum::<usize>() as f64;
-    let residual = |p: &[f64]| candidate.residual_rows(problem, &problem.fit, p);
+    let residual = |p: &[f64]| candidate.fit_rows(problem, p);
     let p = steady(start, &residual)?;
     let (p, cost) = if effort.rounds == 0 {
         let left = residual(&p)?;

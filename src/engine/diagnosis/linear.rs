@@ -43,6 +43,25 @@ pub(super) fn solve_spd(matrix: &[Vec<f64>], rhs: &[f64]) -> Option<Vec<f64>> {
     x.iter().all(|v| v.is_finite()).then_some(x)
 }
 
+/// Upper triangle `u` with `u^T u = matrix`, `u[i][j]`, of a symmetric positive definite matrix; `None` where
+/// it is singular to rounding.
+pub(super) fn cholesky(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    let n = matrix.len();
+    let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].sqrt()).collect();
+    if !scale.iter().all(|s| *s > 0.0 && s.is_finite()) {
+        return None;
+    }
+    // Of unit diagonal, so that units do not matter.
+    let unit = |i: usize, j: usize| matrix[i][j] / (scale[i] * scale[j]) + if i == j { RIDGE } else { 0.0 };
+    let factor = Mat::from_fn(n, n, unit).llt(faer::Side::Lower).ok()?;
+    let lower = factor.L();
+    Some(
+        (0..n)
+            .map(|i| (0..n).map(|j| if j < i { 0.0 } else { lower[(j, i)] * scale[j] }).collect())
+            .collect(),
+    )
+}
+
 /// Inverse of a symmetric positive definite matrix, if it has one.
 pub(super) fn inverse_spd(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     let n = matrix.len();

@@ -48,12 +48,14 @@ mod report;
 mod rows;
 mod score;
 mod second;
+mod seldom;
 mod spline;
 mod split;
 mod start;
 mod tangent;
 #[cfg(test)]
 pub(crate) mod tests;
+mod tolerance;
 mod twins;
 mod verdict;
 pub mod views;

@@ -26,6 +26,8 @@ use super::rows::Rows;
 
 /// Length of a proposed run.
 const LENGTH_S: f64 = 12.0;
+/// How much further than so far a proposed run takes the response at its usual level.
+const FURTHER: f64 = 1.5;
 /// Mean square in noise floors below which a run separates nothing.
 const SEPARATED: f64 = 0.3;
 
@@ -53,18 +55,15 @@ pub(super) fn next_experiment(
     let noise = &prepared.noises[problem.response].ar;
     let limit = input.limits(&problem.drive_peak);
     let menu = menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed);
-    let separated: Vec<Option<f64>> = menu
-        .par_iter()
+    let (a, b) = (&leader.scored.fitted, &rival.scored.fitted);
+    let separated: Vec<Option<(f64, Proposal)>> = menu
+        .into_par_iter()
         .map(|proposal| {
-            let (a, b) = (&leader.scored.fitted, &rival.scored.fitted);
-            separation(problem, a, b, proposal, noise, prepared.band)
+            let proposal = spared(problem, a, proposal, noise, prepared.band)?;
+            Some((separation(problem, a, b, &proposal, noise, prepared.band)?, proposal))
         })
         .collect();
-    let (best, proposal) = separated
-        .into_iter()
-        .zip(menu)
-        .filter_map(|(s, p)| Some((s?, p)))
-        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (best, proposal) = separated.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(NextExperiment {
         drive: proposal.drive,
         separates: vec![effect, rival.scored.effect()],
@@ -116,6 +115,32 @@ fn menu(problem: &Problem, limit: &[f64], band: [f64; 2], rate_hz: f64, seed: u6
     add("sweep", None, 1.0, &sweep);
     add("offset_noise", None, 1.0, &offset);
     out
+}
+
+/// The proposal, weakened where it would take the response much further than the runs so far did: a sine at
+/// a sharp resonance may break the specimen inside the limits of the drive, and what breaks away from all
+/// that was measured tells little of it. `None` where the leader's free run runs away.
+fn spared(
+    problem: &Problem,
+    leader: &Fitted,
+    mut proposal: Proposal,
+    noise: &Ar,
+    band: [f64; 2],
+) -> Option<Proposal> {
+    let centre = problem.scales.y_mean;
+    let reach = |y: &[f64]| y.iter().fold(0.0_f64, |m, y| m.max((y - centre).abs()));
+    let so_far = problem.fit.iter().map(|s| reach(&s.measured)).fold(0.0, f64::max);
+    let new = stretch(problem, &proposal, noise, band);
+    let furthest = FURTHER * so_far * proposal.drive.level_rel.max(1.0);
+    let share = furthest / reach(&leader.candidate.predict(problem, &new, &leader.p)?);
+    if share < 1.0 {
+        // A level that can be set at a rig.
+        let level = (100.0 * share * proposal.drive.level_rel).ceil() / 100.0;
+        let share = level / proposal.drive.level_rel;
+        proposal.drive.level_rel = level;
+        proposal.samples.iter_mut().flatten().for_each(|u| *u *= share);
+    }
+    Some(proposal)
 }
 
 /// Noise up to the band's edge with a peak of 1.
@@ -199,5 +224,36 @@ fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -
             clock: Clock { start: end, step: 0.0 },
             carried: Arc::default(),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::diagnosis::candidate::{Candidate, Part};
+    use crate::engine::diagnosis::effect::Effect;
+    use crate::engine::diagnosis::law::Law;
+    use crate::engine::diagnosis::prepare::prepare;
+    use crate::engine::diagnosis::tests::rig::{hardening, request};
+
+    #[test]
+    fn a_sine_at_resonance_is_weakened_and_a_slow_one_is_not() {
+        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let problem = &prepared.problems[0];
+        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
+        let candidate = Candidate { parts: vec![part], retune: false };
+        let p = vec![0.0; candidate.parameters(problem)];
+        let leader = Fitted { candidate, scale: p.clone(), p, chi2_fit: 1.0 };
+        let noise = &prepared.noises[0].ar;
+        let reach = |y: &[f64]| y.iter().fold(0.0_f64, |m, y| m.max((y - problem.scales.y_mean).abs()));
+        let so_far = problem.fit.iter().map(|s| reach(&s.measured)).fold(0.0, f64::max);
+        for proposal in menu(problem, &problem.drive_peak, prepared.band, 256.0, 1) {
+            let before = proposal.drive.clone();
+            let after = spared(problem, &leader, proposal, noise, prepared.band).unwrap();
+            let new = stretch(problem, &after, noise, prepared.band);
+            assert!(reach(&leader.candidate.predict(problem, &new, &leader.p).unwrap()) < 1.6 * so_far);
+            let weakened = before.kind == "resonance_sine" && before.level_rel == 1.0;
+            assert_eq!(after.drive.level_rel < before.level_rel, weakened, "{before:?}");
+        }
     }
 }

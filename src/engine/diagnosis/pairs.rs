@@ -5,10 +5,11 @@
 use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
+use super::contest::{CORE_ERRS, TOLERANT};
 use super::decide::charged;
 use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
-use super::fitting::{Effort, Fitted, finish, improve};
+use super::fitting::{Effort, Fitted, finish, improve, tolerant};
 use super::input_map::InputMap;
 use super::linear::{dot, norm, solve_spd};
 use super::output_map::OutputMap;
@@ -101,6 +102,11 @@ pub(super) fn best_pair(
         tried.sort_by(|a, b| a.chi2_fit.total_cmp(&b.chi2_fit));
         tried.truncate(*count);
         tried = tried.into_par_iter().map(|f| finish(problem, f, Effort { rounds: *rounds })).collect();
+    }
+    let least = tried.iter().map(|f| f.chi2_fit).fold(f64::INFINITY, f64::min);
+    if least > CORE_ERRS {
+        let tolerant = |f| tolerant(problem, f, Effort { rounds: TOLERANT });
+        tried = tried.into_par_iter().map(tolerant).collect();
     }
     let none = problem.chi2_none(&problem.select);
     let rows = scored_rows(&problem.select);

@@ -22,7 +22,7 @@ struct Reading {
 /// the linearisation does; of a linear change the modes before and after.
 pub(super) fn named(problem: &Problem, fitted: &Fitted, units: (&str, &[String])) -> Vec<Parameter> {
     let part = &fitted.candidate.parts[0];
-    let rows = |p: &[f64]| fitted.candidate.residual_rows(problem, &problem.fit, p);
+    let rows = |p: &[f64]| fitted.candidate.fit_rows(problem, p);
     let se = standard_errors(rows, &fitted.p, &fitted.scale, fitted.chi2_fit.max(1.0));
     let mut out = Vec::new();
     for (at, reading) in readings(problem, part, units) {
@@ -36,7 +36,7 @@ pub(super) fn named(problem: &Problem, fitted: &Fitted, units: (&str, &[String])
             unit: reading.unit,
         });
     }
-    if fitted.candidate.retune {
+    if problem.retunes_freely(&fitted.candidate) {
         out.extend(modes_after(problem, fitted));
     }
     out.retain(|p| p.value.is_finite());

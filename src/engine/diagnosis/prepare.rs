@@ -7,16 +7,15 @@ use rayon::prelude::*;
 use super::core::{self, Core, CoreFit};
 use super::input::{Input, Mode, Role};
 use super::kernel::{Clock, Scales};
-use super::linear::{mean, rms};
+use super::linear::{dot, mean, rms};
 use super::noise::{self, Noise, Pair};
 use super::overview::NOISE_ONLY;
 use super::problem::{Course, Plant, Problem, Stretch, share};
 use super::rows::Rows;
-use super::split::{Piece, Split, split};
-use crate::engine::EngineError;
-
-/// Mean square in noise floors from which a gap is there for certain.
-const PLAIN_GAP: f64 = 2.0;
+use super::seldom::{self, PLAIN_GAP};
+use super::split::{Piece, Split, in_quarters, quarter, split};
+use super::tolerance::Tolerance;
+use crate::engine::{EngineError, Signal};
 
 /// A request made ready.
 pub(super) struct Prepared {
@@ -44,7 +43,7 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         input.baseline.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect();
     let band = core::drive_band(&baseline)
         .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })?;
-    let Split { pieces, mut warnings } = split(input);
+    let Split { mut pieces, mut warnings, cut: by_drive } = split(input);
     for role in [Role::Fit, Role::Select, Role::Test] {
         if !pieces.iter().any(|p| p.role == role) {
             return Err(EngineError::TooShort {
@@ -60,13 +59,12 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         .collect::<Result<_, _>>()?;
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
-    let cut = Cut { input, pieces: &pieces, simulated: simulate_all(input, &fitted), band, memory };
+    let cut = Cut { input, simulated: simulate_all(input, &fitted), band, memory };
     warnings.extend(other_sim(input, &cut.simulated));
-    let mut problems = Vec::new();
     let mut noises = Vec::new();
     let mut from_repeats = true;
     for (r, fit) in fitted.iter().enumerate() {
-        let noise = cut.repeats(&fit.core, r);
+        let noise = cut.repeats(&pieces, &fit.core, r);
         from_repeats &= noise.is_some();
         // A rig that changed between its repeats leaves more in their difference than the regression
         // can take out: the noise before the change is then the better floor, where it is lower.
@@ -75,9 +73,20 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
                 n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
             if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
         });
-        let noise = noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 });
-        problems.push(cut.problem(&fit.core, r, &noise)?);
-        noises.push(noise);
+        noises.push(noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 }));
+    }
+    // Quarters too short to be scored by themselves keep the usual roles.
+    let of_quarter =
+        |groups: &[Vec<usize>], q| cut.largest_gap(&quarter(input, groups, q), &fitted, &noises).ok();
+    if let Some(groups) = by_drive
+        && let [Some(a), Some(b), Some(c), Some(d)] = [0, 1, 2, 3].map(|q| of_quarter(&groups, q))
+        && let Some(roles) = seldom::roles([a, b, c, d])
+    {
+        pieces = in_quarters(input, &groups, roles);
+    }
+    let mut problems = Vec::new();
+    for (r, (fit, noise)) in fitted.iter().zip(&noises).enumerate() {
+        problems.push(cut.problem(&pieces, &fit.core, r, noise)?);
     }
     let pooled = pool(&mut problems);
     if pooled {
@@ -162,7 +171,6 @@ fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>]) -> Vec<String> {
 /// A request cut into its stretches.
 struct Cut<'a> {
     input: &'a Input,
-    pieces: &'a [Piece],
     /// `[run][response][sample]`
     simulated: Vec<Arc<Vec<Vec<f64>>>>,
     band: [f64; 2],
@@ -170,16 +178,16 @@ struct Cut<'a> {
     memory: usize,
 }
 
-impl Cut<'_> {
+impl<'a> Cut<'a> {
     /// Samples at the start of a run that its unknown state before may still colour.
     fn lead(&self, samples: usize) -> usize {
         self.memory.min(samples / 5)
     }
 
-    fn repeats(&self, core: &Core, response: usize) -> Option<Noise> {
+    fn repeats(&self, pieces: &[Piece], core: &Core, response: usize) -> Option<Noise> {
         let mut pairs = Vec::new();
-        for (i, a) in self.pieces.iter().enumerate() {
-            let Some(b) = self.pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
+        for (i, a) in pieces.iter().enumerate() {
+            let Some(b) = pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
             let range = a.from..a.to.min(b.to);
             let (run_a, run_b) = (&self.input.runs[a.run], &self.input.runs[b.run]);
             let (ya, yb) = (run_a.response.channel(response), run_b.response.channel(response));
@@ -241,9 +249,48 @@ impl Cut<'_> {
         })
     }
 
-    fn problem(&self, core: &Core, response: usize, noise: &Noise) -> Result<Problem, EngineError> {
+    /// What the sim leaves of these pieces at the response where it leaves most, in noise floors squared.
+    fn largest_gap(
+        &self,
+        pieces: &[Piece],
+        fitted: &[CoreFit],
+        noises: &[Noise],
+    ) -> Result<f64, EngineError> {
+        let mut largest = 0.0_f64;
+        for (r, (fit, noise)) in fitted.iter().zip(noises).enumerate() {
+            let mut rows = Vec::new();
+            for piece in pieces {
+                let stretch = self.stretch(piece, &fit.core, r, noise)?;
+                stretch.extend(&stretch.gap(r), &mut rows);
+            }
+            largest = largest.max(dot(&rows, &rows) / rows.len().max(1) as f64);
+        }
+        Ok(largest)
+    }
+
+    /// What the baseline runs say against a retune of the core, where that is the sim.
+    fn tolerance(&self, plant: &Plant, noise: &Noise) -> Option<Tolerance> {
+        let is_sim = self.input.sim_is_linear || self.input.runs.iter().all(|run| run.simulated.is_none());
+        if self.input.mode == Mode::InSitu || !is_sim {
+            return None;
+        }
+        let scored = |drive: &'a Signal| {
+            let n = drive.n_samples();
+            let lead = self.lead(n);
+            (drive.channels(), Rows::new((n - lead).max(2), self.band, &noise.ar), lead)
+        };
+        Tolerance::new(plant, &self.input.baseline.iter().map(|run| scored(&run.drive)).collect::<Vec<_>>())
+    }
+
+    fn problem(
+        &self,
+        pieces: &[Piece],
+        core: &Core,
+        response: usize,
+        noise: &Noise,
+    ) -> Result<Problem, EngineError> {
         let stretches = |role: Role| -> Result<Vec<Stretch>, EngineError> {
-            let pieces = self.pieces.iter().filter(|p| p.role == role);
+            let pieces = pieces.iter().filter(|p| p.role == role);
             let mut stretches: Vec<Stretch> = pieces
                 .map(|piece| self.stretch(piece, core, response, noise))
                 .collect::<Result<_, EngineError>>()?;
@@ -276,15 +323,17 @@ impl Cut<'_> {
             other_mean.push(centre);
             other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
         }
+        let plant = Plant {
+            response,
+            core: core.clone(),
+            scales: Scales { y_mean, y, dy },
+            other_scale,
+            other_mean,
+            drive_peak: drives.peak,
+        };
         Ok(Problem {
-            plant: Plant {
-                response,
-                core: core.clone(),
-                scales: Scales { y_mean, y, dy },
-                other_scale,
-                other_mean,
-                drive_peak: drives.peak,
-            },
+            tolerance: self.tolerance(&plant, noise).map(Arc::new),
+            plant,
             drive_quantiles: drives.quantiles,
             drive_slope: drives.slope,
             band_end: self.band[1],

@@ -11,6 +11,7 @@ use super::input::{Input, Mode};
 use super::kernel::{Clock, Scales};
 use super::linear::dot;
 use super::rows::Rows;
+use super::tolerance::Tolerance;
 
 /// What a free run needs of a stretch of time.
 #[derive(Clone)]
@@ -85,6 +86,8 @@ pub(super) struct Problem {
     pub drive_slope: Vec<f64>,
     /// Upper edge of the band, cycles a sample.
     pub band_end: f64,
+    /// How far the core may be off; none where it is free to move, or where it is not the sim.
+    pub tolerance: Option<Arc<Tolerance>>,
     /// Stretches that parameters are fitted to.
     pub fit: Vec<Stretch>,
     /// Stretches that effects are chosen on.

@@ -1,12 +1,14 @@
 //! How much of the gap a fitted candidate leaves, and how sure that is.
 
+use std::collections::BTreeMap;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::echo::Echo;
 use super::fitting::Fitted;
-use super::naming::{line_in_disguise, open_sandwich, passivity, straightened, unusual};
+use super::naming::{nearest_line, open_sandwich, passivity, straightened, unusual};
 use super::problem::{Problem, Stretch};
 
 /// Draws of the block bootstrap.
@@ -45,7 +47,8 @@ pub(super) struct Scored {
     pub unusual: bool,
 }
 
-/// Sums of squares in noise floors over blocks of time, and the rows that they stand for.
+/// Sums of squares in noise floors over blocks of time, and the rows that they stand for. Repeats share their
+/// blocks: what a law errs by is the same in each of them, and would count as often as the drive was run.
 #[derive(Debug, Clone)]
 pub(super) struct Blocks {
     pub sums: Vec<f64>,
@@ -54,18 +57,20 @@ pub(super) struct Blocks {
 
 /// Squares of residuals, `[stretch][sample]`, over blocks of time.
 pub(super) fn blocks(stretches: &[Stretch], residuals: &[Vec<f64>], rate_hz: f64) -> Blocks {
-    let mut out = Blocks { sums: Vec::new(), rows: Vec::new() };
+    let mut by_drive: BTreeMap<(usize, usize), (f64, f64)> = BTreeMap::new();
     for (stretch, residual) in stretches.iter().zip(residuals) {
         let white = stretch.rows.whitened(&residual[stretch.lead..]);
         let len = ((BLOCK_S * rate_hz) as usize).clamp(1, white.len());
         let count = (white.len() / len).max(1);
         for k in 0..count {
             let (from, to) = (k * white.len() / count, (k + 1) * white.len() / count);
-            out.sums.push(white[from..to].iter().map(|e| e * e).sum());
-            out.rows.push(stretch.rows.len() as f64 / count as f64);
+            let block = by_drive.entry((stretch.group, k)).or_default();
+            block.0 += white[from..to].iter().map(|e| e * e).sum::<f64>();
+            block.1 += stretch.rows.len() as f64 / count as f64;
         }
     }
-    out
+    let (sums, rows) = by_drive.into_values().unzip();
+    Blocks { sums, rows }
 }
 
 /// Scores a fitted candidate; `None` if its free run of a select stretch runs away.
@@ -82,10 +87,12 @@ pub(super) fn score(
         problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
     let left = remaining(chi2, chi2_none);
-    let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
+    let line = nearest_line(problem, &fitted, &predictions);
+    let straight = line.as_ref().and_then(|line| line.leaves(problem, &fitted));
+    let straight = straightened(problem, &fitted).or(straight).map(|chi2| remaining(chi2, chi2_none));
     let needless = straight.is_some_and(|straight| straight - left < EQUAL)
         || open_sandwich(problem, &fitted.candidate, &fitted.p)
-        || line_in_disguise(problem, &fitted, &predictions);
+        || line.is_some_and(|line| line.is_the_law());
     let passivity = passivity(problem, &fitted, &predictions);
     let unusual = unusual(problem, &fitted, &predictions);
     Some(Scored {
@@ -151,12 +158,29 @@ pub(super) fn may_be_equal(a: &[f64], b: &[f64], seed: u64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::diagnosis::prepare::prepare;
+    use crate::engine::diagnosis::tests::rig::{RATE, hardening, request};
 
     #[test]
     fn what_remains_is_counted_above_the_noise() {
         assert!((remaining(2.0, 11.0) - 0.1).abs() < 1e-15);
         assert_eq!(remaining(0.9, 11.0), 0.0);
         assert_eq!(remaining(0.9, 0.8), 1.0);
+    }
+
+    #[test]
+    fn repeats_share_their_blocks() {
+        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let problem = &prepared.problems[0];
+        let gaps: Vec<Vec<f64>> = problem.select.iter().map(|s| s.gap(0)).collect();
+        let of = |range: std::ops::Range<usize>| blocks(&problem.select[range.clone()], &gaps[range], RATE);
+        let (one, both, all) = (of(0..1), of(0..2), of(0..problem.select.len()));
+        let groups: Vec<usize> = problem.select.iter().map(|s| s.group).collect();
+        assert_eq!(groups[0], groups[1], "a run and its repeat");
+        assert_eq!(one.sums.len(), both.sums.len());
+        assert!(one.sums.iter().zip(&both.sums).all(|(one, both)| (one / both - 0.5).abs() < 0.2));
+        assert_eq!(both.rows[0], 2.0 * one.rows[0]);
+        assert!(all.sums.len() > both.sums.len());
     }
 
     #[test]

@@ -34,7 +34,8 @@ fn place(prepared: &Prepared, overview: &Overview, hosts: &Hosts, first: &Scored
     places.retain(|p| p.problem.response == first.problem || hosts.motion.contains(&p.problem.response));
     let untouched = hosts.motion.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
     let bare = |&r: &usize| {
-        let candidate = Candidate { parts: Vec::new(), retune: first.fitted.candidate.retune };
+        let retune = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
+        let candidate = Candidate { parts: Vec::new(), retune };
         let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: f64::NAN };
         (Place { problem: prepared.problems[r].clone(), fitted, chi2: overview.chi2_select[r] }, false)
     };
@@ -67,7 +68,7 @@ pub(super) fn second_effect(
     let first = &ranked.first()?.scored;
     let hosts = Hosts::of(input, prepared, overview);
     let (rest, acts) = place(prepared, overview, &hosts, first)?;
-    if rest.problem.response == first.problem && first.fitted.candidate.parts[0].output.is_none() {
+    if rest.problem.response == first.problem {
         let (_, regression) = outcome.regressions.iter().find(|(r, _)| *r == first.problem)?;
         if let Some(two) = together(input, prepared, regression, ranked, named) {
             return Some(two);
@@ -143,7 +144,7 @@ fn on_top(
     (Place { problem, fitted: of_first, chi2 }, acts): (Place, bool),
 ) -> Option<SecondEffect> {
     let r = problem.response;
-    let retune = of_first.candidate.retune;
+    let retune = problem.retunes_freely(&of_first.candidate);
     let regression = Regression::new(&problem, retune);
     let ranges = FreeRanges::of(&problem, &regression.smooth);
     let known: &[f64] =

@@ -29,10 +29,17 @@ pub struct Piece {
     pub role: Role,
 }
 
+/// Quarters of a run that is cut in time.
+pub(super) const QUARTERS: usize = 4;
+/// Their roles, unless the effect shows elsewhere.
+pub(super) const USUAL: [Role; QUARTERS] = [Role::Fit, Role::Fit, Role::Select, Role::Test];
+
 /// Pieces of all runs and what was wrong with the repeats.
 pub(super) struct Split {
     pub pieces: Vec<Piece>,
     pub warnings: Vec<String>,
+    /// Runs of equal drives, where each run is cut in time.
+    pub cut: Option<Vec<Vec<usize>>>,
 }
 
 /// Cuts the runs. Repeats always share a role: a test drive is never seen in a fit.
@@ -65,7 +72,7 @@ pub(super) fn split(input: &Input) -> Split {
             }
         }
         trim(&mut pieces);
-        return Split { pieces, warnings };
+        return Split { pieces, warnings, cut: None };
     }
     if groups.len() >= ENOUGH_GROUPS {
         // By level, so that each role sees weak and strong drives, the strongest fitted.
@@ -77,19 +84,37 @@ pub(super) fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, cycle[place % cycle.len()]));
             }
         }
-    } else {
-        for (g, group) in groups.iter().enumerate() {
-            for &run in group {
-                let n = group.iter().map(|&r| input.runs[r].drive.n_samples()).min().unwrap_or(0);
-                let cuts = [0, n / 2, 3 * n / 4, n];
-                for (k, role) in [Role::Fit, Role::Select, Role::Test].into_iter().enumerate() {
-                    pieces.push(Piece { run, from: cuts[k], to: cuts[k + 1], group: 3 * g + k, role });
-                }
+        trim(&mut pieces);
+        return Split { pieces, warnings, cut: None };
+    }
+    Split { pieces: in_quarters(input, &groups, USUAL), warnings, cut: Some(groups) }
+}
+
+/// Every run cut in quarters of these roles; neighbours of one role stay together.
+pub(super) fn in_quarters(input: &Input, groups: &[Vec<usize>], roles: [Role; QUARTERS]) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    for (g, group) in groups.iter().enumerate() {
+        let n = group.iter().map(|&r| input.runs[r].drive.n_samples()).min().unwrap_or(0);
+        let first = (0..QUARTERS).filter(|&q| q == 0 || roles[q] != roles[q - 1]);
+        let firsts: Vec<usize> = first.chain([QUARTERS]).collect();
+        for &run in group {
+            for ends in firsts.windows(2) {
+                let [from, to] = [ends[0], ends[1]].map(|q| q * n / QUARTERS);
+                pieces.push(Piece { run, from, to, group: QUARTERS * g + ends[0], role: roles[ends[0]] });
             }
         }
     }
     trim(&mut pieces);
-    Split { pieces, warnings }
+    pieces
+}
+
+/// One quarter of every run.
+pub(super) fn quarter(input: &Input, groups: &[Vec<usize>], which: usize) -> Vec<Piece> {
+    let mut roles = [Role::Select; QUARTERS];
+    roles[which] = Role::Fit;
+    let mut pieces = in_quarters(input, groups, roles);
+    pieces.retain(|p| p.role == Role::Fit);
+    pieces
 }
 
 /// Cuts the end off pieces of a role that has too many samples; what is kept starts where it did, so

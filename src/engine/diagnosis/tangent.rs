@@ -70,6 +70,7 @@ impl Candidate {
                 stretch.extend(&signal, column);
             }
         }
+        self.hold(problem, &mut columns);
         Some(
             columns
                 .into_iter()
