@@ -185,11 +185,11 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -
     let firm = scored.iter().filter(|s| s.effect().tier() != Tier::Free);
     let best = firm.map(|s| s.chi2).fold(f64::INFINITY, f64::min);
     // Where something is left the likelihood is that of what errs, not of the noise.
-    let per_row = if best < c.settled { 0.5 * c.behind[0] } else { 0.0 };
+    let per_row = (best < c.settled).then_some(0.5 * c.behind[0]);
     let further = |scored: &Scored| {
         let needless = if scored.needless { c.needless } else { 0.0 };
         let unusual = if scored.unusual { c.unusual } else { 0.0 };
-        let behind = (per_row * rows * (scored.chi2 - best)).clamp(0.0, c.behind[1]);
+        let behind = per_row.map_or(0.0, |p| (p * rows * (scored.chi2 - best)).clamp(0.0, c.behind[1]));
         needless + unusual + behind + c.passive * (1.0 - scored.passivity)
     };
     let mut ranked: Vec<Ranked> = scored

@@ -132,23 +132,14 @@ pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f
     if loses { -share * taken.signum() } else { share.abs() }
 }
 
-/// The straight line that comes nearest to a law along its free run.
-pub(super) struct Line {
-    slope: f64,
-    /// Squared correlation of the two.
-    share: f64,
-}
-
-/// The line nearest to a stop, a gap or a bent spring; `None` for other effects, and where the linear part
-/// is free, so that no line is left to stand for.
-pub(super) fn nearest_line(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> Option<Line> {
-    let part = fitted.candidate.parts.first()?;
-    let [law @ (Law::Cubic | Law::BumpStop | Law::OneSided(_) | Law::Clearance)] = part.forces.as_slice()
-    else {
-        return None;
-    };
+/// Whether a stop or a gap does along the free run what a straight line does: a clearance that the
+/// response hardly leaves, a stop that it hardly leaves either. With the linear part free no line is left
+/// to stand for.
+pub(super) fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
+    let part = &fitted.candidate.parts[0];
+    let [law @ (Law::Cubic | Law::BumpStop | Law::Clearance)] = part.forces.as_slice() else { return false };
     if problem.retunes_freely(&fitted.candidate) {
-        return None;
+        return false;
     }
     let (mut yy, mut ff, mut yf) = (0.0, 0.0, 0.0);
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
@@ -161,28 +152,7 @@ pub(super) fn nearest_line(problem: &Problem, fitted: &Fitted, predictions: &[Ve
         ff += dot(&f, &f);
         yf += dot(&y, &f);
     }
-    Some(Line { slope: yf / yy, share: yf * yf / (yy * ff) })
-}
-
-impl Line {
-    /// Whether the law does what the line does: a clearance that the response hardly leaves, a stop that it
-    /// hardly leaves either.
-    pub fn is_the_law(&self) -> bool {
-        self.share > IS_LINE
-    }
-
-    /// Mean square in noise floors, on the select stretches, with the line in the law's place: a stop that
-    /// touches at rest closes a change of stiffness, where the rig does not pass on what its kink adds.
-    /// `None` where that run runs away.
-    pub fn leaves(&self, problem: &Problem, fitted: &Fitted) -> Option<f64> {
-        let mut line = fitted.candidate.clone();
-        let shapes = line.parts[0].forces[0].shapes();
-        line.parts[0].forces = vec![Law::Linear];
-        let mut p = fitted.p[shapes..].to_vec();
-        p[..problem.core.modes.order()].iter_mut().for_each(|e| *e *= self.slope);
-        let predictions = line.predictions(problem, &problem.select, &p)?;
-        Some(problem.chi2(&problem.select, &predictions))
-    }
+    yf * yf > IS_LINE * yy * ff
 }
 
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one

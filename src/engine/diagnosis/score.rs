@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::echo::Echo;
 use super::fitting::Fitted;
-use super::naming::{nearest_line, open_sandwich, passivity, straightened, unusual};
+use super::naming::{line_in_disguise, open_sandwich, passivity, straightened, unusual};
 use super::problem::{Problem, Stretch};
 
 /// Draws of the block bootstrap.
@@ -87,12 +87,10 @@ pub(super) fn score(
         problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
     let left = remaining(chi2, chi2_none);
-    let line = nearest_line(problem, &fitted, &predictions);
-    let straight = line.as_ref().and_then(|line| line.leaves(problem, &fitted));
-    let straight = straightened(problem, &fitted).or(straight).map(|chi2| remaining(chi2, chi2_none));
+    let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
     let needless = straight.is_some_and(|straight| straight - left < EQUAL)
         || open_sandwich(problem, &fitted.candidate, &fitted.p)
-        || line.is_some_and(|line| line.is_the_law());
+        || line_in_disguise(problem, &fitted, &predictions);
     let passivity = passivity(problem, &fitted, &predictions);
     let unusual = unusual(problem, &fitted, &predictions);
     Some(Scored {

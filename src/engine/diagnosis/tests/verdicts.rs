@@ -17,6 +17,21 @@ fn a_hardening_spring_is_named_and_closes_the_gap_on_unseen_stretches() {
 }
 
 #[test]
+fn a_catalogue_of_free_shapes_alone_states_a_probability() {
+    let request =
+        Input { catalogue: vec![Effect::FreeStiffness, Effect::FreeDamping], ..request(hardening, 0.01) };
+    let found = diagnose(&request, &unwatched).unwrap();
+    let verdict = &found.report.verdict;
+    assert_eq!(
+        (verdict.kind, verdict.family),
+        (VerdictKind::FamilyOnly, Some(Family::Stiffness)),
+        "{verdict:?}"
+    );
+    assert!(found.report.hypotheses.iter().all(|h| h.probability.is_finite()));
+    assert!((0.5..=1.0).contains(&verdict.probability));
+}
+
+#[test]
 fn dry_friction_is_named_with_its_axis() {
     let found = diagnose(&request(friction, 0.01), &unwatched).unwrap();
     let verdict = &found.report.verdict;
