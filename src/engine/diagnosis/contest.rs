@@ -30,11 +30,6 @@ const BEHIND: f64 = 6.0;
 /// and the least, in noise floors squared, that this is counted from.
 const NEAR: f64 = 0.3;
 
-/// Mean square, in noise floors, from which what the best leaves may be the core's own error,
-pub(super) const CORE_ERRS: f64 = 1.05;
-/// and the Jacobians in which the core may be corrected.
-pub(super) const TOLERANT: usize = 8;
-
 /// The contest's outcome.
 pub(super) struct Outcome<'p> {
     /// The most believable first.
@@ -90,9 +85,7 @@ pub(super) fn contest<'p>(
         report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
         Ok(finish(problem, f, Effort { rounds: 40 }))
     })?;
-    let fitted = further(prepared, fitted, |problem, f, least| {
-        Ok(if least > CORE_ERRS { tolerant(problem, f, Effort { rounds: TOLERANT }) } else { f })
-    })?;
+    let fitted = further(prepared, fitted, |problem, f, least| Ok(tolerant(problem, f, least)))?;
     let scored: Vec<Option<Scored>> = fitted
         .into_par_iter()
         .map(|(r, fitted)| score(r, &prepared.problems[r], fitted, overview.chi2_select[r], rate))

@@ -55,13 +55,13 @@ const CALIBRATION: Calibration = Calibration {
     passive: 1.0,
     unusual: 0.7,
     sharpness: 3.0,
-    leaves: 0.4,
+    leaves: 0.2,
     slope: 2.5,
 };
 
 /// What is stated of a probability `p`: `1 / (1 + exp(-(a + b logit p)))`, `[a, b]` for each kind of
-/// ruling. `[0, 1]` states `p` as it is; `scripts/calibrate_diagnosis.py` fitted these to 293 verdicts on blind
-/// cases of calibration seeds; sets, of which there were two, are as 70 verdicts before gave them.
+/// ruling. `[0, 1]` states `p` as it is; `scripts/calibrate_diagnosis.py` fitted these to 417 verdicts on blind
+/// cases of calibration seeds; sets, of which there were none, are as 70 verdicts before gave them.
 struct Stated {
     named: [f64; 2],
     family: [f64; 2],
@@ -70,10 +70,12 @@ struct Stated {
 }
 
 const STATED: Stated =
-    Stated { named: [1.05, 0.84], family: [0.01, 1.06], set: [-0.31, 0.38], none: [1.07, 0.55] };
+    Stated { named: [1.17, 1.30], family: [0.18, 1.27], set: [-0.31, 0.38], none: [0.37, 1.34] };
 
 /// Share of the gap that the right law leaves at most where nothing but the core errs.
-const PLAIN: f64 = 0.01;
+const PLAIN: f64 = 0.005;
+/// Part of this that a free shape may leave: it bends to what a law's own equation errs by.
+const BENT: f64 = 0.4;
 /// The same for two effects together, which bend to more.
 const OF_TWO: f64 = 0.001;
 /// Above this share left the catalogue does not hold the effect.
@@ -90,8 +92,10 @@ const UNNAMED: f64 = 0.1;
 /// large gap are many noise floors.
 const RIVAL: f64 = 0.02;
 /// Squared noise floors by which an effect is behind one that leaves nothing but noise to be told apart from
-/// it: e^25 times less likely, and a share of the gap for what its own equation errs by.
-const APART: [f64; 2] = [50.0, 0.001];
+/// it: e^15 times less likely, and a share of the gap for what its own equation errs by.
+const APART: [f64; 2] = [30.0, 0.0005];
+/// Squared noise floors that further numbers must gain to be more than chance.
+const GAINS: f64 = 10.0;
 /// Below this probability of the effect only the family, or nothing, is stated.
 const SURE: f64 = 0.5;
 /// Below this probability, whatever its rivals', none is blamed by name: nearly even odds, as of two that
@@ -123,9 +127,21 @@ impl Scored {
     }
 
     /// Whether it may not be named however well it fits: it is no more than a linear change or a map
-    /// of the drive, or it is friction that drives the rig.
+    /// of the drive, or a force that works as none at its place does.
     fn unnamed(&self) -> bool {
-        self.needless || self.passivity < 0.0
+        self.needless || self.misplaced
+    }
+
+    /// Squared noise floors by which another is behind, on all rows that both were fitted to or scored on:
+    /// `rows` of them were scored.
+    fn ahead_of(&self, other: &Self, rows: f64) -> f64 {
+        (other.chi2 - self.chi2) * rows + self.fits_better_than(other)
+    }
+
+    /// The same on the rows of the fit alone; 0 where they are of two responses.
+    fn fits_better_than(&self, other: &Self) -> f64 {
+        let both = self.problem == other.problem;
+        if both { (other.fitted.chi2_fit - self.fitted.chi2_fit) * self.fit_rows } else { 0.0 }
     }
 }
 
@@ -210,6 +226,7 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -
         && ranked
             .iter()
             .any(|r| r.scored.needless && r.scored.remaining + floor < PLAINER * (best.remaining + floor));
+    let share = if best.effect().tier() == Tier::Free { BENT * share } else { share };
     let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows, share) };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
@@ -243,15 +260,18 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let margin = 1.5 * spread(rows);
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
-    let enough = APART[0] + APART[1] * (chi2_none - 1.0) * rows;
+    let enough = APART[0] + APART[1] * (chi2_none - 1.0) * (rows + best.scored.fit_rows);
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         // Where the winner leaves nothing but noise, squares count as likelihood does.
         let apart =
-            best.scored.chi2 < CALIBRATION.settled && (other.scored.chi2 - best.scored.chi2) * rows > enough;
-        // What is more flexible than the winner explains as well by construction.
+            best.scored.chi2 < CALIBRATION.settled && best.scored.ahead_of(&other.scored, rows) > enough;
         let far = apart || other.probability < RIVAL * best.probability;
-        if far || effect.tier() > best.scored.effect().tier() || set.contains(&effect) {
+        // What is more flexible than the winner explains as well by construction, and what holds it as a
+        // special case is no other unless its further numbers gain something.
+        let flexible = effect.tier() > set[0].tier()
+            || (effect.contains(set[0]) && other.scored.fits_better_than(&best.scored) < GAINS);
+        if far || flexible || set.contains(&effect) {
             continue;
         }
         let close = other.scored.remaining - best.scored.remaining < EQUAL;

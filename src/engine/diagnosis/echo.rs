@@ -11,7 +11,7 @@ use super::effect::Effect;
 use super::fitting::{Effort, Fitted, fit, improve};
 use super::overview::{Overview, gaps};
 use super::prepare::Prepared;
-use super::problem::{Course, Problem, Stretch};
+use super::problem::{Course, Problem, Stretch, scored_rows};
 use super::score::{Scored, blocks, remaining};
 use super::start::Regression;
 
@@ -160,9 +160,4 @@ fn residuals(
     let predictions = fitted.candidate.predictions(&problem, &problem.select, &fitted.p)?;
     let left = problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     Some((problem, left))
-}
-
-/// Rows of all stretches.
-pub(super) fn scored_rows(stretches: &[Stretch]) -> f64 {
-    stretches.iter().map(|s| s.rows.len()).sum::<usize>() as f64
 }

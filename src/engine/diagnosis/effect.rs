@@ -184,6 +184,11 @@ impl Effect {
         matches!(self, Self::FreeStiffness | Self::FreeHysteresis | Self::FreeDamping | Self::FreeDriveMap)
     }
 
+    /// Whether another effect of its own tier is a special case of it.
+    pub(super) fn contains(self, other: Self) -> bool {
+        self == Self::StribeckFriction && other == Self::CoulombFriction
+    }
+
     /// Whether the effect is one of the drive's: its axis is that of the drive.
     pub fn on_drive(self) -> bool {
         matches!(

@@ -3,13 +3,18 @@
 use super::candidate::Candidate;
 use super::levmar::{Limits, minimise};
 use super::linear::dot;
-use super::problem::Problem;
+use super::problem::{Problem, scored_rows};
 use super::start::{Regression, Start};
 
 /// Starts that are followed to their end.
 const FOLLOWED: usize = 2;
 /// Jacobians of a fit that only makes a start.
 const PLAIN_ROUNDS: usize = 10;
+
+/// Mean square, in noise floors, from which what the best leaves may be the core's own error,
+const CORE_ERRS: f64 = 1.05;
+/// and the Jacobians in which the core may be corrected.
+const TOLERANT_ROUNDS: usize = 8;
 
 /// A fitted candidate.
 #[derive(Debug, Clone)]
@@ -65,10 +70,11 @@ pub(super) fn finish(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitte
     improve(problem, &fitted.candidate, &start, effort).unwrap_or(fitted)
 }
 
-/// The fit with its linear part let go as far as the baseline runs leave it open; as it was where they are
-/// no bound, or where it is free already.
-pub(super) fn tolerant(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitted {
-    if fitted.candidate.retune || problem.tolerance.is_none() {
+/// The fit, of which the best on this response leaves `least`, with its linear part let go as far as the
+/// baseline runs leave it open; as it was where nothing is left, where they are no bound, or where it is free
+/// already.
+pub(super) fn tolerant(problem: &Problem, fitted: Fitted, least: f64) -> Fitted {
+    if least <= CORE_ERRS || fitted.candidate.retune || problem.tolerance.is_none() {
         return fitted;
     }
     let candidate = Candidate { retune: true, ..fitted.candidate.clone() };
@@ -78,7 +84,7 @@ pub(super) fn tolerant(problem: &Problem, fitted: Fitted, effort: Effort) -> Fit
     // The slopes of a retune need no step.
     scale.resize(count, 1.0);
     let start = Start { p, scale, cost: fitted.chi2_fit, linear: vec![false; count] };
-    improve(problem, &candidate, &start, effort).unwrap_or(fitted)
+    improve(problem, &candidate, &start, Effort { rounds: TOLERANT_ROUNDS }).unwrap_or(fitted)
 }
 
 /// Improves one start; with no rounds the start itself is the answer. `None` if its free run does not
@@ -89,7 +95,7 @@ pub(super) fn improve(
     start: &Start,
     effort: Effort,
 ) -> Option<Fitted> {
-    let rows = problem.fit.iter().map(|s| s.rows.len()).sum::<usize>() as f64;
+    let rows = scored_rows(&problem.fit);
     let residual = |p: &[f64]| candidate.fit_rows(problem, p);
     let p = steady(start, &residual)?;
     let (p, cost) = if effort.rounds == 0 {

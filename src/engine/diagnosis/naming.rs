@@ -22,8 +22,39 @@ const IS_DRIVE: f64 = 0.98;
 /// The same with the core's response: a law of the response, and no block before the rig.
 const IS_RESPONSE: f64 = 0.95;
 
-/// Squared correlation with the response above which a force is a straight line of it.
-const IS_LINE: f64 = 0.98;
+/// A straight line.
+struct Line {
+    middle: f64,
+    centre: f64,
+    slope: f64,
+}
+
+impl Line {
+    /// The line nearest to `y` over `x`; level where `x` does not move.
+    fn through(x: &[f64], y: &[f64], weights: &[f64]) -> Self {
+        let total: f64 = weights.iter().sum();
+        let (middle, centre) = (dot(weights, x) / total, dot(weights, y) / total);
+        let (mut product, mut square) = (0.0, 0.0);
+        for ((x, y), w) in x.iter().zip(y).zip(weights) {
+            product += w * (x - middle) * (y - centre);
+            square += w * (x - middle) * (x - middle);
+        }
+        Self { middle, centre, slope: if square > 0.0 { product / square } else { 0.0 } }
+    }
+
+    fn at(&self, x: f64) -> f64 {
+        self.centre + self.slope * (x - self.middle)
+    }
+}
+
+/// Times what a law leaves above the noise that a straight line must leave for the law to be worth its bend,
+const WORTH: f64 = 1.5;
+/// and what this is counted from at least, in noise floors squared.
+const NOISE: f64 = 0.05;
+
+/// How far a force must work as one at the response's own place does, where the linear part is known. Rigs
+/// that are struck elsewhere pass for less than 1.
+const PASSIVE: f64 = 0.4;
 
 /// Free function of a part: its spline and where its knots stand in the parameters.
 fn free_function(part: &Part, order: usize) -> Option<(Spline, usize)> {
@@ -43,33 +74,33 @@ pub(super) fn straightened(problem: &Problem, fitted: &Fitted) -> Option<f64> {
     let part = fitted.candidate.parts.first()?;
     let (spline, at) = free_function(part, problem.core.modes.order())?;
     let places = spline.places();
-    // Weights of the knots: how often the argument comes near them.
-    let weights: Vec<f64> = match &part.input {
-        Some(_) => {
+    let knots = &fitted.p[at..at + spline.knots()];
+    let line = if part.sandwich {
+        // How large its inner signal is, is its own affair.
+        let (path, direct) = (&fitted.p[..at - 1], fitted.p[at - 1]);
+        let inner = |s: &Stretch| inner_signal(problem, s, part.drive, path, direct).split_off(s.lead);
+        let x: Vec<f64> = problem.select.iter().flat_map(inner).collect();
+        let values: Vec<f64> = x.iter().map(|x| spline.at(knots, *x)).collect();
+        Line::through(&x, &values, &vec![1.0; x.len()])
+    } else {
+        // Weights of the knots: how often the argument comes near them.
+        let variance = if part.input.is_some() {
             let peak = problem.drive_peak[part.drive];
             let power: Vec<f64> = problem
                 .fit
                 .iter()
                 .flat_map(|s| s.drives[part.drive].iter().map(|u| (u / peak) * (u / peak)))
                 .collect();
-            let variance = mean(&power).max(1e-6);
-            places.iter().map(|x| (-0.5 * x * x / variance).exp()).collect()
-        }
-        None => places.iter().map(|x| (-0.5 * x * x).exp()).collect(),
+            mean(&power).max(1e-6)
+        } else {
+            1.0
+        };
+        let weights: Vec<f64> = places.iter().map(|x| (-0.5 * x * x / variance).exp()).collect();
+        Line::through(&places, knots, &weights)
     };
-    let values = &fitted.p[at..at + spline.knots()];
-    let total: f64 = weights.iter().sum();
-    let centre = dot(&weights, values) / total;
-    let middle = dot(&weights, &places) / total;
-    let (mut product, mut square) = (0.0, 0.0);
-    for ((x, y), w) in places.iter().zip(values).zip(&weights) {
-        product += w * (x - middle) * (y - centre);
-        square += w * (x - middle) * (x - middle);
-    }
-    let slope = product / square;
     let mut p = fitted.p.clone();
     for (value, x) in p[at..].iter_mut().zip(&places) {
-        *value = centre + slope * (x - middle);
+        *value = line.at(*x);
     }
     let predictions = fitted.candidate.predictions(problem, &problem.select, &p)?;
     Some(problem.chi2(&problem.select, &predictions))
@@ -95,14 +126,30 @@ pub(super) fn open_sandwich(problem: &Problem, candidate: &Candidate, p: &[f64])
     is(IS_DRIVE, |s, drive| s.drives[drive].clone()) || is(IS_RESPONSE, |s, _| s.core.to_vec())
 }
 
-/// How far the force of a law of the response works as a force at the response's own place does, from
-/// -1 to 1; 1 for other effects.
+/// How far the forces of laws of the response work as a force at the response's own place does, from
+/// -1 to 1, of several effects the least; 1 for other effects.
 ///
 /// There the velocity that a force causes has a share in phase with it at every frequency (a passive
 /// rig returns no work), and dry friction and damping take work out. A law with a path that turns its
 /// phase stands for another effect: damping told as stiffness, or friction that drives.
 pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> f64 {
-    let part = &fitted.candidate.parts[0];
+    let mut rest = fitted.p.as_slice();
+    let mut least = 1.0_f64;
+    for part in &fitted.candidate.parts {
+        let (own, further) = rest.split_at(part.parameters(problem.core.modes.order()));
+        least = least.min(of_part(problem, part, own, predictions));
+        rest = further;
+    }
+    least
+}
+
+/// Whether forces that are passive so far are none of this response's: with the linear part free there is a
+/// doubt about all but the sign.
+pub(super) fn misplaced(problem: &Problem, candidate: &Candidate, passivity: f64) -> bool {
+    passivity < if problem.retunes_freely(candidate) { 0.0 } else { PASSIVE }
+}
+
+fn of_part(problem: &Problem, part: &Part, p: &[f64], predictions: &[Vec<f64>]) -> f64 {
     let family = part.effect.family();
     let loses = matches!(family, Family::FrictionHysteresis | Family::Damping);
     let [law] = part.forces.as_slice() else { return 1.0 };
@@ -110,7 +157,7 @@ pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f
         return 1.0;
     }
     let modes = &problem.core.modes;
-    let (shape, rest) = fitted.p.split_at(law.shapes());
+    let (shape, rest) = p.split_at(law.shapes());
     let path = &rest[..modes.order()];
     let (mut sum, mut size, mut taken) = (0.0, 0.0, 0.0);
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
@@ -132,27 +179,40 @@ pub(super) fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f
     if loses { -share * taken.signum() } else { share.abs() }
 }
 
-/// Whether a stop or a gap does along the free run what a straight line does: a clearance that the
-/// response hardly leaves, a stop that it hardly leaves either. With the linear part free no line is left
-/// to stand for.
-pub(super) fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
-    let part = &fitted.candidate.parts[0];
-    let [law @ (Law::Cubic | Law::BumpStop | Law::Clearance)] = part.forces.as_slice() else { return false };
+/// Whether a stop, a gap or a bent spring, which leaves `chi2`, does no better than the straight line nearest
+/// to it along the free run: a clearance that the response hardly leaves, a stop that touches at rest where
+/// the rig does not pass on what its kink adds. With the linear part free no line is left to stand for.
+pub(super) fn line_in_disguise(
+    problem: &Problem,
+    fitted: &Fitted,
+    predictions: &[Vec<f64>],
+    chi2: f64,
+) -> bool {
+    let [law @ (Law::Cubic | Law::BumpStop | Law::OneSided(_) | Law::Clearance)] =
+        fitted.candidate.parts[0].forces.as_slice()
+    else {
+        return false;
+    };
     if problem.retunes_freely(&fitted.candidate) {
         return false;
     }
-    let (mut yy, mut ff, mut yf) = (0.0, 0.0, 0.0);
+    let (shape, rest) = fitted.p.split_at(law.shapes());
+    let (mut square, mut product) = (0.0, 0.0);
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
         let of = |law: &Law| {
-            let shape = &fitted.p[..law.shapes()];
             scored(stretch, kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock))
         };
-        let (y, f) = (of(&Law::Linear), of(law));
-        yy += dot(&y, &y);
-        ff += dot(&f, &f);
-        yf += dot(&y, &f);
+        let y = of(&Law::Linear);
+        square += dot(&y, &y);
+        product += dot(&y, &of(law));
     }
-    yf * yf > IS_LINE * yy * ff
+    let mut line = fitted.candidate.clone();
+    line.parts[0].forces = vec![Law::Linear];
+    let mut p = rest.to_vec();
+    p[..problem.core.modes.order()].iter_mut().for_each(|e| *e *= product / square);
+    let predictions = line.predictions(problem, &problem.select, &p);
+    let leaves = predictions.map_or(f64::INFINITY, |p| problem.chi2(&problem.select, &p));
+    leaves - 1.0 < WORTH * (chi2 - 1.0).max(NOISE)
 }
 
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one
@@ -202,6 +262,15 @@ mod tests {
     use super::*;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{friction, request};
+
+    #[test]
+    fn the_nearest_line_goes_through_points_on_one_and_is_level_where_nothing_moves() {
+        let x = [-1.0, 0.5, 2.0];
+        let line = Line::through(&x, &x.map(|x| 3.0 - 2.0 * x), &[1.0, 0.2, 3.0]);
+        assert!((line.at(7.0) + 11.0).abs() < 1e-12);
+        let level = Line::through(&[4.0; 2], &[1.0, 2.0], &[1.0; 2]);
+        assert_eq!(level.at(100.0), 1.5);
+    }
 
     #[test]
     fn a_sandwich_needs_a_block_of_its_own_before_its_middle() {

@@ -2,7 +2,8 @@
 //!
 //! The plain distance of two predictions misleads: the rival would re-adapt to the new run. So the
 //! rival's parameters are moved, linearised, to fit the leader's prediction of old and new runs
-//! together, and what difference is left on the new run counts.
+//! together, and what difference is left on the new run counts. Of the few runs that separate best by this
+//! the rival is fitted to what the leader says of them.
 
 use std::sync::Arc;
 
@@ -13,16 +14,17 @@ use rayon::prelude::*;
 
 use super::ar::Ar;
 use super::decide::Ranked;
-use super::effect::Tier;
-use super::fitting::Fitted;
+use super::effect::{Effect, Tier};
+use super::fitting::{Effort, Fitted, fit};
 use super::input::Input;
 use super::kernel::Clock;
-use super::levmar::quotients;
+use super::levmar::{Limits, minimise, quotients};
 use super::linear::{dot, least_squares};
 use super::prepare::Prepared;
 use super::problem::{Course, Problem, Stretch};
 use super::report::{NextDrive, NextExperiment};
 use super::rows::Rows;
+use super::start::Regression;
 
 /// Length of a proposed run.
 const LENGTH_S: f64 = 12.0;
@@ -31,45 +33,107 @@ const FURTHER: f64 = 1.5;
 /// Mean square in noise floors below which a run separates nothing.
 const SEPARATED: f64 = 0.3;
 
+/// Runs for which rivals are fitted anew,
+const FITTED: usize = 2;
+/// and the Jacobians that this may take.
+const ROUNDS: usize = 8;
+
 /// A drive of the menu with its samples, `[drive][sample]`.
 struct Proposal {
     drive: NextDrive,
     samples: Vec<Vec<f64>>,
 }
 
-/// The run that tells the leader from its strongest rival best, if there is a rival.
+/// The run that tells the leader best from its rivals, if there are any: those of `set`, which the runs so far
+/// leave open, else the strongest.
 pub(super) fn next_experiment(
     input: &Input,
     prepared: &Prepared,
     ranked: &[Ranked],
+    set: &[Effect],
 ) -> Option<NextExperiment> {
     let leader = ranked.first()?;
     let problem = &prepared.problems[leader.scored.problem];
     let effect = leader.scored.effect();
     // What is more flexible than the leader can follow it anywhere: no run tells them apart.
-    let rival = ranked.iter().find(|r| {
-        r.scored.problem == leader.scored.problem
-            && r.scored.effect() != effect
-            && r.scored.effect().tier() <= effect.tier().max(Tier::Law)
-    })?;
-    let noise = &prepared.noises[problem.response].ar;
-    let limit = input.limits(&problem.drive_peak);
-    let menu = menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed);
-    let (a, b) = (&leader.scored.fitted, &rival.scored.fitted);
-    let separated: Vec<Option<(f64, Proposal)>> = menu
-        .into_par_iter()
-        .map(|proposal| {
-            let proposal = spared(problem, a, proposal, noise, prepared.band)?;
-            Some((separation(problem, a, b, &proposal, noise, prepared.band)?, proposal))
+    let rivals: Vec<&Ranked> = ranked
+        .iter()
+        .filter(|r| {
+            r.scored.problem == leader.scored.problem
+                && r.scored.effect() != effect
+                && r.scored.effect().tier() <= effect.tier().max(Tier::Law)
         })
         .collect();
-    let (best, proposal) = separated.into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let mut open: Vec<&Ranked> = Vec::new();
+    for rival in &rivals {
+        let stands = |r: &&Ranked| r.scored.effect() == rival.scored.effect();
+        if set.contains(&rival.scored.effect()) && !open.iter().any(stands) {
+            open.push(rival);
+        }
+    }
+    if open.is_empty() {
+        open.extend(rivals.first());
+    }
+    let noise = &prepared.noises[problem.response].ar;
+    let limit = input.limits(&problem.drive_peak);
+    let leading = &leader.scored.fitted;
+    let runs: Vec<(NextDrive, Stretch)> =
+        menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed)
+            .into_par_iter()
+            .filter_map(|proposal| spared(problem, leading, proposal, noise, prepared.band))
+            .collect();
+    let of_all = most_separating(problem, leading, &runs, &open)?;
+    // Where one of several cannot be told apart by any run, the strongest may be.
+    let best = match open.as_slice() {
+        [first, _, ..] if of_all.separation < SEPARATED => {
+            most_separating(problem, leading, &runs, &[first]).unwrap_or(of_all)
+        }
+        _ => of_all,
+    };
     Some(NextExperiment {
-        drive: proposal.drive,
-        separates: vec![effect, rival.scored.effect()],
-        expected_separation: best,
-        inseparable_in_envelope: best < SEPARATED,
+        drive: runs[best.run].0.clone(),
+        separates: vec![effect, open[best.rival].scored.effect()],
+        expected_separation: best.separation,
+        inseparable_in_envelope: best.separation < SEPARATED,
     })
+}
+
+/// A run, and the rival that it separates from the leader least.
+struct Separating {
+    run: usize,
+    rival: usize,
+    /// By how much, in noise floors squared.
+    separation: f64,
+}
+
+/// The run on which the leader differs most from the rival that comes nearest to it: sought with rivals that
+/// re-adapt linearly, and among the best few with rivals that are fitted anew. `None` where every rival runs away.
+fn most_separating(
+    problem: &Problem,
+    leader: &Fitted,
+    runs: &[(NextDrive, Stretch)],
+    rivals: &[&Ranked],
+) -> Option<Separating> {
+    let nearest = |run: usize, of: &dyn Fn(&Fitted) -> Option<f64>| {
+        let separations = rivals.iter().map(|r| of(&r.scored.fitted)).enumerate();
+        let known = separations.filter_map(|(rival, x)| Some(Separating { run, rival, separation: x? }));
+        known.min_by(|a, b| a.separation.total_cmp(&b.separation))
+    };
+    let mut sorted: Vec<Separating> = (0..runs.len())
+        .into_par_iter()
+        .filter_map(|run| nearest(run, &|rival| separation(problem, leader, rival, &runs[run].1)))
+        .collect();
+    sorted.sort_by(|a, b| b.separation.total_cmp(&a.separation));
+    sorted.truncate(FITTED);
+    let fitted: Vec<Separating> = sorted
+        .par_iter()
+        .filter_map(|s| {
+            let imagined = imagined(problem, leader, &runs[s.run].1)?;
+            let regression = Regression::new(&imagined, true);
+            nearest(s.run, &|rival| readapted(&imagined, &regression, rival))
+        })
+        .collect();
+    fitted.into_iter().max_by(|a, b| a.separation.total_cmp(&b.separation))
 }
 
 /// The menu inside the limits of each drive (largest magnitude).
@@ -117,30 +181,35 @@ fn menu(problem: &Problem, limit: &[f64], band: [f64; 2], rate_hz: f64, seed: u6
     out
 }
 
-/// The proposal, weakened where it would take the response much further than the runs so far did: a sine at
-/// a sharp resonance may break the specimen inside the limits of the drive, and what breaks away from all
-/// that was measured tells little of it. `None` where the leader's free run runs away.
+/// Largest distance of a response from the working point.
+fn reach(problem: &Problem, y: &[f64]) -> f64 {
+    let centre = problem.scales.y_mean;
+    y.iter().fold(0.0, |m, y| m.max((y - centre).abs()))
+}
+
+/// The proposed drive with its run, weakened where it would take the response much further than the runs so
+/// far did: a sine at a sharp resonance may break the specimen inside the limits of the drive, and what breaks
+/// away from all that was measured tells little of it. `None` where the leader's free run runs away.
 fn spared(
     problem: &Problem,
     leader: &Fitted,
     mut proposal: Proposal,
     noise: &Ar,
     band: [f64; 2],
-) -> Option<Proposal> {
-    let centre = problem.scales.y_mean;
-    let reach = |y: &[f64]| y.iter().fold(0.0_f64, |m, y| m.max((y - centre).abs()));
-    let so_far = problem.fit.iter().map(|s| reach(&s.measured)).fold(0.0, f64::max);
-    let new = stretch(problem, &proposal, noise, band);
+) -> Option<(NextDrive, Stretch)> {
+    let so_far = problem.fit.iter().map(|s| reach(problem, &s.measured)).fold(0.0, f64::max);
+    let mut new = stretch(problem, &proposal, noise, band);
     let furthest = FURTHER * so_far * proposal.drive.level_rel.max(1.0);
-    let share = furthest / reach(&leader.candidate.predict(problem, &new, &leader.p)?);
+    let share = furthest / reach(problem, &leader.candidate.predict(problem, &new, &leader.p)?);
     if share < 1.0 {
         // A level that can be set at a rig.
         let level = (100.0 * share * proposal.drive.level_rel).ceil() / 100.0;
         let share = level / proposal.drive.level_rel;
         proposal.drive.level_rel = level;
         proposal.samples.iter_mut().flatten().for_each(|u| *u *= share);
+        new = stretch(problem, &proposal, noise, band);
     }
-    Some(proposal)
+    Some((proposal.drive, new))
 }
 
 /// Noise up to the band's edge with a peak of 1.
@@ -162,17 +231,9 @@ fn band_noise(n: usize, edge: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
     out
 }
 
-/// Mean square difference in noise floors, on the proposed run, between the leader and a rival that
+/// Mean square difference in noise floors, on a new run, between the leader and a rival that
 /// has re-adapted to all runs; `None` where either runs away.
-fn separation(
-    problem: &Problem,
-    leader: &Fitted,
-    rival: &Fitted,
-    proposal: &Proposal,
-    noise: &Ar,
-    band: [f64; 2],
-) -> Option<f64> {
-    let new = stretch(problem, proposal, noise, band);
+fn separation(problem: &Problem, leader: &Fitted, rival: &Fitted, new: &Stretch) -> Option<f64> {
     let rows = |of: &Fitted, p: &[f64], new_only: bool| -> Option<Vec<f64>> {
         let mut out = Vec::new();
         if !new_only {
@@ -180,7 +241,7 @@ fn separation(
                 old.extend(&of.candidate.predict(problem, old, p)?, &mut out);
             }
         }
-        new.extend(&of.candidate.predict(problem, &new, p)?, &mut out);
+        new.extend(&of.candidate.predict(problem, new, p)?, &mut out);
         Some(out)
     };
     let of_rival = |p: &[f64]| rows(rival, p, false);
@@ -196,6 +257,40 @@ fn separation(
     let part = &left[left.len() - scored..];
     let found = dot(part, part) / scored as f64;
     found.is_finite().then_some(found)
+}
+
+/// The response with what the leader says of the runs so far and of a new one in the place of what was
+/// measured.
+fn imagined(problem: &Problem, leader: &Fitted, new: &Stretch) -> Option<Problem> {
+    let says = |stretch: &Stretch| {
+        let measured = Arc::new(leader.candidate.predict(problem, stretch, &leader.p)?);
+        Some(Stretch { measured, ..stretch.clone() })
+    };
+    let fit: Option<Vec<Stretch>> = problem.fit.iter().chain([new]).map(says).collect();
+    Some(Problem { fit: fit?, ..problem.clone() })
+}
+
+/// Mean square difference in noise floors, on the last of the imagined runs, that a rival keeps when it is fitted
+/// to all of them, from where it is and anew: friction with a yield displacement may turn into one without.
+/// `None` where it runs away.
+fn readapted(imagined: &Problem, regression: &Regression<'_>, rival: &Fitted) -> Option<f64> {
+    let candidate = &rival.candidate;
+    let rows = |p: &[f64]| candidate.fit_rows(imagined, p);
+    let limits = Limits { rounds: ROUNDS, still: 1e-3, enough: 0.0 };
+    let anew = fit(imagined, regression, candidate, &[], Effort { rounds: ROUNDS });
+    let best = [Some(rival), anew.as_ref()]
+        .into_iter()
+        .flatten()
+        .filter_map(|from| {
+            let derivatives = |p: &[f64]| candidate.jacobian(imagined, p, &from.scale);
+            minimise(rows, derivatives, &from.p, &from.scale, limits)
+        })
+        .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+    let new = imagined.fit.last()?;
+    let mut left = Vec::new();
+    new.extend(&new.residual(&candidate.predict(imagined, new, &best.p)?), &mut left);
+    let separation = dot(&left, &left) / left.len() as f64;
+    separation.is_finite().then_some(separation)
 }
 
 fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -> Stretch {
@@ -231,7 +326,6 @@ fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -
 mod tests {
     use super::*;
     use crate::engine::diagnosis::candidate::{Candidate, Part};
-    use crate::engine::diagnosis::effect::Effect;
     use crate::engine::diagnosis::law::Law;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{hardening, request};
@@ -245,15 +339,14 @@ mod tests {
         let p = vec![0.0; candidate.parameters(problem)];
         let leader = Fitted { candidate, scale: p.clone(), p, chi2_fit: 1.0 };
         let noise = &prepared.noises[0].ar;
-        let reach = |y: &[f64]| y.iter().fold(0.0_f64, |m, y| m.max((y - problem.scales.y_mean).abs()));
-        let so_far = problem.fit.iter().map(|s| reach(&s.measured)).fold(0.0, f64::max);
+        let so_far = problem.fit.iter().map(|s| reach(problem, &s.measured)).fold(0.0, f64::max);
         for proposal in menu(problem, &problem.drive_peak, prepared.band, 256.0, 1) {
             let before = proposal.drive.clone();
-            let after = spared(problem, &leader, proposal, noise, prepared.band).unwrap();
-            let new = stretch(problem, &after, noise, prepared.band);
+            let (after, new) = spared(problem, &leader, proposal, noise, prepared.band).unwrap();
             let most = 1.6 * so_far * before.level_rel.max(1.0);
-            assert!(reach(&leader.candidate.predict(problem, &new, &leader.p).unwrap()) < most, "{before:?}");
-            let weakened = after.drive.level_rel < before.level_rel;
+            let found = reach(problem, &leader.candidate.predict(problem, &new, &leader.p).unwrap());
+            assert!(found < most, "{before:?}");
+            let weakened = after.level_rel < before.level_rel;
             match before.kind.as_str() {
                 "slow_sine" => assert!(!weakened, "{before:?}"),
                 "resonance_sine" if before.level_rel == 1.0 => assert!(weakened, "{before:?}"),

@@ -11,6 +11,9 @@ use super::report::{Verdict, VerdictKind};
 
 /// Below this many noise floors squared there is nothing that a drive causes.
 pub(super) const NOISE_ONLY: f64 = 1.3;
+/// Probability that there is no material gap where nothing systematic is seen, and where something is that
+/// would have to be a few times larger: what acts seldom may be so elsewhere.
+const NOTHING: [f64; 2] = [0.97, 0.7];
 /// Share of the gap from which on a sim that differs from the core has a bend of its own.
 const BENDS: f64 = 0.01;
 
@@ -157,6 +160,8 @@ impl Overview {
             100.0 * self.systematic(r),
             self.chi2_select[r]
         );
-        Some(Verdict { axis: None, channel: None, ..named(VerdictKind::NoMaterialGap, None, r, because) })
+        let probability = if self.seen.is_empty() { NOTHING[0] } else { NOTHING[1] };
+        let nothing = named(VerdictKind::NoMaterialGap, None, r, because);
+        Some(Verdict { axis: None, channel: None, probability, ..nothing })
     }
 }

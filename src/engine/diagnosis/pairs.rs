@@ -5,15 +5,14 @@
 use rayon::prelude::*;
 
 use super::candidate::{Candidate, Part};
-use super::contest::{CORE_ERRS, TOLERANT};
 use super::decide::charged;
-use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, finish, improve, tolerant};
 use super::input_map::InputMap;
 use super::linear::{dot, norm, solve_spd};
+use super::naming::{misplaced, passivity};
 use super::output_map::OutputMap;
-use super::problem::Stretch;
+use super::problem::{Stretch, scored_rows};
 use super::score::remaining;
 use super::start::{Guess, Regression, Start, map_scale};
 
@@ -28,6 +27,8 @@ pub(super) struct Pair {
     pub fitted: Fitted,
     /// Mean square in noise floors on the select stretches.
     pub chi2: f64,
+    /// Whether one of its forces is none of this response's.
+    pub misplaced: bool,
 }
 
 /// How one effect may begin: its parameters, and the rows that each number which is linear moves.
@@ -104,10 +105,7 @@ pub(super) fn best_pair(
         tried = tried.into_par_iter().map(|f| finish(problem, f, Effort { rounds: *rounds })).collect();
     }
     let least = tried.iter().map(|f| f.chi2_fit).fold(f64::INFINITY, f64::min);
-    if least > CORE_ERRS {
-        let tolerant = |f| tolerant(problem, f, Effort { rounds: TOLERANT });
-        tried = tried.into_par_iter().map(tolerant).collect();
-    }
+    tried = tried.into_par_iter().map(|f| tolerant(problem, f, least)).collect();
     let none = problem.chi2_none(&problem.select);
     let rows = scored_rows(&problem.select);
     let charged = |pair: &Pair| charged(&pair.fitted.candidate.parts, remaining(pair.chi2, none), none, rows);
@@ -115,7 +113,9 @@ pub(super) fn best_pair(
         .into_iter()
         .filter_map(|fitted| {
             let predictions = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
-            Some(Pair { chi2: problem.chi2(&problem.select, &predictions), fitted })
+            let chi2 = problem.chi2(&problem.select, &predictions);
+            let misplaced = misplaced(problem, &fitted.candidate, passivity(problem, &fitted, &predictions));
+            Some(Pair { chi2, misplaced, fitted })
         })
         .collect();
     finished.into_iter().min_by(|a, b| charged(a).total_cmp(&charged(b)))

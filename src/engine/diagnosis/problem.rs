@@ -225,6 +225,11 @@ pub(super) fn smooth(signal: &[f64], band_end: f64) -> Vec<f64> {
     out
 }
 
+/// Rows of all stretches.
+pub(super) fn scored_rows(stretches: &[Stretch]) -> f64 {
+    stretches.iter().map(|s| s.rows.len()).sum::<usize>() as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

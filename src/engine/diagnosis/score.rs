@@ -8,16 +8,16 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::echo::Echo;
 use super::fitting::Fitted;
-use super::naming::{line_in_disguise, open_sandwich, passivity, straightened, unusual};
-use super::problem::{Problem, Stretch};
+use super::naming::{line_in_disguise, misplaced, open_sandwich, passivity, straightened, unusual};
+use super::problem::{Problem, Stretch, scored_rows};
 
 /// Draws of the block bootstrap.
 const DRAWS: usize = 400;
 /// Length of a block: longer than the memory of most rigs, short enough that there are many.
 const BLOCK_S: f64 = 0.5;
 
-/// Standard error of the noise floor, relative to it.
-const FLOOR: f64 = 0.1;
+/// Standard error of the noise floor, relative to it: some thousand rows, and the model of their spectrum.
+const FLOOR: f64 = 0.06;
 
 /// Remaining shares that differ by less are equal.
 pub(super) const EQUAL: f64 = 0.02;
@@ -28,6 +28,8 @@ pub(super) struct Scored {
     /// Index of the problem, and so of the response.
     pub problem: usize,
     pub fitted: Fitted,
+    /// Rows of the fit stretches of the response itself.
+    pub fit_rows: f64,
     /// The same effect at the other responses.
     pub echoes: Vec<Echo>,
     /// Mean square in noise floors on the select stretches of the response itself.
@@ -43,6 +45,8 @@ pub(super) struct Scored {
     pub needless: bool,
     /// How far its force works as one at the response's own place does, -1 to 1.
     pub passivity: f64,
+    /// Not far enough: whatever it closes, it is not this force.
+    pub misplaced: bool,
     /// A law that has two names where the linear part is free too, and that fits the other better.
     pub unusual: bool,
 }
@@ -90,8 +94,10 @@ pub(super) fn score(
     let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
     let needless = straight.is_some_and(|straight| straight - left < EQUAL)
         || open_sandwich(problem, &fitted.candidate, &fitted.p)
-        || line_in_disguise(problem, &fitted, &predictions);
+        || line_in_disguise(problem, &fitted, &predictions, chi2);
     let passivity = passivity(problem, &fitted, &predictions);
+    let misplaced = misplaced(problem, &fitted.candidate, passivity);
+    let fit_rows = scored_rows(&problem.fit);
     let unusual = unusual(problem, &fitted, &predictions);
     Some(Scored {
         problem: index,
@@ -103,7 +109,9 @@ pub(super) fn score(
         blocks,
         needless,
         passivity,
+        misplaced,
         unusual,
+        fit_rows,
     })
 }
 

@@ -6,7 +6,6 @@ use super::candidate::{Candidate, Part};
 use super::catalogue::{FreeRanges, parts};
 use super::contest::Outcome;
 use super::decide::{Ranked, charged, of_two};
-use super::echo::scored_rows;
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
 use super::held_out::{Place, held_out};
@@ -16,6 +15,7 @@ use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::pairs::best_pair;
 use super::prepare::Prepared;
+use super::problem::scored_rows;
 use super::report::SecondEffect;
 use super::score::{Scored, remaining, score};
 use super::start::Regression;
@@ -51,7 +51,7 @@ pub(super) struct Two {
     pub first: usize,
     pub second: SecondEffect,
     /// How believable it is that these two, of two families, are what the sim lacks; 0 where they were not
-    /// sought together.
+    /// sought together, and where one of them works as it cannot.
     pub probability: f64,
 }
 
@@ -119,11 +119,11 @@ fn together(
         [None, None] => return None,
     };
     let held = held_out(input, prepared, problem, &pair.fitted)?;
-    // Two of one family bend to almost anything.
-    let differ = members[0].effect.family() != members[1].effect.family();
+    // Two of one family bend to almost anything, and friction that drives the rig is no friction.
+    let believable = members[0].effect.family() != members[1].effect.family() && !pair.misplaced;
     Some(Two {
         first,
-        probability: if differ { of_two(left, none, rows) } else { 0.0 },
+        probability: if believable { of_two(left, none, rows) } else { 0.0 },
         second: SecondEffect {
             effect: second.effect,
             family: second.effect.family(),

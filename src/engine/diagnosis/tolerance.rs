@@ -92,7 +92,7 @@ impl Candidate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::fitting::{Effort, Fitted, tolerant};
+    use crate::engine::diagnosis::fitting::{Fitted, tolerant};
     use crate::engine::diagnosis::linear::norm;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{friction, none, request};
@@ -144,12 +144,13 @@ mod tests {
         let chi2_fit = dot(&rows, &rows) / rows.len() as f64;
         let scale = vec![1e-3; p.len()];
         let fitted = Fitted { candidate, p, scale, chi2_fit };
-        let found = tolerant(problem, fitted.clone(), Effort { rounds: 8 });
+        let found = tolerant(problem, fitted.clone(), 2.0);
         assert!(found.candidate.retune && found.chi2_fit <= fitted.chi2_fit);
         let cost = costs(problem, &found.candidate, &found.p);
         let freedom = found.candidate.retuned(problem) as f64;
         assert!(cost * cost < 10.0 * freedom, "{cost} for {freedom} numbers");
+        assert_eq!(tolerant(problem, fitted.clone(), 1.0).p, fitted.p, "nothing is left to err");
         problem.tolerance = None;
-        assert!(!tolerant(problem, fitted, Effort { rounds: 8 }).candidate.retune);
+        assert!(!tolerant(problem, fitted, 2.0).candidate.retune);
     }
 }

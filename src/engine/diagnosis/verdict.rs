@@ -17,7 +17,7 @@ const CLOSES: f64 = 0.95;
 
 impl Verdict {
     /// Where nothing of the catalogue alone is the answer: the `first` of two effects as part of it, if
-    /// both together are.
+    /// both together are; that it is none is less believable for all that they close.
     pub(super) fn or_two(
         self,
         input: &Input,
@@ -27,7 +27,9 @@ impl Verdict {
         two: &Two,
     ) -> Self {
         if two.probability < SURE_OF_TWO {
-            return self;
+            let none = self.kind == VerdictKind::NoneOfCatalogue;
+            let left = if none { 1.0 - two.probability } else { 1.0 };
+            return Self { probability: self.probability * left, ..self };
         }
         let effect = first.scored.effect();
         let mut because = self.because;

@@ -94,6 +94,43 @@ fn what_the_catalogue_lacks_is_not_blamed_on_something_else() {
     assert_eq!(found.report.verdict.effect, None);
 }
 
+#[test]
+fn what_mimics_a_cause_that_the_catalogue_lacks_is_not_blamed_for_it() {
+    let cases: [(super::rig::Force, &[Effect]); 3] = [
+        // Stops that touch at rest, gaps that are never left: each is a straight line.
+        (|x, _| 150.0 * x, &[Effect::BumpStop, Effect::OneSidedStop, Effect::Clearance]),
+        // A force that turns its phase on the way.
+        (|_, v| 0.2 * v * v.abs(), &[Effect::CubicStiffness, Effect::BumpStop, Effect::FreeStiffness]),
+        // Friction that drives.
+        (
+            |_, v| -2.0 * v * (-(v / 30.0).powi(2)).exp(),
+            &[Effect::CoulombFriction, Effect::StribeckFriction, Effect::Clearance],
+        ),
+    ];
+    for (k, (force, catalogue)) in cases.into_iter().enumerate() {
+        let request = Input { catalogue: catalogue.to_vec(), ..request(force, 0.01) };
+        let report = diagnose(&request, &unwatched).unwrap().report;
+        let first = &report.hypotheses[0];
+        println!("{k}: {:?} {:?} {:?}", report.gap, report.verdict, first.held_out);
+        assert_eq!(report.verdict.kind, VerdictKind::NoneOfCatalogue, "{k}: {:?}", report.verdict);
+        // Nor is it for want of closing.
+        assert!(first.held_out.closure > 0.8, "{k}: {:?}", first.held_out);
+    }
+}
+
+#[test]
+fn friction_that_weakens_nowhere_stands_alone_beside_the_law_that_holds_it() {
+    let catalogue = vec![Effect::CoulombFriction, Effect::StribeckFriction, Effect::QuadraticDamping];
+    let dry: super::rig::Force = |_, v| 400.0 * (v / 1.5).tanh();
+    let report = diagnose(&Input { catalogue, ..request(dry, 0.01) }, &unwatched).unwrap().report;
+    let verdict = &report.verdict;
+    assert_eq!(verdict.equivalence_set, [Effect::CoulombFriction], "{verdict:?}");
+    // It is listed all the same, and fits as well.
+    let of = |effect| report.hypotheses.iter().find(|h| h.effect == effect).unwrap().held_out.chi2_after;
+    let (dry, weaker) = (of(Effect::CoulombFriction), of(Effect::StribeckFriction));
+    assert!((dry / weaker - 1.0).abs() < 0.1, "{dry} {weaker}");
+}
+
 /// What a shape that bends to whatever it meets closes as well as two effects is told as the two.
 #[test]
 fn friction_beside_an_offset_is_no_free_shape() {
