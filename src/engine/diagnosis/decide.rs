@@ -73,7 +73,7 @@ const STATED: Stated =
     Stated { named: [1.17, 1.30], family: [0.18, 1.27], set: [-0.31, 0.38], none: [0.37, 1.34] };
 
 /// Share of the gap that the right law leaves at most where nothing but the core errs.
-const PLAIN: f64 = 0.005;
+const PLAIN: f64 = 0.007;
 /// Part of this that a free shape may leave: it bends to what a law's own equation errs by.
 const BENT: f64 = 0.4;
 /// The same for two effects together, which bend to more.
@@ -94,7 +94,7 @@ const RIVAL: f64 = 0.02;
 /// Squared noise floors by which an effect is behind one that leaves nothing but noise to be told apart from
 /// it: e^15 times less likely, and a share of the gap for what its own equation errs by.
 const APART: [f64; 2] = [30.0, 0.0005];
-/// Squared noise floors that further numbers must gain to be more than chance.
+/// Squared noise floors that further numbers must gain to be more than chance, beside the same share.
 const GAINS: f64 = 10.0;
 /// Below this probability of the effect only the family, or nothing, is stated.
 const SURE: f64 = 0.5;
@@ -260,7 +260,9 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let margin = 1.5 * spread(rows);
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
-    let enough = APART[0] + APART[1] * (chi2_none - 1.0) * (rows + best.scored.fit_rows);
+    let errs = |rows: f64| APART[1] * (chi2_none - 1.0) * rows;
+    let enough = APART[0] + errs(rows + best.scored.fit_rows);
+    let gains = GAINS + errs(best.scored.fit_rows);
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         // Where the winner leaves nothing but noise, squares count as likelihood does.
@@ -270,7 +272,7 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
         // What is more flexible than the winner explains as well by construction, and what holds it as a
         // special case is no other unless its further numbers gain something.
         let flexible = effect.tier() > set[0].tier()
-            || (effect.contains(set[0]) && other.scored.fits_better_than(&best.scored) < GAINS);
+            || (effect.contains(set[0]) && other.scored.fits_better_than(&best.scored) < gains);
         if far || flexible || set.contains(&effect) {
             continue;
         }

@@ -175,7 +175,11 @@ fn of_part(problem: &Problem, part: &Part, p: &[f64], predictions: &[Vec<f64>]) 
             size += in_phase.abs();
         }
     }
-    let share = if size > 0.0 { sum / size } else { 0.0 };
+    // What does not act here is no worse for it.
+    if size == 0.0 {
+        return 1.0;
+    }
+    let share = sum / size;
     if loses { -share * taken.signum() } else { share.abs() }
 }
 
@@ -260,6 +264,7 @@ fn scored(stretch: &Stretch, mut signal: Vec<f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::diagnosis::effect::Effect;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{friction, request};
 
@@ -270,6 +275,28 @@ mod tests {
         assert!((line.at(7.0) + 11.0).abs() < 1e-12);
         let level = Line::through(&[4.0; 2], &[1.0, 2.0], &[1.0; 2]);
         assert_eq!(level.at(100.0), 1.5);
+    }
+
+    #[test]
+    fn a_spring_pushes_and_what_arrives_a_quarter_turn_later_is_no_spring() {
+        let prepared = prepare(&request(friction, 0.01)).unwrap();
+        let problem = &prepared.problems[0];
+        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
+        let candidate = Candidate { parts: vec![part], retune: false };
+        let work = |path: &[f64]| {
+            let mut p = vec![0.0];
+            p.extend(path.iter().map(|e| 1e-3 * e));
+            let predictions = candidate.predictions(problem, &problem.select, &p).unwrap();
+            let scale = vec![1.0; p.len()];
+            let fitted = Fitted { candidate: candidate.clone(), p, scale, chi2_fit: 1.0 };
+            passivity(problem, &fitted, &predictions)
+        };
+        // The drive acts at the response's own mass.
+        let here = &problem.core.input[0];
+        let turned: Vec<f64> = here.chunks(2).flat_map(|c| [-c[1], c[0]]).collect();
+        assert!(work(here) > 0.9 && !misplaced(problem, &candidate, work(here)), "{}", work(here));
+        assert!(misplaced(problem, &candidate, work(&turned)), "{}", work(&turned));
+        assert_eq!(work(&vec![0.0; here.len()]), 1.0, "what does nothing is no worse for it");
     }
 
     #[test]

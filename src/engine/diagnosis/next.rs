@@ -71,7 +71,8 @@ pub(super) fn next_experiment(
             open.push(rival);
         }
     }
-    if open.is_empty() {
+    let in_doubt = !open.is_empty();
+    if !in_doubt {
         open.extend(rivals.first());
     }
     let noise = &prepared.noises[problem.response].ar;
@@ -82,11 +83,11 @@ pub(super) fn next_experiment(
             .into_par_iter()
             .filter_map(|proposal| spared(problem, leading, proposal, noise, prepared.band))
             .collect();
-    let of_all = most_separating(problem, leading, &runs, &open)?;
+    let of_all = most_separating(problem, leading, &runs, &open, in_doubt)?;
     // Where one of several cannot be told apart by any run, the strongest may be.
     let best = match open.as_slice() {
         [first, _, ..] if of_all.separation < SEPARATED => {
-            most_separating(problem, leading, &runs, &[first]).unwrap_or(of_all)
+            most_separating(problem, leading, &runs, &[first], in_doubt).unwrap_or(of_all)
         }
         _ => of_all,
     };
@@ -107,12 +108,14 @@ struct Separating {
 }
 
 /// The run on which the leader differs most from the rival that comes nearest to it: sought with rivals that
-/// re-adapt linearly, and among the best few with rivals that are fitted anew. `None` where every rival runs away.
+/// re-adapt linearly, and, where they are `in_doubt`, among the best few with rivals that are fitted anew. `None`
+/// where every rival runs away.
 fn most_separating(
     problem: &Problem,
     leader: &Fitted,
     runs: &[(NextDrive, Stretch)],
     rivals: &[&Ranked],
+    in_doubt: bool,
 ) -> Option<Separating> {
     let nearest = |run: usize, of: &dyn Fn(&Fitted) -> Option<f64>| {
         let separations = rivals.iter().map(|r| of(&r.scored.fitted)).enumerate();
@@ -124,6 +127,9 @@ fn most_separating(
         .filter_map(|run| nearest(run, &|rival| separation(problem, leader, rival, &runs[run].1)))
         .collect();
     sorted.sort_by(|a, b| b.separation.total_cmp(&a.separation));
+    if !in_doubt {
+        return sorted.into_iter().next();
+    }
     sorted.truncate(FITTED);
     let fitted: Vec<Separating> = sorted
         .par_iter()
