@@ -55,7 +55,7 @@ const CALIBRATION: Calibration = Calibration {
     passive: 1.0,
     unusual: 0.7,
     sharpness: 3.0,
-    leaves: 0.2,
+    leaves: 0.3,
     slope: 2.5,
 };
 
@@ -73,11 +73,12 @@ const STATED: Stated =
     Stated { named: [1.17, 1.30], family: [0.18, 1.27], set: [-0.31, 0.38], none: [0.37, 1.34] };
 
 /// Share of the gap that the right law leaves at most where nothing but the core errs.
-const PLAIN: f64 = 0.007;
-/// Part of this that a free shape may leave: it bends to what a law's own equation errs by.
-const BENT: f64 = 0.4;
+const PLAIN: f64 = 0.01;
 /// The same for two effects together, which bend to more.
 const OF_TWO: f64 = 0.001;
+/// Part of what a law may leave, beside the noise, that a free shape or a change of all poles and zeros may: they
+/// bend to what a law's own equation errs by.
+const BENT: f64 = 0.3;
 /// Above this share left the catalogue does not hold the effect.
 const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
@@ -151,11 +152,12 @@ fn spread(rows: f64) -> f64 {
 }
 
 /// Probability that what leaves so much is right, or that nothing of the catalogue is.
-fn held(remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
+fn held(tier: Tier, remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(1e-6);
     let left = (remaining * gap - 1.5 * spread(rows)).max(0.0);
-    let units = left / (c.leaves + share * gap);
+    let bent = if matches!(tier, Tier::Linear | Tier::Free) { BENT } else { 1.0 };
+    let units = left / (bent * (c.leaves + share * gap));
     1.0 / (1.0 + units.max(0.02).powf(c.slope))
 }
 
@@ -168,7 +170,7 @@ pub(super) fn allowed(plain: bool) -> f64 {
 
 /// Probability that two effects which together leave so much are what the sim lacks.
 pub(super) fn of_two(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
-    Ruling::Partial.stated(held(remaining, chi2_none, rows, OF_TWO))
+    Ruling::Partial.stated(held(Tier::Law, remaining, chi2_none, rows, OF_TWO))
 }
 
 /// Charge of one effect's tier and shape on the logarithm of the remaining share.
@@ -226,8 +228,9 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -
         && ranked
             .iter()
             .any(|r| r.scored.needless && r.scored.remaining + floor < PLAINER * (best.remaining + floor));
-    let share = if best.effect().tier() == Tier::Free { BENT * share } else { share };
-    let held = if best.unnamed() || plainer { UNNAMED } else { held(best.remaining, chi2_none, rows, share) };
+    let tier = best.effect().tier();
+    let held =
+        if best.unnamed() || plainer { UNNAMED } else { held(tier, best.remaining, chi2_none, rows, share) };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
         r.probability = held * (-c.sharpness * (r.charged - least)).exp() / total;
