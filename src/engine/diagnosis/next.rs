@@ -240,19 +240,16 @@ fn band_noise(n: usize, edge: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 /// Mean square difference in noise floors, on a new run, between the leader and a rival that
 /// has re-adapted to all runs; `None` where either runs away.
 fn separation(problem: &Problem, leader: &Fitted, rival: &Fitted, new: &Stretch) -> Option<f64> {
-    let rows = |of: &Fitted, p: &[f64], new_only: bool| -> Option<Vec<f64>> {
+    let rows = |of: &Fitted, p: &[f64]| -> Option<Vec<f64>> {
         let mut out = Vec::new();
-        if !new_only {
-            for old in &problem.fit {
-                old.extend(&of.candidate.predict(problem, old, p)?, &mut out);
-            }
+        for stretch in problem.fit.iter().chain([new]) {
+            stretch.extend(&of.candidate.predict(problem, stretch, p)?, &mut out);
         }
-        new.extend(&of.candidate.predict(problem, new, p)?, &mut out);
         Some(out)
     };
-    let of_rival = |p: &[f64]| rows(rival, p, false);
+    let of_rival = |p: &[f64]| rows(rival, p);
     let now = of_rival(&rival.p)?;
-    let target: Vec<f64> = rows(leader, &leader.p, false)?.iter().zip(&now).map(|(a, b)| a - b).collect();
+    let target: Vec<f64> = rows(leader, &leader.p)?.iter().zip(&now).map(|(a, b)| a - b).collect();
     let jacobian = quotients(&of_rival, &rival.p, &rival.scale, &now);
     let columns: Vec<&[f64]> = jacobian.iter().map(|c| c.values.as_slice()).collect();
     let mut left = target.clone();
