@@ -78,10 +78,11 @@ pub(super) fn next_experiment(
     let noise = &prepared.noises[problem.response].ar;
     let limit = input.limits(&problem.drive_peak);
     let leading = &leader.scored.fitted;
+    let so_far = problem.fit.iter().map(|s| reach(problem, &s.measured)).fold(0.0, f64::max);
     let runs: Vec<(NextDrive, Stretch)> =
         menu(problem, &limit, prepared.band, input.sample_rate_hz(), input.seed)
             .into_par_iter()
-            .filter_map(|proposal| spared(problem, leading, proposal, noise, prepared.band))
+            .filter_map(|proposal| spared(problem, leading, so_far, proposal, noise, prepared.band))
             .collect();
     let of_all = most_separating(problem, leading, &runs, &open, in_doubt)?;
     // Where one of several cannot be told apart by any run, the strongest may be.
@@ -193,17 +194,17 @@ fn reach(problem: &Problem, y: &[f64]) -> f64 {
     y.iter().fold(0.0, |m, y| m.max((y - centre).abs()))
 }
 
-/// The proposed drive with its run, weakened where it would take the response much further than the runs so
-/// far did: a sine at a sharp resonance may break the specimen inside the limits of the drive, and what breaks
+/// The proposed drive with its run, weakened where it would take the response much further than the reach of
+/// the runs `so_far`: a sine at a sharp resonance may break the specimen inside the limits of the drive, and what breaks
 /// away from all that was measured tells little of it. `None` where the leader's free run runs away.
 fn spared(
     problem: &Problem,
     leader: &Fitted,
+    so_far: f64,
     mut proposal: Proposal,
     noise: &Ar,
     band: [f64; 2],
 ) -> Option<(NextDrive, Stretch)> {
-    let so_far = problem.fit.iter().map(|s| reach(problem, &s.measured)).fold(0.0, f64::max);
     let mut new = stretch(problem, &proposal, noise, band);
     let furthest = FURTHER * so_far * proposal.drive.level_rel.max(1.0);
     let share = furthest / reach(problem, &leader.candidate.predict(problem, &new, &leader.p)?);
@@ -345,7 +346,7 @@ mod tests {
         let so_far = problem.fit.iter().map(|s| reach(problem, &s.measured)).fold(0.0, f64::max);
         for proposal in menu(problem, &problem.drive_peak, prepared.band, 256.0, 1) {
             let before = proposal.drive.clone();
-            let (after, new) = spared(problem, &leader, proposal, noise, prepared.band).unwrap();
+            let (after, new) = spared(problem, &leader, so_far, proposal, noise, prepared.band).unwrap();
             let most = 1.6 * so_far * before.level_rel.max(1.0);
             let found = reach(problem, &leader.candidate.predict(problem, &new, &leader.p).unwrap());
             assert!(found < most, "{before:?}");

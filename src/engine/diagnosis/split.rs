@@ -32,7 +32,7 @@ pub struct Piece {
 /// Quarters of a run that is cut in time.
 pub(super) const QUARTERS: usize = 4;
 /// Their roles, unless the effect shows elsewhere.
-pub(super) const USUAL: [Role; QUARTERS] = [Role::Fit, Role::Fit, Role::Select, Role::Test];
+const USUAL: [Role; QUARTERS] = [Role::Fit, Role::Fit, Role::Select, Role::Test];
 
 /// Pieces of all runs and what was wrong with the repeats.
 pub(super) struct Split {
