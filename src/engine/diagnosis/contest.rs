@@ -81,10 +81,12 @@ pub(super) fn contest<'p>(
         .collect::<Result<_, EngineError>>()?;
     let mut fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
     exchange(prepared, &mut fitted);
-    let fitted = further(prepared, fitted, |problem, f, _| {
+    let mut fitted = further(prepared, fitted, |problem, f, _| {
         report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
         Ok(finish(problem, f, Effort { rounds: 40 }))
     })?;
+    // Where only one of them got on.
+    exchange(prepared, &mut fitted);
     let fitted = further(prepared, fitted, |problem, f, least| Ok(tolerant(problem, f, least)))?;
     let scored: Vec<Option<Scored>> = fitted
         .into_par_iter()

@@ -148,6 +148,11 @@ impl Scored {
     }
 }
 
+/// Mean square in noise floors by which a law's own equation may err: a share of the gap.
+fn errs(chi2_none: f64) -> f64 {
+    APART[1] * (chi2_none - 1.0)
+}
+
 /// Spread of chi2 that noise alone gives, for so many rows.
 fn spread(rows: f64) -> f64 {
     (2.0 / rows.max(1.0)).sqrt()
@@ -202,14 +207,22 @@ pub(super) fn charged(parts: &[Part], remaining: f64, chi2_none: f64, rows: f64)
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
     // Free shapes take in what the core and a law's own equation err by: they are no measure for laws.
-    let firm = scored.iter().filter(|s| s.effect().tier() != Tier::Free);
-    let best = firm.map(|s| s.chi2).fold(f64::INFINITY, f64::min);
+    let firm: Vec<(Effect, f64)> =
+        scored.iter().filter(|s| s.effect().tier() != Tier::Free).map(|s| (s.effect(), s.chi2)).collect();
+    let best = firm.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
     // Where something is left the likelihood is that of what errs, not of the noise.
     let per_row = (best < c.settled).then_some(0.5 * c.behind[0]);
+    let errs = errs(chi2_none);
+    // What holds a law as a special case has to gain more than that law's own equation errs by.
+    let measure = |effect: Effect| {
+        let of = firm.iter().map(|&(other, chi2)| if other.contains(effect) { chi2 + errs } else { chi2 });
+        of.fold(f64::INFINITY, f64::min)
+    };
     let further = |scored: &Scored| {
         let needless = if scored.needless { c.needless } else { 0.0 };
         let unusual = if scored.unusual { c.unusual } else { 0.0 };
-        let behind = per_row.map_or(0.0, |p| (p * rows * (scored.chi2 - best)).clamp(0.0, c.behind[1]));
+        let more = scored.chi2 - measure(scored.effect());
+        let behind = per_row.map_or(0.0, |p| (p * rows * more).clamp(0.0, c.behind[1]));
         needless + unusual + behind + c.passive * (1.0 - scored.passivity)
     };
     let mut ranked: Vec<Ranked> = scored
@@ -265,9 +278,9 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let margin = 1.5 * spread(rows);
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
-    let errs = |rows: f64| APART[1] * (chi2_none - 1.0) * rows;
-    let enough = APART[0] + errs(rows + best.scored.fit_rows);
-    let gains = GAINS + errs(best.scored.fit_rows);
+    let errs = errs(chi2_none);
+    let enough = APART[0] + errs * (rows + best.scored.fit_rows);
+    let gains = GAINS + errs * best.scored.fit_rows;
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         // Where the winner leaves nothing but noise, squares count as likelihood does.
@@ -300,5 +313,55 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
         (Ruling::FamilyOnly, of_family, set)
     } else {
         (Ruling::NotDistinguishable, held, set)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::diagnosis::candidate::Candidate;
+    use crate::engine::diagnosis::fitting::Fitted;
+    use crate::engine::diagnosis::law::Law;
+    use crate::engine::diagnosis::score::remaining;
+
+    const GAP: f64 = 1000.0;
+    const ROWS: f64 = 10_000.0;
+
+    fn scored(effect: Effect, law: Law, chi2: f64) -> Scored {
+        let candidate = Candidate::of(Part::force(effect, vec![law], None), false);
+        let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: chi2 };
+        Scored {
+            problem: 0,
+            fitted,
+            fit_rows: ROWS,
+            echoes: Vec::new(),
+            host_chi2: chi2,
+            chi2,
+            remaining: remaining(chi2, GAP),
+            blocks: vec![chi2; 20],
+            needless: false,
+            passivity: 1.0,
+            misplaced: false,
+            unusual: false,
+        }
+    }
+
+    #[test]
+    fn a_law_that_holds_another_has_to_gain_more_than_the_others_equation_errs_by() {
+        let first = |coulomb: f64| {
+            let both = vec![
+                scored(Effect::CoulombFriction, Law::Coulomb, coulomb),
+                scored(Effect::StribeckFriction, Law::Stribeck, 0.98),
+            ];
+            rank(both, GAP, ROWS, PLAIN)[0].scored.effect()
+        };
+        assert_eq!(first(0.98 + 0.1 * errs(GAP)), Effect::CoulombFriction);
+        assert_eq!(first(0.98 + 1.5 * errs(GAP)), Effect::StribeckFriction);
+        // Neither of these holds the other: squares count.
+        let two = vec![
+            scored(Effect::CubicStiffness, Law::Cubic, 0.98 + 0.1 * errs(GAP)),
+            scored(Effect::BumpStop, Law::BumpStop, 0.98),
+        ];
+        assert_eq!(rank(two, GAP, ROWS, PLAIN)[0].scored.effect(), Effect::BumpStop);
     }
 }

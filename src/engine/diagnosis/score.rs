@@ -135,11 +135,19 @@ pub(super) fn closure_interval(before: &Blocks, after: &Blocks, seed: u64) -> [f
                 rows += before.rows[k];
             }
             let error: f64 = StandardNormal.sample(&mut rng);
-            1.0 - remaining(a / rows + FLOOR * error, b / rows)
+            // Less than the floor says that the floor is wrong, and of what is left it says no more.
+            1.0 - remaining((a / rows).max(1.0) + FLOOR * error, b / rows)
         })
         .collect();
     closures.sort_by(f64::total_cmp);
-    [closures[DRAWS / 20], closures[DRAWS - 1 - DRAWS / 20]]
+    shortest(&closures, DRAWS * 9 / 10)
+}
+
+/// Ends of the shortest interval that holds `count` of the sorted draws: no closure is above 1, and where many
+/// are 1 an interval of equal tails would be as sure of them as one of 95 %.
+fn shortest(draws: &[f64], count: usize) -> [f64; 2] {
+    let ends = draws.windows(count).map(|held| [held[0], held[count - 1]]);
+    ends.min_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0]))).expect("more draws than are held")
 }
 
 /// Whether the difference of two candidates on the same blocks may be chance: its 90 % interval,
@@ -197,5 +205,15 @@ mod tests {
         assert!(low < 0.93 && high > 0.93 && high - low < 0.05, "{low} {high}");
         assert!(!may_be_equal(&before.sums, &after.sums, 1));
         assert!(may_be_equal(&after.sums, &after.sums, 1));
+        let nothing = Blocks { sums: vec![7.0; 40], rows: vec![10.0; 40] };
+        let [low, high] = closure_interval(&before, &nothing, 1);
+        assert!(low < 1.0 && 1.0 - low < FLOOR / 5.0 && high == 1.0, "as sure as the floor: {low} {high}");
+    }
+
+    #[test]
+    fn the_shortest_interval_of_draws_that_pile_up_at_an_end_reaches_it() {
+        let draws = [0.0, 1.0, 2.0, 3.0, 3.5, 3.75, 4.0, 4.0, 4.0, 4.0];
+        assert_eq!(shortest(&draws, 9), [1.0, 4.0]);
+        assert_eq!(shortest(&draws, 5), [3.75, 4.0]);
     }
 }
