@@ -74,16 +74,18 @@ pub(super) fn power(
         let rows = &pair.stretch.rows;
         let n = rows.samples() as f64 * rows.taper_power();
         let a = rows.in_band(&pair.a);
-        let product = match &pair.b {
-            Some(b) => dot(&a, &rows.in_band(b)),
-            None => dot(&a, &a) - floor * n,
+        let own = dot(&a, &a);
+        // A rig that changes in time leaves more of the one repeat than of the other.
+        let (product, square) = match pair.b.as_ref().map(|b| rows.in_band(b)) {
+            Some(b) => (dot(&a, &b), 0.5 * (own + dot(&b, &b))),
+            None => (own - floor * n, own),
         };
         let moved: Vec<f64> =
             pair.stretch.measured[pair.stretch.lead..].iter().map(|y| y - problem.scales.y_mean).collect();
         let y = rows.in_band(&moved);
         systematic += product;
         response += dot(&y, &y);
-        error += dot(&a, &a);
+        error += square;
         total += n;
     }
     Power {
