@@ -194,9 +194,10 @@ fn reach(problem: &Problem, y: &[f64]) -> f64 {
     y.iter().fold(0.0, |m, y| m.max((y - centre).abs()))
 }
 
-/// The proposed drive with its run, weakened where it would take the response much further than the reach of
-/// the runs `so_far`: a sine at a sharp resonance may break the specimen inside the limits of the drive, and what breaks
-/// away from all that was measured tells little of it. `None` where the leader's free run runs away.
+/// The proposed drive with its run, weakened where it would take the response much further than the runs did
+/// that there are, which is `so_far`: a sine at a sharp resonance may break the specimen inside the limits of
+/// the drive, and what breaks away from all that was measured tells little of it. `None` where the leader's free
+/// run runs away.
 fn spared(
     problem: &Problem,
     leader: &Fitted,
