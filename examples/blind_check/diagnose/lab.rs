@@ -1,11 +1,12 @@
-//! A further run where a report could not tell effects apart: the one that it asks for, and beside it one
-//! drawn at random.
+//! A further run where a report could not tell effects apart: the one that it asks for, and beside it
+//! some drawn at random.
 
 use std::path::Path;
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::session::Session;
 use crate::AnyError;
@@ -25,8 +26,9 @@ const MENU: [(&str, f64); 9] = [
 /// When further runs begin, after all others.
 const STARTED_AT: &str = "2026-03-02T12:10:00Z";
 
-/// Reports with the run asked for (`proposed`), if one is, and with one of the menu (`random`), each with
-/// its drive; nothing where one effect stands alone.
+/// Reports with the run asked for (`proposed`), if one is, and with runs of the menu in random order
+/// (`random`), each with its drive: one at least, and more until some run leaves one effect alone. Nothing where
+/// one stands alone from the start.
 pub async fn further(
     dir: &Path,
     folder: &Path,
@@ -35,31 +37,59 @@ pub async fn further(
     request: &Value,
     report: &Value,
 ) -> Result<Value, AnyError> {
-    if report["verdict"]["equivalence_set"].as_array().is_none_or(|set| set.len() < 2) {
+    if stands_alone(report) {
         return Ok(Value::Null);
     }
     let id = about["id"].as_str().ok_or("a case without id")?;
-    let mut rng = ChaCha8Rng::seed_from_u64(id.parse()?);
-    let (kind, level) = MENU[rng.random_range(0..MENU.len())];
-    let asked = &report["next_experiment"]["drive"];
-    let drawn = json!({"kind": kind, "level_rel": level});
-    let mut found = Map::new();
-    for (name, drive) in [("proposed", asked), ("random", &drawn)] {
-        if drive.is_null() {
-            continue;
+    let mut lab = Lab { dir, folder, id, session, request };
+    let proposed = match &report["next_experiment"]["drive"] {
+        Value::Null => Value::Null,
+        asked => lab.with("proposed", asked).await?,
+    };
+    let mut settled = stands_alone(&proposed["report"]);
+    let mut menu = MENU;
+    menu.shuffle(&mut ChaCha8Rng::seed_from_u64(id.parse()?));
+    let mut random = Vec::new();
+    for (kind, level) in menu {
+        if settled && !random.is_empty() {
+            break;
         }
+        let drive = json!({"kind": kind, "level_rel": level});
+        let found = lab.with(&format!("random-{}", random.len()), &drive).await?;
+        settled |= stands_alone(&found["report"]);
+        random.push(found);
+    }
+    Ok(json!({"proposed": proposed, "random": random}))
+}
+
+/// Whether a report leaves one effect, or none.
+fn stands_alone(report: &Value) -> bool {
+    report["verdict"]["equivalence_set"].as_array().is_some_and(|set| set.len() < 2)
+}
+
+/// The rig of a case, with the session that holds its runs.
+struct Lab<'a, 'b> {
+    dir: &'a Path,
+    folder: &'a Path,
+    id: &'a str,
+    session: &'a mut Session<'b>,
+    request: &'a Value,
+}
+
+impl Lab<'_, '_> {
+    /// The drive, and the report on the runs so far with this one.
+    async fn with(&mut self, name: &str, drive: &Value) -> Result<Value, AnyError> {
         let run = format!("further-{name}");
-        let file = record(dir, folder, id, &run, drive).await?;
-        session.upload(&run, "other", STARTED_AT, "application/x-npy", file).await?;
-        let mut request = request.clone();
-        let ids = session.ids(&[&run])?;
+        let file = record(self.dir, self.folder, self.id, &run, drive).await?;
+        self.session.upload(&run, "other", STARTED_AT, "application/x-npy", file).await?;
+        let mut request = self.request.clone();
+        let ids = self.session.ids(&[&run])?;
         if let (Some(runs), Some(more)) = (request["runs"].as_array_mut(), ids.as_array()) {
             runs.extend(more.iter().cloned());
         }
-        let (_, report) = session.diagnose(&request).await?;
-        found.insert(name.into(), json!({"drive": drive, "report": report}));
+        let (_, report) = self.session.diagnose(&request).await?;
+        Ok(json!({"drive": drive, "report": report}))
     }
-    Ok(found.into())
 }
 
 /// Has the lab run the rig; the lab knows which one it is.

@@ -94,7 +94,7 @@ const UNNAMED: f64 = 0.1;
 /// Below this share of the winner's probability an effect is none of those that may be meant: 2 % of a
 /// large gap are many noise floors.
 const RIVAL: f64 = 0.02;
-/// Squared noise floors by which an effect is behind one that leaves nothing but noise to be told apart from
+/// Squared noise floors behind one that leaves nothing but noise from which on an effect is told apart from
 /// it: e^15 times less likely, and a share of the gap for what its own equation errs by.
 const APART: [f64; 2] = [30.0, 0.0005];
 /// Squared noise floors that further numbers must gain to be more than chance, beside the same share.
@@ -151,6 +151,12 @@ impl Scored {
 /// Mean square in noise floors by which a law's own equation may err: a share of the gap.
 fn errs(chi2_none: f64) -> f64 {
     APART[1] * (chi2_none - 1.0)
+}
+
+/// Squared noise floors over so many rows by which an effect is behind one that leaves nothing but noise to be told
+/// apart from it.
+pub(super) fn apart(chi2_none: f64, rows: f64) -> f64 {
+    APART[0] + errs(chi2_none) * rows
 }
 
 /// Spread of chi2 that noise alone gives, for so many rows.
@@ -279,14 +285,14 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
     let errs = errs(chi2_none);
-    let enough = APART[0] + errs * (rows + best.scored.fit_rows);
+    let enough = apart(chi2_none, rows + best.scored.fit_rows);
     let gains = GAINS + errs * best.scored.fit_rows;
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         // Where the winner leaves nothing but noise, squares count as likelihood does.
-        let apart =
+        let behind =
             best.scored.chi2 < CALIBRATION.settled && best.scored.ahead_of(&other.scored, rows) > enough;
-        let far = apart || other.probability < RIVAL * best.probability;
+        let far = behind || other.probability < RIVAL * best.probability;
         // What is more flexible than the winner explains as well by construction, and what holds it as a
         // special case is no other unless its further numbers gain something.
         let flexible = effect.tier() > set[0].tier()

@@ -1,9 +1,9 @@
-//! The run that would separate two effects best: linearised T-optimality (Atkinson and Fedorov 1975).
+//! The run that would separate two effects best: T-optimality (Atkinson and Fedorov 1975), either of the two taken
+//! for the true one by its probability (Ponce de Leon and Atkinson 1991).
 //!
-//! The plain distance of two predictions misleads: the rival would re-adapt to the new run. So the
-//! rival's parameters are moved, linearised, to fit the leader's prediction of old and new runs
-//! together, and what difference is left on the new run counts. Of the few runs that separate best by this
-//! the rival is fitted to what the leader says of them.
+//! The plain distance of two predictions misleads: the other would re-adapt to the new run. So what the one that
+//! is taken for true says of the runs so far and of the new one stands in the place of what is measured, the
+//! other is fitted to it, and what squares that leaves on all of these runs count, as they will when they decide.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::ar::Ar;
-use super::decide::Ranked;
+use super::decide::{Ranked, apart};
 use super::effect::{Effect, Tier};
 use super::fitting::{Effort, Fitted, fit};
 use super::input::Input;
@@ -21,7 +21,7 @@ use super::kernel::Clock;
 use super::levmar::{Limits, minimise, quotients};
 use super::linear::{dot, least_squares};
 use super::prepare::Prepared;
-use super::problem::{Course, Problem, Stretch};
+use super::problem::{Course, Problem, Stretch, scored_rows};
 use super::report::{NextDrive, NextExperiment};
 use super::rows::Rows;
 use super::start::Regression;
@@ -30,12 +30,7 @@ use super::start::Regression;
 const LENGTH_S: f64 = 12.0;
 /// How much further than so far a proposed run takes the response at its usual level.
 const FURTHER: f64 = 1.5;
-/// Mean square in noise floors below which a run separates nothing.
-const SEPARATED: f64 = 0.3;
-
-/// Runs for which rivals are fitted anew,
-const FITTED: usize = 2;
-/// and the Jacobians that this may take.
+/// Jacobians that a fit to what another effect says may take.
 const ROUNDS: usize = 8;
 
 /// A drive of the menu with its samples, `[drive][sample]`.
@@ -84,63 +79,68 @@ pub(super) fn next_experiment(
             .into_par_iter()
             .filter_map(|proposal| spared(problem, leading, so_far, proposal, noise, prepared.band))
             .collect();
-    let of_all = most_separating(problem, leading, &runs, &open, in_doubt)?;
-    // Where one of several cannot be told apart by any run, the strongest may be.
-    let best = match open.as_slice() {
-        [first, _, ..] if of_all.separation < SEPARATED => {
-            most_separating(problem, leading, &runs, &[first], in_doubt).unwrap_or(of_all)
-        }
-        _ => of_all,
+    let behind = if in_doubt { refitted } else { linearised };
+    let squares = |rival: &Ranked, new: &Stretch| {
+        let fits = [leading, &rival.scored.fitted];
+        let named = [leader, rival].map(|r| (r.scored.effect(), r.probability));
+        expected(named, |truth| behind(problem, fits[truth], fits[1 - truth], new))
     };
+    let of_runs: Vec<Vec<Option<f64>>> =
+        runs.par_iter().map(|(_, new)| open.iter().map(|rival| squares(rival, new)).collect()).collect();
+    let of_all = most_separating(&of_runs, open.len())?;
+    let seen = |s: &Separating| s.squares >= told_apart(problem, &runs[s.run].1);
+    // Where one of several cannot be told apart by any run, the strongest may be.
+    let best = if seen(&of_all) { of_all } else { most_separating(&of_runs, 1).unwrap_or(of_all) };
+    let (drive, new) = &runs[best.run];
     Some(NextExperiment {
-        drive: runs[best.run].0.clone(),
+        drive: drive.clone(),
         separates: vec![effect, open[best.rival].scored.effect()],
-        expected_separation: best.separation,
-        inseparable_in_envelope: best.separation < SEPARATED,
+        expected_separation: best.squares / new.rows.len() as f64,
+        inseparable_in_envelope: !seen(&best),
     })
 }
 
+/// Squared noise floors that tell two effects apart once a run is there beside those that are fitted to.
+fn told_apart(problem: &Problem, new: &Stretch) -> f64 {
+    let rows = scored_rows(&problem.fit) + new.rows.len() as f64;
+    apart(problem.chi2_none(&problem.fit), rows)
+}
+
 /// A run, and the rival that it separates from the leader least.
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Separating {
     run: usize,
     rival: usize,
-    /// By how much, in noise floors squared.
-    separation: f64,
+    /// By how much, in squared noise floors.
+    squares: f64,
 }
 
-/// The run on which the leader differs most from the rival that comes nearest to it: sought with rivals that
-/// re-adapt linearly, and, where they are `in_doubt`, among the best few with rivals that are fitted anew. `None`
-/// where every rival runs away.
-fn most_separating(
-    problem: &Problem,
-    leader: &Fitted,
-    runs: &[(NextDrive, Stretch)],
-    rivals: &[&Ranked],
-    in_doubt: bool,
-) -> Option<Separating> {
-    let nearest = |run: usize, of: &dyn Fn(&Fitted) -> Option<f64>| {
-        let separations = rivals.iter().map(|r| of(&r.scored.fitted)).enumerate();
-        let known = separations.filter_map(|(rival, x)| Some(Separating { run, rival, separation: x? }));
-        known.min_by(|a, b| a.separation.total_cmp(&b.separation))
+/// Of the squares that each run is expected to leave between the leader and its rivals, `[run][rival]`, the most:
+/// what counts is the one of the first so many rivals that comes nearest. `None` where every one runs away.
+fn most_separating(of_runs: &[Vec<Option<f64>>], rivals: usize) -> Option<Separating> {
+    let nearest = |(run, squares): (usize, &Vec<Option<f64>>)| {
+        let known = squares[..rivals].iter().enumerate();
+        let known = known.filter_map(|(rival, x)| Some(Separating { run, rival, squares: (*x)? }));
+        known.min_by(|a, b| a.squares.total_cmp(&b.squares))
     };
-    let mut sorted: Vec<Separating> = (0..runs.len())
-        .into_par_iter()
-        .filter_map(|run| nearest(run, &|rival| separation(problem, leader, rival, &runs[run].1)))
-        .collect();
-    sorted.sort_by(|a, b| b.separation.total_cmp(&a.separation));
-    if !in_doubt {
-        return sorted.into_iter().next();
+    of_runs.iter().enumerate().filter_map(nearest).max_by(|a, b| a.squares.total_cmp(&b.squares))
+}
+
+/// Squares that one of two effects, given with their probabilities, is expected to leave where the other is true,
+/// `behind(which is true)`: the geometric mean, since what is far apart already gains little by more, and one of
+/// the two mostly gains much by any run that is loud. `None` where neither is known.
+fn expected(of: [(Effect, f64); 2], behind: impl Fn(usize) -> Option<f64>) -> Option<f64> {
+    let (mut sum, mut probability) = (0.0, 0.0);
+    for truth in [0, 1] {
+        // What holds the true law as a special case follows it through any run.
+        if of[1 - truth].0.contains(of[truth].0) {
+            continue;
+        }
+        let Some(squares) = behind(truth) else { continue };
+        sum += of[truth].1 * squares.ln_1p();
+        probability += of[truth].1;
     }
-    sorted.truncate(FITTED);
-    let fitted: Vec<Separating> = sorted
-        .par_iter()
-        .filter_map(|s| {
-            let imagined = imagined(problem, leader, &runs[s.run].1)?;
-            let regression = Regression::new(&imagined, true);
-            nearest(s.run, &|rival| readapted(&imagined, &regression, rival))
-        })
-        .collect();
-    fitted.into_iter().max_by(|a, b| a.separation.total_cmp(&b.separation))
+    (probability > 0.0).then(|| (sum / probability).exp_m1())
 }
 
 /// The menu inside the limits of each drive (largest magnitude).
@@ -239,9 +239,9 @@ fn band_noise(n: usize, edge: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
     out
 }
 
-/// Mean square difference in noise floors, on a new run, between the leader and a rival that
-/// has re-adapted to all runs; `None` where either runs away.
-fn separation(problem: &Problem, leader: &Fitted, rival: &Fitted, new: &Stretch) -> Option<f64> {
+/// Squared noise floors that `other` leaves, moved as its derivatives say, on the runs so far and a new one where
+/// `truth` is true; `None` where either runs away.
+fn linearised(problem: &Problem, truth: &Fitted, other: &Fitted, new: &Stretch) -> Option<f64> {
     let rows = |of: &Fitted, p: &[f64]| -> Option<Vec<f64>> {
         let mut out = Vec::new();
         for stretch in problem.fit.iter().chain([new]) {
@@ -249,53 +249,42 @@ fn separation(problem: &Problem, leader: &Fitted, rival: &Fitted, new: &Stretch)
         }
         Some(out)
     };
-    let of_rival = |p: &[f64]| rows(rival, p);
-    let now = of_rival(&rival.p)?;
-    let target: Vec<f64> = rows(leader, &leader.p)?.iter().zip(&now).map(|(a, b)| a - b).collect();
-    let jacobian = quotients(&of_rival, &rival.p, &rival.scale, &now);
+    let of_other = |p: &[f64]| rows(other, p);
+    let now = of_other(&other.p)?;
+    let mut left: Vec<f64> = rows(truth, &truth.p)?.iter().zip(&now).map(|(a, b)| a - b).collect();
+    let jacobian = quotients(&of_other, &other.p, &other.scale, &now);
     let columns: Vec<&[f64]> = jacobian.iter().map(|c| c.values.as_slice()).collect();
-    let mut left = target.clone();
-    for (column, x) in columns.iter().zip(least_squares(&columns, &target)) {
+    for (column, x) in columns.iter().zip(least_squares(&columns, &left)) {
         left.iter_mut().zip(*column).for_each(|(l, c)| *l -= x * c);
     }
-    let scored = new.rows.len();
-    let part = &left[left.len() - scored..];
-    let found = dot(part, part) / scored as f64;
-    found.is_finite().then_some(found)
+    let squares = dot(&left, &left);
+    squares.is_finite().then_some(squares)
 }
 
-/// The response with what the leader says of the runs so far and of a new one in the place of what was
+/// The same with `other` fitted, from where it is and anew: friction with a yield displacement may turn into one
+/// without.
+fn refitted(problem: &Problem, truth: &Fitted, other: &Fitted, new: &Stretch) -> Option<f64> {
+    let imagined = imagined(problem, truth, new)?;
+    let candidate = &other.candidate;
+    let rows = |p: &[f64]| candidate.fit_rows(&imagined, p);
+    let limits = Limits { rounds: ROUNDS, still: 1e-3, enough: 0.0 };
+    let anew = fit(&imagined, &Regression::new(&imagined, true), candidate, &[], Effort { rounds: ROUNDS });
+    let costs = [Some(other), anew.as_ref()].into_iter().flatten().filter_map(|from| {
+        let derivatives = |p: &[f64]| candidate.jacobian(&imagined, p, &from.scale);
+        Some(minimise(rows, derivatives, &from.p, &from.scale, limits)?.cost)
+    });
+    costs.filter(|cost| cost.is_finite()).min_by(f64::total_cmp)
+}
+
+/// The response with what an effect says of the runs so far and of a new one in the place of what was
 /// measured.
-fn imagined(problem: &Problem, leader: &Fitted, new: &Stretch) -> Option<Problem> {
+fn imagined(problem: &Problem, truth: &Fitted, new: &Stretch) -> Option<Problem> {
     let says = |stretch: &Stretch| {
-        let measured = Arc::new(leader.candidate.predict(problem, stretch, &leader.p)?);
+        let measured = Arc::new(truth.candidate.predict(problem, stretch, &truth.p)?);
         Some(Stretch { measured, ..stretch.clone() })
     };
     let fit: Option<Vec<Stretch>> = problem.fit.iter().chain([new]).map(says).collect();
     Some(Problem { fit: fit?, ..problem.clone() })
-}
-
-/// Mean square difference in noise floors, on the last of the imagined runs, that a rival keeps when it is fitted
-/// to all of them, from where it is and anew: friction with a yield displacement may turn into one without.
-/// `None` where it runs away.
-fn readapted(imagined: &Problem, regression: &Regression<'_>, rival: &Fitted) -> Option<f64> {
-    let candidate = &rival.candidate;
-    let rows = |p: &[f64]| candidate.fit_rows(imagined, p);
-    let limits = Limits { rounds: ROUNDS, still: 1e-3, enough: 0.0 };
-    let anew = fit(imagined, regression, candidate, &[], Effort { rounds: ROUNDS });
-    let best = [Some(rival), anew.as_ref()]
-        .into_iter()
-        .flatten()
-        .filter_map(|from| {
-            let derivatives = |p: &[f64]| candidate.jacobian(imagined, p, &from.scale);
-            minimise(rows, derivatives, &from.p, &from.scale, limits)
-        })
-        .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-    let new = imagined.fit.last()?;
-    let mut left = Vec::new();
-    new.extend(&new.residual(&candidate.predict(imagined, new, &best.p)?), &mut left);
-    let separation = dot(&left, &left) / left.len() as f64;
-    separation.is_finite().then_some(separation)
 }
 
 fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -> Stretch {
@@ -334,6 +323,36 @@ mod tests {
     use crate::engine::diagnosis::law::Law;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{hardening, request};
+
+    #[test]
+    fn either_effect_counts_as_the_true_one_by_its_probability_but_not_where_the_other_holds_it() {
+        let coulomb = (Effect::CoulombFriction, 0.6);
+        let stribeck = (Effect::StribeckFriction, 0.2);
+        let stop = (Effect::BumpStop, 0.2);
+        let of = |pair, squares: [Option<f64>; 2]| expected(pair, |truth| squares[truth]);
+        let near = |found: Option<f64>, x: f64| assert!((found.unwrap() - x).abs() < 1e-9, "{found:?} {x}");
+        let mean = (0.75 * 100.0_f64.ln() + 0.25 * 10.0_f64.ln()).exp() - 1.0;
+        near(of([coulomb, stop], [Some(99.0), Some(9.0)]), mean);
+        near(of([coulomb, stop], [None, Some(9.0)]), 9.0);
+        assert_eq!(of([coulomb, stop], [None, None]), None);
+        // Stribeck's friction follows Coulomb's anywhere; the other way round it shows.
+        near(of([coulomb, stribeck], [Some(0.0), Some(50.0)]), 50.0);
+        near(of([stribeck, coulomb], [Some(50.0), Some(0.0)]), 50.0);
+    }
+
+    #[test]
+    fn of_runs_the_one_counts_whose_nearest_rival_is_farthest() {
+        let of_runs = vec![
+            vec![Some(90.0), Some(2.0)],
+            vec![Some(40.0), Some(30.0)],
+            vec![None, Some(35.0)],
+            vec![None, None],
+        ];
+        let found = |run, rival, squares| Some(Separating { run, rival, squares });
+        assert_eq!(most_separating(&of_runs, 2), found(2, 1, 35.0));
+        assert_eq!(most_separating(&of_runs, 1), found(0, 0, 90.0));
+        assert_eq!(most_separating(&of_runs[3..], 2), None);
+    }
 
     #[test]
     fn a_sine_at_resonance_is_weakened_and_a_slow_one_is_not() {

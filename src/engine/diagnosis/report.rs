@@ -279,16 +279,17 @@ pub struct NextDrive {
     pub level_rel: f64,
 }
 
-/// The run that separates the two leading effects best.
+/// The run that is expected to separate the leading effect best from the one that comes nearest to it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NextExperiment {
     /// What to drive.
     pub drive: NextDrive,
     /// The effects it separates.
     pub separates: Vec<Effect>,
-    /// Mean square difference in noise floors after the rival has re-adapted.
+    /// Squares in noise floors that the wrong one of them is expected to leave on all runs, fitted to them, over the
+    /// rows of this one.
     pub expected_separation: f64,
-    /// Whether no allowed run separates them.
+    /// Whether no allowed run is expected to separate them.
     pub inseparable_in_envelope: bool,
 }
 

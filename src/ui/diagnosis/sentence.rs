@@ -132,13 +132,13 @@ pub fn next(report: &Report) -> Option<String> {
     let pair = listed(&names(&next.separates), "and");
     if next.inseparable_in_envelope {
         return Some(format!(
-            "No run within the allowed drive levels tells {pair} apart: the best of them, {}, would leave the two {} apart. Allow a higher level, or measure a further signal.",
+            "No run within the allowed drive levels is expected to tell {pair} apart: after the best of them, {}, the wrong one of the two, fitted to all runs as well as it can, would miss them by {}. Allow a higher level, or measure a further signal.",
             drive(report),
             floors(next.expected_separation)
         ));
     }
     Some(format!(
-        "Run {}. It tells {pair} apart: after the second has been fitted to all runs as well as it can, the two predictions still lie {} apart there.",
+        "Run {}. It is expected to tell {pair} apart: the wrong one of the two, fitted to all runs as well as it can, would still miss them by {}, more than chance does.",
         drive(report),
         floors(next.expected_separation)
     ))
