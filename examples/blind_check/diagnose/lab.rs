@@ -37,7 +37,7 @@ pub async fn further(
     request: &Value,
     report: &Value,
 ) -> Result<Value, AnyError> {
-    if stands_alone(report) {
+    if standing(report) < 2 {
         return Ok(Value::Null);
     }
     let id = about["id"].as_str().ok_or("a case without id")?;
@@ -46,7 +46,7 @@ pub async fn further(
         Value::Null => Value::Null,
         asked => lab.with("proposed", asked).await?,
     };
-    let mut settled = stands_alone(&proposed["report"]);
+    let mut settled = standing(&proposed["report"]) == 1;
     let mut menu = MENU;
     menu.shuffle(&mut ChaCha8Rng::seed_from_u64(id.parse()?));
     let mut random = Vec::new();
@@ -56,15 +56,15 @@ pub async fn further(
         }
         let drive = json!({"kind": kind, "level_rel": level});
         let found = lab.with(&format!("random-{}", random.len()), &drive).await?;
-        settled |= stands_alone(&found["report"]);
+        settled |= standing(&found["report"]) == 1;
         random.push(found);
     }
     Ok(json!({"proposed": proposed, "random": random}))
 }
 
-/// Whether a report leaves one effect, or none.
-fn stands_alone(report: &Value) -> bool {
-    report["verdict"]["equivalence_set"].as_array().is_some_and(|set| set.len() < 2)
+/// How many effects a report cannot tell apart; none where it names nothing.
+fn standing(report: &Value) -> usize {
+    report["verdict"]["equivalence_set"].as_array().map_or(0, Vec::len)
 }
 
 /// The rig of a case, with the session that holds its runs.
