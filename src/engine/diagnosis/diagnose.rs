@@ -90,7 +90,7 @@ fn finish(
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
     let verdict = verdict.on_test(hypotheses.first());
     report(watch, "next experiment", 0.95)?;
-    let next_experiment = next_experiment(input, prepared, &ranked, &verdict.equivalence_set);
+    let next_experiment = next_experiment(input, prepared, &ranked, &verdict);
     let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));
     let problem = best.as_ref().map_or(&prepared.problems[overview.worst()], |b| &b.problem);
     let rate = input.sample_rate_hz();

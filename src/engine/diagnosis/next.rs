@@ -22,7 +22,7 @@ use super::levmar::{Limits, minimise, quotients};
 use super::linear::{dot, least_squares};
 use super::prepare::Prepared;
 use super::problem::{Course, Problem, Stretch, scored_rows};
-use super::report::{NextDrive, NextExperiment};
+use super::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
 use super::rows::Rows;
 use super::start::Regression;
 
@@ -39,13 +39,14 @@ struct Proposal {
     samples: Vec<Vec<f64>>,
 }
 
-/// The run that tells the leader best from its rivals, if there are any: those of `set`, which the runs so far
-/// leave open, else the strongest.
+/// The run that tells the leader best from its rivals, if there are any: those of the verdict's set, which the runs
+/// so far leave open, else the strongest. Fits say which run, where one of the set may be right; derivatives do, in
+/// a fraction of the time, where nothing is in doubt or none of the catalogue is what the sim lacks.
 pub(super) fn next_experiment(
     input: &Input,
     prepared: &Prepared,
     ranked: &[Ranked],
-    set: &[Effect],
+    verdict: &Verdict,
 ) -> Option<NextExperiment> {
     let leader = ranked.first()?;
     let problem = &prepared.problems[leader.scored.problem];
@@ -62,12 +63,12 @@ pub(super) fn next_experiment(
     let mut open: Vec<&Ranked> = Vec::new();
     for rival in &rivals {
         let stands = |r: &&Ranked| r.scored.effect() == rival.scored.effect();
-        if set.contains(&rival.scored.effect()) && !open.iter().any(stands) {
+        if verdict.equivalence_set.contains(&rival.scored.effect()) && !open.iter().any(stands) {
             open.push(rival);
         }
     }
-    let in_doubt = !open.is_empty();
-    if !in_doubt {
+    let in_doubt = !open.is_empty() && verdict.kind != VerdictKind::NoneOfCatalogue;
+    if open.is_empty() {
         open.extend(rivals.first());
     }
     let noise = &prepared.noises[problem.response].ar;
