@@ -83,11 +83,11 @@ impl Suite {
     }
 
     /// Lengths of its runs: 100 s as the clocked cases but for the three axes, of six responses, and the next
-    /// experiment, which diagnoses three times.
+    /// experiment, which begins with a short look that leaves more open.
     pub fn lengths(self) -> Lengths {
         match self {
             Self::ThreeAxes => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
-            Self::NextExperiment => Lengths { long: 16.0, half: None, baseline: 30.0 },
+            Self::NextExperiment => Lengths { long: 8.0, half: None, baseline: 30.0 },
             _ => Lengths { long: 30.0, half: Some(20.0), baseline: 40.0 },
         }
     }

@@ -95,8 +95,8 @@ const UNNAMED: f64 = 0.1;
 /// large gap are many noise floors.
 const RIVAL: f64 = 0.02;
 /// Squared noise floors behind one that leaves nothing but noise from which on an effect is told apart from
-/// it: e^15 times less likely, and a share of the gap for what its own equation errs by.
-const APART: [f64; 2] = [30.0, 0.0005];
+/// it: e^6 times less likely, and a share of the gap for what its own equation errs by.
+const APART: [f64; 2] = [12.0, 0.0005];
 /// Squared noise floors that further numbers must gain to be more than chance, beside the same share.
 const GAINS: f64 = 10.0;
 /// Below this probability of the effect only the family, or nothing, is stated.
@@ -153,10 +153,10 @@ fn errs(chi2_none: f64) -> f64 {
     APART[1] * (chi2_none - 1.0)
 }
 
-/// Squared noise floors over so many rows by which an effect is behind one that leaves nothing but noise to be told
-/// apart from it.
-pub(super) fn apart(chi2_none: f64, rows: f64) -> f64 {
-    APART[0] + errs(chi2_none) * rows
+/// Squared noise floors over so many rows by which an effect is behind one to be told apart from it, which itself
+/// leaves the mean square `left`: where that is more than noise, squares tell less by as much.
+pub(super) fn apart(chi2_none: f64, rows: f64, left: f64) -> f64 {
+    APART[0] * left.max(1.0) + errs(chi2_none) * rows
 }
 
 /// Spread of chi2 that noise alone gives, for so many rows.
@@ -213,32 +213,34 @@ pub(super) fn charged(parts: &[Part], remaining: f64, chi2_none: f64, rows: f64)
 pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<Ranked> {
     let c = &CALIBRATION;
     // Free shapes take in what the core and a law's own equation err by: they are no measure for laws.
-    let firm: Vec<(Effect, f64)> =
-        scored.iter().filter(|s| s.effect().tier() != Tier::Free).map(|s| (s.effect(), s.chi2)).collect();
-    let best = firm.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
+    let firm: Vec<&Scored> = scored.iter().filter(|s| s.effect().tier() != Tier::Free).collect();
+    let best = firm.iter().map(|f| f.chi2).fold(f64::INFINITY, f64::min);
     // Where something is left the likelihood is that of what errs, not of the noise.
-    let per_row = (best < c.settled).then_some(0.5 * c.behind[0]);
+    let per_square = (best < c.settled).then_some(0.5 * c.behind[0]);
     let errs = errs(chi2_none);
     // What holds a law as a special case has to gain more than that law's own equation errs by.
-    let measure = |effect: Effect| {
-        let of = firm.iter().map(|&(other, chi2)| if other.contains(effect) { chi2 + errs } else { chi2 });
-        of.fold(f64::INFINITY, f64::min)
+    let behind = |scored: &Scored| {
+        let of = firm.iter().map(|other| {
+            let erring = if other.effect().contains(scored.effect()) { errs } else { 0.0 };
+            other.ahead_of(scored, rows) - erring * (rows + other.fit_rows)
+        });
+        of.fold(0.0, f64::max)
     };
     let further = |scored: &Scored| {
         let needless = if scored.needless { c.needless } else { 0.0 };
         let unusual = if scored.unusual { c.unusual } else { 0.0 };
-        let more = scored.chi2 - measure(scored.effect());
-        let behind = per_row.map_or(0.0, |p| (p * rows * more).clamp(0.0, c.behind[1]));
+        let behind = per_square.map_or(0.0, |p| (p * behind(scored)).clamp(0.0, c.behind[1]));
         needless + unusual + behind + c.passive * (1.0 - scored.passivity)
     };
+    let charges: Vec<f64> = scored
+        .iter()
+        .map(|s| charged(&s.fitted.candidate.parts[..1], s.remaining, chi2_none, rows) + further(s))
+        .collect();
     let mut ranked: Vec<Ranked> = scored
         .into_iter()
-        .filter(|s| s.remaining.is_finite())
-        .map(|scored| {
-            let parts = &scored.fitted.candidate.parts[..1];
-            let charged = charged(parts, scored.remaining, chi2_none, rows) + further(&scored);
-            Ranked { scored, probability: 0.0, charged }
-        })
+        .zip(charges)
+        .filter(|(s, _)| s.remaining.is_finite())
+        .map(|(scored, charged)| Ranked { scored, probability: 0.0, charged })
         .collect();
     ranked.sort_by(|a, b| a.charged.total_cmp(&b.charged));
     let Some(least) = ranked.first().map(|r| r.charged) else { return ranked };
@@ -285,13 +287,16 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
     let errs = errs(chi2_none);
-    let enough = apart(chi2_none, rows + best.scored.fit_rows);
+    let best_left = best.scored.chi2.max(best.scored.fitted.chi2_fit);
+    let enough = apart(chi2_none, rows + best.scored.fit_rows, best_left);
     let gains = GAINS + errs * best.scored.fit_rows;
     for other in &ranked[1..] {
         let effect = other.scored.effect();
-        // Where the winner leaves nothing but noise, squares count as likelihood does.
-        let behind =
-            best.scored.chi2 < CALIBRATION.settled && best.scored.ahead_of(&other.scored, rows) > enough;
+        let chance = may_be_equal(&best.scored.blocks, &other.scored.blocks, seed);
+        // Where the winner leaves nothing but noise, squares count as likelihood does; else what it errs by lasts
+        // longer than a row, and each block has its say.
+        let settled = best.scored.chi2 < CALIBRATION.settled;
+        let behind = best.scored.ahead_of(&other.scored, rows) > enough && (settled || !chance);
         let far = behind || other.probability < RIVAL * best.probability;
         // What is more flexible than the winner explains as well by construction, and what holds it as a
         // special case is no other unless its further numbers gain something.
@@ -301,7 +306,7 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
             continue;
         }
         let close = other.scored.remaining - best.scored.remaining < EQUAL;
-        if close || may_be_equal(&best.scored.blocks, &other.scored.blocks, seed) {
+        if close || chance {
             set.push(effect);
         }
     }
@@ -369,5 +374,33 @@ mod tests {
             scored(Effect::BumpStop, Law::BumpStop, 0.98),
         ];
         assert_eq!(rank(two, GAP, ROWS, PLAIN)[0].scored.effect(), Effect::BumpStop);
+    }
+
+    #[test]
+    fn squares_of_the_fit_count_as_those_of_the_selection_do() {
+        let mut better = scored(Effect::CubicStiffness, Law::Cubic, 0.98);
+        let mut worse = scored(Effect::BumpStop, Law::BumpStop, 0.98);
+        (better.fitted.chi2_fit, worse.fitted.chi2_fit) = (0.98, 0.99);
+        let first = |both: Vec<Scored>| rank(both, GAP, ROWS, PLAIN)[0].scored.effect();
+        assert_eq!(first(vec![worse.clone(), better.clone()]), Effect::CubicStiffness);
+        (better.fitted.chi2_fit, worse.fitted.chi2_fit) = (0.99, 0.98);
+        assert_eq!(first(vec![better, worse]), Effect::BumpStop);
+    }
+
+    #[test]
+    fn where_the_winner_leaves_more_than_noise_squares_tell_less() {
+        let set = |behind: f64| {
+            let left = 1.5;
+            let both = vec![
+                scored(Effect::CubicStiffness, Law::Cubic, left),
+                scored(Effect::BumpStop, Law::BumpStop, left + behind),
+            ];
+            ruling(&rank(both, GAP, ROWS, PLAIN), GAP, ROWS, 1).2
+        };
+        let enough = apart(GAP, 2.0 * ROWS, 1.5);
+        assert!(enough > apart(GAP, 2.0 * ROWS, 1.0));
+        // Both remain within 2 % of the gap.
+        assert_eq!(set(0.9 * enough / (2.0 * ROWS)), [Effect::CubicStiffness, Effect::BumpStop]);
+        assert_eq!(set(1.1 * enough / (2.0 * ROWS)), [Effect::CubicStiffness]);
     }
 }

@@ -1,13 +1,16 @@
 //! From a candidate to its best free run: start, then Levenberg and Marquardt.
 
-use super::candidate::Candidate;
+use super::candidate::{Candidate, Part};
+use super::effect::Tier;
 use super::levmar::{Limits, minimise};
 use super::linear::dot;
 use super::problem::{Problem, scored_rows};
 use super::start::{Regression, Start};
 
-/// Starts that are followed to their end.
+/// Starts that are followed to their end,
 const FOLLOWED: usize = 2;
+/// and of a law of several shape numbers, which is stuck sooner.
+const FOLLOWED_OF_SHAPES: usize = 3;
 /// Jacobians of a fit that only makes a start.
 const PLAIN_ROUNDS: usize = 10;
 
@@ -43,11 +46,14 @@ pub(super) fn fit(
     effort: Effort,
 ) -> Option<Fitted> {
     let mut starts = regression.starts(candidate, known);
-    starts.truncate(FOLLOWED);
+    let law = |part: &Part| part.effect.tier() == Tier::Law && part.shapes() > 1;
+    let shapes = candidate.parts.last().is_some_and(law);
+    let followed = if shapes { FOLLOWED_OF_SHAPES } else { FOLLOWED };
+    starts.truncate(followed);
     if let Some(stiff) = starts.first().and_then(|s| without_retune(problem, regression, candidate, known, s))
     {
         starts.insert(1, stiff);
-        starts.truncate(FOLLOWED);
+        starts.truncate(followed);
     }
     let mut best: Option<Fitted> = None;
     for start in &starts {
@@ -56,7 +62,7 @@ pub(super) fn fit(
             best = Some(found);
         }
         // Nothing left: another start cannot be better.
-        if best.as_ref().is_some_and(|b| b.chi2_fit < 1.1) {
+        if !shapes && best.as_ref().is_some_and(|b| b.chi2_fit < 1.1) {
             break;
         }
     }

@@ -89,7 +89,7 @@ pub(super) fn next_experiment(
     let of_runs: Vec<Vec<Option<f64>>> =
         runs.par_iter().map(|(_, new)| open.iter().map(|rival| squares(rival, new)).collect()).collect();
     let of_all = most_separating(&of_runs, open.len())?;
-    let seen = |s: &Separating| s.squares >= told_apart(problem, &runs[s.run].1);
+    let seen = |s: &Separating| s.squares >= told_apart(problem, leader.scored.chi2, &runs[s.run].1);
     // Where one of several cannot be told apart by any run, the strongest may be.
     let best = if seen(&of_all) { of_all } else { most_separating(&of_runs, 1).unwrap_or(of_all) };
     let (drive, new) = &runs[best.run];
@@ -101,10 +101,11 @@ pub(super) fn next_experiment(
     })
 }
 
-/// Squared noise floors that tell two effects apart once a run is there beside those that are fitted to.
-fn told_apart(problem: &Problem, new: &Stretch) -> f64 {
+/// Squared noise floors that tell the leader, which leaves the mean square `left`, from another effect once a run is
+/// there beside those that are fitted to.
+fn told_apart(problem: &Problem, left: f64, new: &Stretch) -> f64 {
     let rows = scored_rows(&problem.fit) + new.rows.len() as f64;
-    apart(problem.chi2_none(&problem.fit), rows)
+    apart(problem.chi2_none(&problem.fit), rows, left)
 }
 
 /// A run, and the rival that it separates from the leader least.
