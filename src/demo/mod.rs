@@ -2,10 +2,11 @@
 //!
 //! Starts the service on an empty data directory, uploads noise runs, lets the fit policy fit the
 //! four kinds of model, predicts withheld loads and prints how close each kind comes (the shape
-//! of Heindel et al., figure 7). What it does is what a client would do; nothing in the service
-//! knows that the rig is not real.
+//! of Heindel et al., figure 7). Then it uploads runs from after a change of the rig, for a diagnosis.
+//! What it does is what a client would do; nothing in the service knows that the rig is not real.
 
 mod bars;
+mod later;
 mod scores;
 mod service;
 mod upload;
@@ -121,6 +122,15 @@ pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
         "RMS: root of squared error over squared response, mean over three channels. Damage: predicted / measured\n\
          Multi-Rain damage of the forces (500 directions, k = 5, residue repeated); SL: mean over its levels."
     );
+    let (draw, seed) = (VirtualRig::draw(args.seed), args.seed);
+    let changed = computed(move || later::record(&draw, seed)).await??;
+    upload::all(&client, RIG, &changed).await?;
+    println!(
+        "\nMonths later, z's servo-valve has play: {} more runs, tagged `{}`. README, \"Where model and rig differ\",\n\
+         has the service find it and mend the model.",
+        changed.len(),
+        later::TAG
+    );
     if args.exit {
         return service.stop().await;
     }
@@ -143,13 +153,15 @@ async fn simulate(args: &DemoArgs) -> Result<Vec<upload::DemoRun>, DemoError> {
     let (seed, minutes) = (args.seed, args.minutes);
     let bar = bars::steps("simulating the rig");
     let shown = bar.clone();
-    let runs =
-        tokio::task::spawn_blocking(move || upload::record(&VirtualRig::draw(seed), seed, minutes, &shown))
-            .await
-            .map_err(|e| std::io::Error::other(e.to_string()))??;
+    let runs = computed(move || upload::record(&VirtualRig::draw(seed), seed, minutes, &shown)).await??;
     bar.finish_and_clear();
     println!("{} runs recorded in {:.0} s", runs.len(), bar.elapsed().as_secs_f64());
     Ok(runs)
+}
+
+/// Runs what takes long beside the service.
+async fn computed<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> std::io::Result<T> {
+    tokio::task::spawn_blocking(work).await.map_err(|e| std::io::Error::other(e.to_string()))
 }
 
 /// The rig with a policy that fits all four kinds once all training noise is there.

@@ -18,6 +18,22 @@ pub struct DemoRun {
 }
 
 impl DemoRun {
+    /// Simulates a run; the drives arrive at the rig as `arriving` where they do not as they were sent.
+    ///
+    /// # Errors
+    /// What [`VirtualRig::simulate`] refuses.
+    pub fn simulated(
+        rig: &VirtualRig,
+        run: ProgrammeRun,
+        arriving: Option<&Signal>,
+        sensor_seed: u64,
+    ) -> Result<Self, EngineError> {
+        let responses = rig.simulate(arriving.unwrap_or(&run.drive), sensor_seed)?;
+        let channels = [run.drive.channels(), responses.channels()].concat();
+        let recorded = Signal::new(run.drive.sample_rate_hz(), channels)?;
+        Ok(Self { run, recorded })
+    }
+
     /// Length of training data in it.
     pub fn training_s(&self) -> f64 {
         if self.run.split == RunSplit::Training { self.recorded.duration_s() } else { 0.0 }
@@ -60,11 +76,9 @@ pub fn record(
     runs.into_par_iter()
         .enumerate()
         .map(|(i, run)| {
-            let responses = rig.simulate(&run.drive, seed.wrapping_mul(1_000).wrapping_add(i as u64))?;
-            let rate_hz = run.drive.sample_rate_hz();
-            let channels = [run.drive.channels(), responses.channels()].concat();
+            let run = DemoRun::simulated(rig, run, None, seed.wrapping_mul(1_000).wrapping_add(i as u64))?;
             bar.inc(1);
-            Ok(DemoRun { run, recorded: Signal::new(rate_hz, channels)? })
+            Ok(run)
         })
         .collect()
 }
