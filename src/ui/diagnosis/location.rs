@@ -142,7 +142,8 @@ pub fn spectral(
         size: (720.0, 280.0),
         x: (x, "Frequency in Hz".into()),
         y: (
-            Axis::around(Scale::Log, [lowest, largest]),
+            // Room above the lines for the name of a rule.
+            Axis::around(Scale::Log, [lowest, 3.0 * largest]),
             format!("Power spectral density in {}", density_unit(unit)),
         ),
         key: Key::Ends,
@@ -248,7 +249,10 @@ fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
     }
     let named = starts.len() <= 6;
     // Many noise floors: only a logarithmic axis shows the floor too.
-    let (scale, foot) = if worst.chi2 > 400.0 { (Scale::Log, 0.8) } else { (Scale::Linear, 0.0) };
+    let (scale, foot, room) =
+        if worst.chi2 > 400.0 { (Scale::Log, 0.8, 3.0) } else { (Scale::Linear, 0.0, 1.15) };
+    // Above the line is room for the names of runs.
+    let ends = [foot, room * worst.chi2.max(0.0).sqrt()];
     let mut marks: Vec<Mark> = starts
         .into_iter()
         .map(|(at, name)| Mark::Rule { at, upright: true, name: if named { name } else { String::new() } })
@@ -260,7 +264,7 @@ fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
         description: "Error of each second in noise floors, run after run.".into(),
         size: (720.0, 200.0),
         x: (Axis::exact(Scale::Linear, 0.0, clock), "Time in s, one run after the other".into()),
-        y: (Axis::around(scale, y.iter().copied().chain([foot])), "RMS error in noise floors".into()),
+        y: (Axis::around(scale, y.iter().copied().chain(ends)), "RMS error in noise floors".into()),
         key: Key::Above,
         marks: marks
             .into_iter()
