@@ -26,7 +26,12 @@ pub fn rows(cases: &[Case]) -> Vec<Row> {
     });
     add("other-equation", other_equation);
     add("in-situ", |suite, cases| {
-        vec![Row::share(suite, "right", Share::count(cases, |c| c.is_right()), Bar::AtLeast(0.90))]
+        let right = Share::count(cases, |c| c.is_right());
+        let by_name = Share::count(cases, |c| c.is_right() && !c.by_its_other_name());
+        vec![
+            Row::share(suite, "right", right, Bar::AtLeast(0.90)),
+            Row::share(suite, "right by the generator's name", by_name, Bar::None),
+        ]
     });
     add("two-effects", |suite, cases| {
         let both = Share::count(cases, |c| c.both_are_found());

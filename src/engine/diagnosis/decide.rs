@@ -78,9 +78,9 @@ const SUREST: f64 = 0.99;
 const PLAIN: f64 = 0.01;
 /// The same for two effects together, which bend to more.
 const OF_TWO: f64 = 0.001;
-/// Part of what a law may leave, beside the noise, that a free shape or a change of all poles and zeros may: they
+/// Part of what a law may leave, beside the noise, that a change of all poles and zeros may, and a free shape: they
 /// bend to what a law's own equation errs by.
-const BENT: f64 = 0.3;
+const BENT: [f64; 2] = [0.3, 0.5];
 /// Above this share left the catalogue does not hold the effect.
 const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
@@ -169,7 +169,11 @@ fn held(tier: Tier, remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f6
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(1e-6);
     let left = (remaining * gap - 1.5 * spread(rows)).max(0.0);
-    let bent = if matches!(tier, Tier::Linear | Tier::Free) { BENT } else { 1.0 };
+    let bent = match tier {
+        Tier::Linear => BENT[0],
+        Tier::Free => BENT[1],
+        Tier::Scalar | Tier::Law => 1.0,
+    };
     let units = left / (bent * (c.leaves + share * gap));
     1.0 / (1.0 + units.max(0.02).powf(c.slope))
 }

@@ -33,8 +33,8 @@ const STOPS: [f64; 6] = [0.03, 0.1, 0.3, 0.7, 1.3, 2.2];
 // does not.
 /// Largest bend of a cubic spring: it is a line where the response is above its inverse.
 const BEND: f64 = 1.0;
-/// Narrowest gap of a bump stop: less is a stiffer spring.
-const NARROWEST: f64 = 0.1;
+/// Narrowest gap of a bump stop: one that is met for three quarters of the time is a stiffer spring.
+const NARROWEST: f64 = 0.3;
 /// Widest clearance: noise hardly leaves more.
 const WIDEST: f64 = 2.5;
 /// Largest logarithm of the velocity below which dry friction does not slide.

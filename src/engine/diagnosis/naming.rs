@@ -162,10 +162,11 @@ fn of_part(problem: &Problem, part: &Part, p: &[f64], predictions: &[Vec<f64>]) 
     let (mut sum, mut size, mut taken) = (0.0, 0.0, 0.0);
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
         let force = kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock);
-        let force = &force[stretch.lead..];
+        // A mean does no work, and leaks into the lines beside it.
+        let force = scored(stretch, force);
         let moves = prediction[stretch.lead..].windows(2).map(|w| w[1] - w[0]);
         taken += force.iter().zip(moves).map(|(f, dy)| f * dy).sum::<f64>();
-        let (n, lines) = power_lines(force);
+        let (n, lines) = power_lines(&force);
         for (line, power) in lines.iter().enumerate() {
             let f = line as f64 / n as f64;
             let z = Complex64::from_polar(1.0, std::f64::consts::TAU * f);

@@ -19,7 +19,7 @@ use super::fitting::{Effort, Fitted, fit};
 use super::input::Input;
 use super::kernel::Clock;
 use super::levmar::{Limits, minimise, quotients};
-use super::linear::{dot, least_squares};
+use super::linear::{dot, least_squares, mean};
 use super::prepare::Prepared;
 use super::problem::{Course, Problem, Stretch, scored_rows};
 use super::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
@@ -30,6 +30,9 @@ use super::start::Regression;
 const LENGTH_S: f64 = 12.0;
 /// How much further than so far a proposed run takes the response at its usual level.
 const FURTHER: f64 = 1.5;
+/// Times the smallest gap that is material, to which a proposed run may dilute it: what is small beside a sine at
+/// resonance is no gap.
+const MATERIAL: f64 = 1.5;
 /// Jacobians that a fit to what another effect says may take.
 const ROUNDS: usize = 8;
 
@@ -86,26 +89,68 @@ pub(super) fn next_experiment(
         let named = [leader, rival].map(|r| (r.scored.effect(), r.probability));
         expected(named, |truth| behind(problem, fits[truth], fits[1 - truth], new))
     };
-    let of_runs: Vec<Vec<Option<f64>>> =
-        runs.par_iter().map(|(_, new)| open.iter().map(|rival| squares(rival, new)).collect()).collect();
+    let with_new: Vec<Option<Problem>> =
+        runs.par_iter().map(|(_, new)| imagined(problem, leading, new)).collect();
+    let shows = |imagined: &Problem| gap_of(imagined) > MATERIAL * input.material_gap;
+    // A gap that no run shows as well is none to be choosy about.
+    let choosy = with_new.iter().flatten().any(shows);
+    let of_runs: Vec<Vec<Option<Separation>>> = runs
+        .par_iter()
+        .zip(&with_new)
+        .map(|((_, new), with_new)| {
+            let needed = with_new
+                .as_ref()
+                .filter(|with_new| !choosy || shows(with_new))
+                .map(|with_new| told_apart(with_new, leader.scored.chi2));
+            let Some(needed) = needed else { return vec![None; open.len()] };
+            open.iter().map(|rival| Some(Separation { squares: squares(rival, new)?, needed })).collect()
+        })
+        .collect();
     let of_all = most_separating(&of_runs, open.len())?;
-    let seen = |s: &Separating| s.squares >= told_apart(problem, leader.scored.chi2, &runs[s.run].1);
+    let seen = |s: &Separating| s.separation.share() >= 1.0;
     // Where one of several cannot be told apart by any run, the strongest may be.
     let best = if seen(&of_all) { of_all } else { most_separating(&of_runs, 1).unwrap_or(of_all) };
     let (drive, new) = &runs[best.run];
     Some(NextExperiment {
         drive: drive.clone(),
         separates: vec![effect, open[best.rival].scored.effect()],
-        expected_separation: best.squares / new.rows.len() as f64,
+        expected_separation: best.separation.squares / new.rows.len() as f64,
         inseparable_in_envelope: !seen(&best),
     })
 }
 
-/// Squared noise floors that tell the leader, which leaves the mean square `left`, from another effect once a run is
-/// there beside those that are fitted to.
-fn told_apart(problem: &Problem, left: f64, new: &Stretch) -> f64 {
-    let rows = scored_rows(&problem.fit) + new.rows.len() as f64;
-    apart(problem.chi2_none(&problem.fit), rows, left)
+/// Gap relative to how far the response moves, both as imagined.
+fn gap_of(imagined: &Problem) -> f64 {
+    let (mut gap, mut response) = (0.0, 0.0);
+    for stretch in &imagined.fit {
+        let own = stretch.gap(imagined.response);
+        let moves = &stretch.measured[stretch.lead..];
+        let centre = mean(moves);
+        gap += own[stretch.lead..].iter().map(|e| e * e).sum::<f64>();
+        response += moves.iter().map(|y| (y - centre) * (y - centre)).sum::<f64>();
+    }
+    (gap / response.max(f64::MIN_POSITIVE)).sqrt()
+}
+
+/// Squared noise floors that tell the leader, which leaves the mean square `left`, from another effect on the runs
+/// as imagined with a new one: the more, the larger their gap, since what equations err by grows with it.
+fn told_apart(imagined: &Problem, left: f64) -> f64 {
+    // What is imagined is without noise.
+    let none = 1.0 + imagined.chi2_none(&imagined.fit);
+    apart(none, scored_rows(&imagined.fit), left)
+}
+
+/// What a run is expected to leave between two effects, in squared noise floors, and what it takes to tell them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Separation {
+    squares: f64,
+    needed: f64,
+}
+
+impl Separation {
+    fn share(self) -> f64 {
+        self.squares / self.needed
+    }
 }
 
 /// A run, and the rival that it separates from the leader least.
@@ -113,19 +158,19 @@ fn told_apart(problem: &Problem, left: f64, new: &Stretch) -> f64 {
 struct Separating {
     run: usize,
     rival: usize,
-    /// By how much, in squared noise floors.
-    squares: f64,
+    separation: Separation,
 }
 
-/// Of the squares that each run is expected to leave between the leader and its rivals, `[run][rival]`, the most:
-/// what counts is the one of the first so many rivals that comes nearest. `None` where every one runs away.
-fn most_separating(of_runs: &[Vec<Option<f64>>], rivals: usize) -> Option<Separating> {
-    let nearest = |(run, squares): (usize, &Vec<Option<f64>>)| {
-        let known = squares[..rivals].iter().enumerate();
-        let known = known.filter_map(|(rival, x)| Some(Separating { run, rival, squares: (*x)? }));
-        known.min_by(|a, b| a.squares.total_cmp(&b.squares))
+/// Of what each run is expected to leave between the leader and its rivals, `[run][rival]`, the most beside what it
+/// takes: what counts is the one of the first so many rivals that comes nearest. `None` where every one runs away.
+fn most_separating(of_runs: &[Vec<Option<Separation>>], rivals: usize) -> Option<Separating> {
+    let by_share = |a: &Separating, b: &Separating| a.separation.share().total_cmp(&b.separation.share());
+    let nearest = |(run, of): (usize, &Vec<Option<Separation>>)| {
+        let known = of[..rivals].iter().enumerate();
+        let known = known.filter_map(|(rival, x)| Some(Separating { run, rival, separation: (*x)? }));
+        known.min_by(by_share)
     };
-    of_runs.iter().enumerate().filter_map(nearest).max_by(|a, b| a.squares.total_cmp(&b.squares))
+    of_runs.iter().enumerate().filter_map(nearest).max_by(by_share)
 }
 
 /// Squares that one of two effects, given with their probabilities, is expected to leave where the other is true,
@@ -344,16 +389,47 @@ mod tests {
 
     #[test]
     fn of_runs_the_one_counts_whose_nearest_rival_is_farthest() {
+        let of = |squares, needed| Separation { squares, needed };
         let of_runs = vec![
-            vec![Some(90.0), Some(2.0)],
-            vec![Some(40.0), Some(30.0)],
-            vec![None, Some(35.0)],
+            vec![Some(of(90.0, 10.0)), Some(of(2.0, 10.0))],
+            vec![Some(of(40.0, 10.0)), Some(of(30.0, 10.0))],
+            vec![None, Some(of(35.0, 10.0))],
             vec![None, None],
+            // A loud one, whose gap hides far more.
+            vec![Some(of(900.0, 1000.0)), Some(of(800.0, 1000.0))],
         ];
-        let found = |run, rival, squares| Some(Separating { run, rival, squares });
-        assert_eq!(most_separating(&of_runs, 2), found(2, 1, 35.0));
-        assert_eq!(most_separating(&of_runs, 1), found(0, 0, 90.0));
-        assert_eq!(most_separating(&of_runs[3..], 2), None);
+        let found = |run, rival, separation| Some(Separating { run, rival, separation });
+        assert_eq!(most_separating(&of_runs, 2), found(2, 1, of(35.0, 10.0)));
+        assert_eq!(most_separating(&of_runs, 1), found(0, 0, of(90.0, 10.0)));
+        assert_eq!(most_separating(&of_runs[3..4], 2), None);
+    }
+
+    #[test]
+    fn a_run_with_more_gap_shows_it_better_and_takes_more_to_tell() {
+        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let problem = &prepared.problems[0];
+        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
+        let candidate = Candidate { parts: vec![part], retune: false };
+        let mut p = vec![0.0; candidate.parameters(problem)];
+        let path = candidate.parts[0].forces[0].shapes();
+        p[path..]
+            .iter_mut()
+            .zip(&problem.core.input[0])
+            .for_each(|(p, b)| *p = -0.001 * b * problem.drive_peak[0]);
+        let leader = Fitted { candidate, scale: p.clone(), p, chi2_fit: 1.0 };
+        let noise = &prepared.noises[0].ar;
+        let of = |level: f64| {
+            let proposals = menu(problem, &[10.0 * problem.drive_peak[0]], prepared.band, 256.0, 1);
+            let mut loud = proposals.into_iter().find(|p| p.drive.kind == "noise").unwrap();
+            loud.samples.iter_mut().flatten().for_each(|u| *u *= level / loud.drive.level_rel);
+            let with_new =
+                imagined(problem, &leader, &stretch(problem, &loud, noise, prepared.band)).unwrap();
+            (gap_of(&with_new), told_apart(&with_new, 1.0), told_apart(&with_new, 2.0))
+        };
+        let (low, usual, high) = (of(0.3), of(1.0), of(2.0));
+        assert!(usual.0 < 0.9 * high.0, "{} {}", usual.0, high.0);
+        assert!(low.1 < usual.1 && usual.1 < high.1, "{} {} {}", low.1, usual.1, high.1);
+        assert!(usual.2 > usual.1 + 10.0, "what errs tells less: {} {}", usual.1, usual.2);
     }
 
     #[test]

@@ -17,7 +17,7 @@ const DRAWS: usize = 400;
 const BLOCK_S: f64 = 0.5;
 
 /// Standard error of the noise floor, relative to it: some thousand rows, and the model of their spectrum.
-const FLOOR: f64 = 0.04;
+const FLOOR: f64 = 0.03;
 
 /// Remaining shares that differ by less are equal.
 pub(super) const EQUAL: f64 = 0.02;

@@ -101,6 +101,12 @@ pub(super) fn judge(
             100.0 * rival.scored.remaining
         ));
     }
+    if input.mode == Mode::InSitu && [Effect::BumpStop, Effect::Clearance].iter().all(|e| set.contains(e)) {
+        because.push(
+            "with the linear part free a bump stop and a clearance are one law, called by how often its gap is left"
+                .into(),
+        );
+    }
     let mut kind = match ruling {
         Ruling::Identified => VerdictKind::Identified,
         Ruling::Partial => VerdictKind::Partial,
