@@ -113,6 +113,7 @@ fn final_runs(labels: &Value, rows: &[Row]) -> Result<(), AnyError> {
     for line in seeds::logged(log)? {
         match line["event"].as_str() {
             Some("generated") => println!("  round {} made at {}", line["round"], line["at"]),
+            Some("lost") => println!("  round {} lost: {}", line["round"], line["why"]),
             _ => println!("  round {} scored, {} bars missed", line["round"], line["missed"]),
         }
     }

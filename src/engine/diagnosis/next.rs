@@ -3,7 +3,8 @@
 //!
 //! The plain distance of two predictions misleads: the other would re-adapt to the new run. So what the one that
 //! is taken for true says of the runs so far and of the new one stands in the place of what is measured, the
-//! other is fitted to it, and what squares that leaves on all of these runs count, as they will when they decide.
+//! other is fitted to it, and what squares that leaves on all of these runs count, as they will when they decide:
+//! beside those that it takes to decide, which are more where the new run has a larger gap.
 
 use std::sync::Arc;
 
