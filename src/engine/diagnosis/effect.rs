@@ -186,7 +186,10 @@ impl Effect {
 
     /// Whether another effect of its own tier is a special case of it.
     pub(super) fn contains(self, other: Self) -> bool {
-        self == Self::StribeckFriction && other == Self::CoulombFriction
+        matches!(
+            (self, other),
+            (Self::StribeckFriction, Self::CoulombFriction) | (Self::LinearChange, Self::CrossAxisLinear)
+        )
     }
 
     /// Whether the effect is one of the drive's: its axis is that of the drive.

@@ -18,8 +18,11 @@ pub(super) fn roles(chi2: [f64; QUARTERS]) -> Option<[Role; QUARTERS]> {
     order.sort_by(|&a, &b| gap[b].total_cmp(&gap[a]));
     let shows = |gap_of: f64| gap_of >= SHOWS * gap[order[0]];
     let fit_misses = !shows(0.5 * (gap[0] + gap[1]));
-    let select_misses = chi2[2] < NOISE_ONLY && shows(gap[order[1]]);
-    if gap[order[0]] < PLAIN_GAP - 1.0 || !(fit_misses || select_misses) {
+    let plain = |gap_of: f64| gap_of >= PLAIN_GAP - 1.0;
+    // What is small beside the largest is still there to choose on where it is plain.
+    let next = gap[order[1]];
+    let select_misses = chi2[2] < NOISE_ONLY && (shows(next) || plain(next));
+    if !plain(gap[order[0]]) || !(fit_misses || select_misses) {
         return None;
     }
     let mut roles = [Role::Fit; QUARTERS];
@@ -40,6 +43,7 @@ mod tests {
         assert_eq!(roles([1.0, 1.1, 20.0, 3000.0]), Some([fit, test, select, fit]));
         assert_eq!(roles([50.0, 40.0, 1.1, 60.0]), Some([select, test, fit, fit]));
         assert_eq!(roles([50.0, 40.0, 1.1, 2.0]), Some([fit, select, fit, test]));
-        assert_eq!(roles([50.0, 2.0, 1.1, 1.2]), None, "no other quarter shows it well enough to choose on");
+        assert_eq!(roles([17.0, 1.4, 1.1, 2.6]), Some([fit, test, fit, select]));
+        assert_eq!(roles([50.0, 1.9, 1.1, 1.2]), None, "no other quarter shows it well enough to choose on");
     }
 }
