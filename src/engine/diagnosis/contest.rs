@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::beside::beside_linear_change;
 use super::candidate::Candidate;
 use super::catalogue::{FreeRanges, parts};
 use super::decide::{Ranked, allowed, rank};
@@ -110,12 +111,12 @@ pub(super) fn contest<'p>(
     report(watch, "other responses", 0.8)?;
     // A retune, or a path to every further response, errs a little of its own.
     let plain = overview.sim_is_core && !in_situ && overview.seen.len() == 1;
-    Ok(Outcome {
-        ranked: rank(joined, silence.chi2, silence.rows, allowed(plain)),
-        regressions,
-        chi2_none: silence.chi2,
-        rows: silence.rows,
-    })
+    let rank = |scored| rank(scored, silence.chi2, silence.rows, allowed(plain));
+    let mut ranked = rank(joined);
+    if let Some(scored) = beside_linear_change(prepared, &ranked) {
+        ranked = rank(scored);
+    }
+    Ok(Outcome { ranked, regressions, chi2_none: silence.chi2, rows: silence.rows })
 }
 
 /// Fits what comes near the best of its response further, by what that best leaves.

@@ -32,6 +32,9 @@ struct Calibration {
     passive: f64,
     /// Charge of the less usual of two names for one law.
     unusual: f64,
+    /// Charge on the logarithm of what a law leaves beside a linear change, over the least that one leaves, and the
+    /// most that this may come to.
+    beside: [f64; 2],
     /// Sharpness of the probabilities over charged logarithms.
     sharpness: f64,
     /// What the right law may leave in noise floors, beside a share of the gap.
@@ -54,6 +57,7 @@ const CALIBRATION: Calibration = Calibration {
     needless: 3.0,
     passive: 1.0,
     unusual: 0.7,
+    beside: [1.0, 2.0],
     sharpness: 3.0,
     leaves: 0.3,
     slope: 2.5,
@@ -82,7 +86,7 @@ const OF_TWO: f64 = 0.001;
 /// bend to what a law's own equation errs by.
 const BENT: [f64; 2] = [0.3, 0.5];
 /// Above this share left the catalogue does not hold the effect.
-const ABSTAIN: f64 = 0.10;
+pub(super) const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
 const PARTIAL: f64 = 0.02;
 /// and above this mean square, 1.2 times the RMS of the noise.
@@ -236,9 +240,18 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -
         let behind = per_square.map_or(0.0, |p| (p * behind(scored)).clamp(0.0, c.behind[1]));
         needless + unusual + behind + c.passive * (1.0 - scored.passivity)
     };
+    let floor = floor(chi2_none, rows);
+    let least = scored.iter().filter_map(|s| s.beside).fold(f64::INFINITY, f64::min);
+    let lacks = |beside: f64| (c.beside[0] * ((beside + floor) / (least + floor)).ln()).min(c.beside[1]);
+    // Those that were not asked are behind those that were.
+    let most = scored.iter().filter_map(|s| s.beside.map(lacks)).fold(0.0, f64::max);
     let charges: Vec<f64> = scored
         .iter()
-        .map(|s| charged(&s.fitted.candidate.parts[..1], s.remaining, chi2_none, rows) + further(s))
+        .map(|s| {
+            charged(&s.fitted.candidate.parts[..1], s.remaining, chi2_none, rows)
+                + further(s)
+                + s.beside.map_or(most, lacks)
+        })
         .collect();
     let mut ranked: Vec<Ranked> = scored
         .into_iter()
@@ -250,14 +263,14 @@ pub(super) fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -
     let Some(least) = ranked.first().map(|r| r.charged) else { return ranked };
     let best = &ranked[0].scored;
     // What a straightened free shape closes and the winner does not, is linear and not the winner's.
-    let floor = floor(chi2_none, rows);
     let plainer = best.remaining > PARTIAL
         && ranked
             .iter()
             .any(|r| r.scored.needless && r.scored.remaining + floor < PLAINER * (best.remaining + floor));
     let tier = best.effect().tier();
-    let held =
-        if best.unnamed() || plainer { UNNAMED } else { held(tier, best.remaining, chi2_none, rows, share) };
+    // What a linear change takes of the rest is half explained.
+    let left = (best.remaining * best.beside.unwrap_or(best.remaining)).sqrt();
+    let held = if best.unnamed() || plainer { UNNAMED } else { held(tier, left, chi2_none, rows, share) };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
         r.probability = held * (-c.sharpness * (r.charged - least)).exp() / total;
@@ -353,6 +366,7 @@ mod tests {
             host_chi2: chi2,
             chi2,
             remaining: remaining(chi2, GAP),
+            beside: None,
             blocks: vec![chi2; 20],
             needless: false,
             passivity: 1.0,
@@ -389,6 +403,28 @@ mod tests {
         assert_eq!(first(vec![worse.clone(), better.clone()]), Effect::CubicStiffness);
         (better.fitted.chi2_fit, worse.fitted.chi2_fit) = (0.99, 0.98);
         assert_eq!(first(vec![better, worse]), Effect::BumpStop);
+    }
+
+    #[test]
+    fn a_law_that_lacks_a_linear_part_alone_goes_before_one_that_has_bent() {
+        let mut both = vec![
+            scored(Effect::BumpStop, Law::BumpStop, 9.0),
+            scored(Effect::ValveFlow, Law::Valve, 18.0),
+            scored(Effect::CoulombFriction, Law::Coulomb, 12.0),
+        ];
+        let first = |both: &[Scored]| {
+            let ranked = rank(both.to_vec(), GAP, ROWS, PLAIN);
+            (ranked[0].scored.effect(), ranked[0].probability)
+        };
+        assert_eq!(first(&both).0, Effect::BumpStop);
+        (both[0].beside, both[1].beside) = (Some(0.006), Some(0.0));
+        let (effect, p) = first(&both);
+        assert_eq!(effect, Effect::ValveFlow);
+        both[1].beside = Some(0.005);
+        assert_eq!(first(&both).0, Effect::BumpStop, "both lack more than that");
+        // Alone it would leave too much to be believed.
+        let alone = first(&both[1..2]).1;
+        assert!(p > 1.5 * alone, "{p} {alone}");
     }
 
     #[test]

@@ -84,13 +84,24 @@ pub(super) fn tolerant(problem: &Problem, fitted: Fitted, least: f64) -> Fitted 
         return fitted;
     }
     let candidate = Candidate { retune: true, ..fitted.candidate.clone() };
-    let count = fitted.p.len() + candidate.retuned(problem);
+    refit(problem, &fitted, candidate, Effort { rounds: TOLERANT_ROUNDS }).unwrap_or(fitted)
+}
+
+/// Fits a candidate that differs by a retune alone from where the fit without it, or with one that is held, left
+/// off.
+pub(super) fn refit(
+    problem: &Problem,
+    fitted: &Fitted,
+    candidate: Candidate,
+    effort: Effort,
+) -> Option<Fitted> {
+    let count = candidate.parameters(problem);
     let (mut p, mut scale) = (fitted.p.clone(), fitted.scale.clone());
     p.resize(count, 0.0);
     // The slopes of a retune need no step.
     scale.resize(count, 1.0);
     let start = Start { p, scale, cost: fitted.chi2_fit, linear: vec![false; count] };
-    improve(problem, &candidate, &start, Effort { rounds: TOLERANT_ROUNDS }).unwrap_or(fitted)
+    improve(problem, &candidate, &start, effort)
 }
 
 /// Improves one start; with no rounds the start itself is the answer. `None` if its free run does not

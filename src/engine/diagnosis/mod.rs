@@ -13,6 +13,7 @@
 mod adopted;
 mod ar;
 mod augmented;
+mod beside;
 mod candidate;
 mod catalogue;
 mod contest;

@@ -42,6 +42,8 @@ pub(super) struct Scored {
     pub chi2: f64,
     /// Share of the gap that remains, `(chi2 - 1)+ / (chi2_none - 1)`.
     pub remaining: f64,
+    /// The same where a linear change may stand beside it, if that was asked.
+    pub beside: Option<f64>,
     /// Squared rows per block of the select stretches.
     pub blocks: Vec<f64>,
     /// A free shape that does as well straightened, a stop or a gap that is a line, or a sandwich with
@@ -110,6 +112,7 @@ pub(super) fn score(
         host_chi2: chi2,
         chi2,
         remaining: left,
+        beside: None,
         blocks,
         needless,
         passivity,

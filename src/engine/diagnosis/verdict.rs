@@ -101,6 +101,14 @@ pub(super) fn judge(
             100.0 * rival.scored.remaining
         ));
     }
+    let beside = |ranked: &Ranked| {
+        let left = 100.0 * ranked.scored.beside?;
+        Some(format!("{} {left:.1} %", ranked.scored.effect().name()))
+    };
+    let beside: Vec<String> = ranked.iter().filter_map(beside).collect();
+    if !beside.is_empty() {
+        because.push(format!("what a law leaves beside a linear change: {}", beside.join(", ")));
+    }
     if input.mode == Mode::InSitu && [Effect::BumpStop, Effect::Clearance].iter().all(|e| set.contains(e)) {
         because.push(
             "with the linear part free a bump stop and a clearance are one law, called by how often its gap is left"

@@ -1,0 +1,90 @@
+//! What laws leave beside a linear change, where the one that leads leaves more than noise by itself: of two laws
+//! with their own errors the right one may lack no more than a linear part, as the flow of a valve does its
+//! leakage, where the wrong one has bent to what it was given.
+
+use rayon::prelude::*;
+
+use super::candidate::{Candidate, Part};
+use super::decide::{ABSTAIN, NOISE_LEFT, Ranked};
+use super::effect::{Effect, Tier};
+use super::fitting::{Effort, refit};
+use super::prepare::Prepared;
+use super::problem::Problem;
+use super::score::Scored;
+
+/// Laws that are fitted once more.
+const LAWS: usize = 4;
+/// Jacobians of such a fit.
+const ROUNDS: usize = 15;
+
+/// The same candidates, with what the foremost laws leave beside a linear change; `None` where nothing is open: the
+/// first leaves nothing but noise, or it is a shape that bends to anything, or every linear part is free already.
+pub(super) fn beside_linear_change(prepared: &Prepared, ranked: &[Ranked]) -> Option<Vec<Scored>> {
+    let first = &ranked.first()?.scored;
+    let free = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
+    let linear = first.effect() == Effect::LinearChange;
+    if first.chi2 <= NOISE_LEFT
+        || first.remaining > ABSTAIN
+        || first.effect().tier() == Tier::Free
+        || free && !linear
+    {
+        return None;
+    }
+    let mut scored: Vec<Scored> = ranked.iter().map(|r| r.scored.clone()).collect();
+    let law = |s: &Scored| s.effect().tier() == Tier::Law && s.remaining <= ABSTAIN;
+    let foremost: Vec<&mut Scored> = scored.iter_mut().filter(|s| law(s)).take(LAWS).collect();
+    foremost.into_par_iter().for_each(|s| s.beside = left_beside(&prepared.problems[s.problem], s));
+    Some(scored)
+}
+
+/// What remains of the gap where a linear change may take its share of what the law leaves; `None` where its free
+/// run does not stay finite.
+fn left_beside(problem: &Problem, scored: &Scored) -> Option<f64> {
+    let mut parts = scored.fitted.candidate.parts.clone();
+    parts.push(Part::linear_change());
+    let candidate = Candidate { parts, retune: true };
+    let fitted = refit(problem, &scored.fitted, candidate, Effort { rounds: ROUNDS })?;
+    let predictions = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
+    let chi2 = problem.chi2(&problem.select, &predictions);
+    let above = |chi2: f64| (chi2 - 1.0).max(0.0);
+    // At the other responses as much is left as was.
+    let share = above(chi2) / above(scored.host_chi2).max(f64::MIN_POSITIVE);
+    Some(scored.remaining * share.min(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::diagnosis::contest::contest;
+    use crate::engine::diagnosis::overview::Overview;
+    use crate::engine::diagnosis::prepare::prepare;
+    use crate::engine::diagnosis::tests::rig::{Force, few, friction, request};
+    use crate::engine::diagnosis::{Effect, Input};
+    use crate::engine::progress::unwatched;
+
+    /// The first of the ranking, and how many were asked what they leave beside a linear change.
+    fn first(force: Force) -> (Scored, usize) {
+        let input = Input { catalogue: few(), ..request(force, 0.01) };
+        let prepared = prepare(&input).unwrap();
+        let overview = Overview::new(&input, &prepared);
+        let ranked = contest(&input, &prepared, &overview, &unwatched).unwrap().ranked;
+        let asked = ranked.iter().filter(|r| r.scored.beside.is_some()).count();
+        (ranked[0].scored.clone(), asked)
+    }
+
+    #[test]
+    fn a_law_with_a_linear_part_that_it_lacks_leaves_far_less_beside_a_linear_change() {
+        let (best, asked) = first(|x, v| friction(x, v) + 20.0 * x);
+        assert_eq!(best.effect(), Effect::CoulombFriction);
+        assert!(best.chi2 > NOISE_LEFT && asked >= 1, "{} {asked}", best.chi2);
+        let beside = best.beside.unwrap();
+        assert!(beside < 0.3 * best.remaining, "{beside} {}", best.remaining);
+    }
+
+    #[test]
+    fn where_the_first_leaves_nothing_none_is_asked() {
+        let (best, asked) = first(|_, v| 20.0 * v * v.abs());
+        assert_eq!(best.effect(), Effect::QuadraticDamping);
+        assert!(best.chi2 <= NOISE_LEFT && asked == 0, "{} {asked}", best.chi2);
+    }
+}
