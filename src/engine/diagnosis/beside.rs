@@ -17,24 +17,27 @@ const LAWS: usize = 4;
 /// Jacobians of such a fit.
 const ROUNDS: usize = 15;
 
-/// The same candidates, with what the foremost laws leave beside a linear change; `None` where nothing is open: the
-/// first leaves nothing but noise, or it is a shape that bends to anything, or every linear part is free already.
+/// Share of what a linear change leaves alone, that a law beside one has to leave less than: else it is the change
+/// that closes the gap.
+const OF_CHANGE: f64 = 0.5;
+
+/// The same candidates, with what the foremost laws leave beside a linear change. `None` where nothing is open (the
+/// first leaves nothing but noise, it is a shape that bends to anything, or every linear part is free already), and
+/// where it would be the change that closes the gap.
 pub(super) fn beside_linear_change(prepared: &Prepared, ranked: &[Ranked]) -> Option<Vec<Scored>> {
     let first = &ranked.first()?.scored;
+    let change = ranked.iter().find(|r| r.scored.effect() == Effect::LinearChange)?.scored.remaining;
     let free = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
-    let linear = first.effect() == Effect::LinearChange;
-    if first.chi2 <= NOISE_LEFT
-        || first.remaining > ABSTAIN
-        || first.effect().tier() == Tier::Free
-        || free && !linear
-    {
+    let bends = first.effect().tier() == Tier::Free || free && first.effect() != Effect::LinearChange;
+    if first.chi2 <= NOISE_LEFT || first.remaining > ABSTAIN || bends {
         return None;
     }
     let mut scored: Vec<Scored> = ranked.iter().map(|r| r.scored.clone()).collect();
     let law = |s: &Scored| s.effect().tier() == Tier::Law && s.remaining <= ABSTAIN;
     let foremost: Vec<&mut Scored> = scored.iter_mut().filter(|s| law(s)).take(LAWS).collect();
     foremost.into_par_iter().for_each(|s| s.beside = left_beside(&prepared.problems[s.problem], s));
-    Some(scored)
+    let least = scored.iter().filter_map(|s| s.beside).fold(f64::INFINITY, f64::min);
+    (least < OF_CHANGE * change).then_some(scored)
 }
 
 /// What remains of the gap where a linear change may take its share of what the law leaves; `None` where its free
@@ -59,7 +62,7 @@ mod tests {
     use crate::engine::diagnosis::overview::Overview;
     use crate::engine::diagnosis::prepare::prepare;
     use crate::engine::diagnosis::tests::rig::{Force, few, friction, request};
-    use crate::engine::diagnosis::{Effect, Input};
+    use crate::engine::diagnosis::{Effect, Input, diagnose};
     use crate::engine::progress::unwatched;
 
     /// The first of the ranking, and how many were asked what they leave beside a linear change.
@@ -82,8 +85,16 @@ mod tests {
     }
 
     #[test]
+    fn where_it_would_be_the_change_that_closes_the_gap_no_law_is_believed_for_it() {
+        let few = few().into_iter().filter(|e| *e != Effect::LinearChange);
+        let input = Input { catalogue: few.collect(), ..request(|x, _| 60.0 * x, 0.01) };
+        let verdict = diagnose(&input, &unwatched).unwrap().report.verdict;
+        assert!(verdict.effect.is_none(), "{verdict:?}");
+    }
+
+    #[test]
     fn where_the_first_leaves_nothing_none_is_asked() {
-        let (best, asked) = first(|_, v| 20.0 * v * v.abs());
+        let (best, asked) = first(|_, v| 0.1 * v * v.abs());
         assert_eq!(best.effect(), Effect::QuadraticDamping);
         assert!(best.chi2 <= NOISE_LEFT && asked == 0, "{} {asked}", best.chi2);
     }
