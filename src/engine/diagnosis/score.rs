@@ -127,8 +127,8 @@ pub(super) fn remaining(chi2: f64, chi2_none: f64) -> f64 {
     if chi2_none > 1.0 { (chi2 - 1.0).max(0.0) / (chi2_none - 1.0) } else { 1.0 }
 }
 
-/// Shortest interval that holds the closure in 90 % of cases, by drawing blocks with replacement, and the floor of the noise with them:
-/// where nothing is left above it, how well the floor is known is all that bounds the closure.
+/// Shortest interval that holds the closure in 90 % of cases, by drawing blocks with replacement, and the floor of
+/// the noise with them: where nothing is left above it, how well the floor is known is all that bounds the closure.
 pub(super) fn closure_interval(before: &Blocks, after: &Blocks, seed: u64) -> [f64; 2] {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let n = before.sums.len();
