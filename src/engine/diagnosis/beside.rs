@@ -10,7 +10,7 @@ use super::effect::{Effect, Tier};
 use super::fitting::{Effort, refit};
 use super::prepare::Prepared;
 use super::problem::Problem;
-use super::score::Scored;
+use super::score::{Scored, remaining};
 
 /// Laws that are fitted once more.
 const LAWS: usize = 4;
@@ -49,10 +49,8 @@ fn left_beside(problem: &Problem, scored: &Scored) -> Option<f64> {
     let fitted = refit(problem, &scored.fitted, candidate, Effort { rounds: ROUNDS })?;
     let predictions = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
     let chi2 = problem.chi2(&problem.select, &predictions);
-    let above = |chi2: f64| (chi2 - 1.0).max(0.0);
     // At the other responses as much is left as was.
-    let share = above(chi2) / above(scored.host_chi2).max(f64::MIN_POSITIVE);
-    Some(scored.remaining * share.min(1.0))
+    Some(scored.remaining * remaining(chi2, scored.host_chi2).min(1.0))
 }
 
 #[cfg(test)]

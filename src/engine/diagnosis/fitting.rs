@@ -71,9 +71,7 @@ pub(super) fn fit(
 
 /// Goes on where a fit was left off; where nothing is gained the fit stays as it was.
 pub(super) fn finish(problem: &Problem, fitted: Fitted, effort: Effort) -> Fitted {
-    let linear = vec![false; fitted.p.len()];
-    let start = Start { p: fitted.p.clone(), scale: fitted.scale.clone(), cost: fitted.chi2_fit, linear };
-    improve(problem, &fitted.candidate, &start, effort).unwrap_or(fitted)
+    refit(problem, &fitted, fitted.candidate.clone(), effort).unwrap_or(fitted)
 }
 
 /// The fit, of which the best on this response leaves `least`, with its linear part let go as far as the
@@ -87,8 +85,8 @@ pub(super) fn tolerant(problem: &Problem, fitted: Fitted, least: f64) -> Fitted 
     refit(problem, &fitted, candidate, Effort { rounds: TOLERANT_ROUNDS }).unwrap_or(fitted)
 }
 
-/// Fits a candidate that differs by a retune alone from where the fit without it, or with one that is held, left
-/// off.
+/// Fits a candidate from where a fit left off that differs by a retune at most: without it, or with one that is
+/// held. `None` if its free run does not stay finite.
 pub(super) fn refit(
     problem: &Problem,
     fitted: &Fitted,

@@ -115,8 +115,8 @@ pub(super) fn open_sandwich(problem: &Problem, candidate: &Candidate, p: &[f64])
     let is = |least: f64, of: fn(&Stretch, usize) -> Vec<f64>| {
         let (mut uu, mut ss, mut us) = (0.0, 0.0, 0.0);
         for stretch in &problem.select {
-            let inner = scored(stretch, inner_signal(problem, stretch, part.drive, path, direct));
-            let other = scored(stretch, of(stretch, part.drive));
+            let inner = stretch.scored(inner_signal(problem, stretch, part.drive, path, direct));
+            let other = stretch.scored(of(stretch, part.drive));
             uu += dot(&other, &other);
             ss += dot(&inner, &inner);
             us += dot(&inner, &other);
@@ -163,7 +163,7 @@ fn of_part(problem: &Problem, part: &Part, p: &[f64], predictions: &[Vec<f64>]) 
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
         let force = kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock);
         // A mean does no work, and leaks into the lines beside it.
-        let force = scored(stretch, force);
+        let force = stretch.scored(force);
         let moves = prediction[stretch.lead..].windows(2).map(|w| w[1] - w[0]);
         taken += force.iter().zip(moves).map(|(f, dy)| f * dy).sum::<f64>();
         let (n, lines) = power_lines(&force);
@@ -205,7 +205,7 @@ pub(super) fn line_in_disguise(
     let (mut square, mut product) = (0.0, 0.0);
     for (stretch, prediction) in problem.select.iter().zip(predictions) {
         let of = |law: &Law| {
-            scored(stretch, kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock))
+            stretch.scored(kernel::along(law, shape, prediction, &[], problem.scales, stretch.clock))
         };
         let y = of(&Law::Linear);
         square += dot(&y, &y);
@@ -254,14 +254,6 @@ fn power_lines(x: &[f64]) -> (usize, Vec<f64>) {
     (n, lines[..n / 4].iter().map(|z| z.norm_sqr()).collect())
 }
 
-/// The scored part of a signal about its mean.
-fn scored(stretch: &Stretch, mut signal: Vec<f64>) -> Vec<f64> {
-    let mut part = signal.split_off(stretch.lead);
-    let centre = mean(&part);
-    part.iter_mut().for_each(|x| *x -= centre);
-    part
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -282,8 +274,7 @@ mod tests {
     fn a_spring_pushes_and_what_arrives_a_quarter_turn_later_is_no_spring() {
         let prepared = prepare(&request(friction, 0.01)).unwrap();
         let problem = &prepared.problems[0];
-        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
-        let candidate = Candidate { parts: vec![part], retune: false };
+        let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let work = |path: &[f64]| {
             let mut p = vec![0.0];
             p.extend(path.iter().map(|e| 1e-3 * e));

@@ -20,7 +20,7 @@ use super::fitting::{Effort, Fitted, fit};
 use super::input::Input;
 use super::kernel::Clock;
 use super::levmar::{Limits, minimise, quotients};
-use super::linear::{dot, least_squares, mean};
+use super::linear::{dot, least_squares};
 use super::prepare::Prepared;
 use super::problem::{Course, Problem, Stretch, scored_rows};
 use super::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
@@ -124,11 +124,10 @@ pub(super) fn next_experiment(
 fn gap_of(imagined: &Problem) -> f64 {
     let (mut gap, mut response) = (0.0, 0.0);
     for stretch in &imagined.fit {
-        let own = stretch.gap(imagined.response);
-        let moves = &stretch.measured[stretch.lead..];
-        let centre = mean(moves);
-        gap += own[stretch.lead..].iter().map(|e| e * e).sum::<f64>();
-        response += moves.iter().map(|y| (y - centre) * (y - centre)).sum::<f64>();
+        let own = &stretch.gap(imagined.response)[stretch.lead..];
+        let moves = stretch.scored(stretch.measured.to_vec());
+        gap += dot(own, own);
+        response += dot(&moves, &moves);
     }
     (gap / response.max(f64::MIN_POSITIVE)).sqrt()
 }
@@ -409,8 +408,7 @@ mod tests {
     fn a_run_with_more_gap_shows_it_better_and_takes_more_to_tell() {
         let prepared = prepare(&request(hardening, 0.01)).unwrap();
         let problem = &prepared.problems[0];
-        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
-        let candidate = Candidate { parts: vec![part], retune: false };
+        let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let mut p = vec![0.0; candidate.parameters(problem)];
         let path = candidate.parts[0].forces[0].shapes();
         p[path..]
@@ -437,8 +435,7 @@ mod tests {
     fn a_sine_at_resonance_is_weakened_and_a_slow_one_is_not() {
         let prepared = prepare(&request(hardening, 0.01)).unwrap();
         let problem = &prepared.problems[0];
-        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
-        let candidate = Candidate { parts: vec![part], retune: false };
+        let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let p = vec![0.0; candidate.parameters(problem)];
         let leader = Fitted { candidate, scale: p.clone(), p, chi2_fit: 1.0 };
         let noise = &prepared.noises[0].ar;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::core::Core;
 use super::input::{Input, Mode};
 use super::kernel::{Clock, Scales};
-use super::linear::dot;
+use super::linear::{dot, mean};
 use super::rows::Rows;
 use super::tolerance::Tolerance;
 
@@ -146,6 +146,14 @@ impl Stretch {
     /// Adds the rows of a signal on this stretch.
     pub fn extend(&self, signal: &[f64], rows: &mut Vec<f64>) {
         self.rows.extend(&signal[self.lead..], rows);
+    }
+
+    /// The scored part of a signal about its mean.
+    pub fn scored(&self, mut signal: Vec<f64>) -> Vec<f64> {
+        let mut part = signal.split_off(self.lead);
+        let centre = mean(&part);
+        part.iter_mut().for_each(|x| *x -= centre);
+        part
     }
 
     /// What the sim leaves of the response.

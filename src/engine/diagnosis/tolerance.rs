@@ -137,8 +137,7 @@ mod tests {
     fn a_core_that_errs_is_corrected_within_its_tolerance() {
         let mut prepared = prepare(&request(none, 0.01)).unwrap();
         let problem = &mut prepared.problems[0];
-        let part = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
-        let candidate = Candidate { parts: vec![part], retune: false };
+        let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let p = vec![0.0; candidate.parameters(problem)];
         let rows = candidate.residual_rows(problem, &problem.fit, &p).unwrap();
         let chi2_fit = dot(&rows, &rows) / rows.len() as f64;
