@@ -1,12 +1,12 @@
-//! The engine's works, each measured by itself: `cargo bench --bench engine`.
+//! Single computations of the engine, measured one by one: `cargo bench --bench engine`.
 
 use std::slice::from_ref;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use rigcast::engine::checkpoint::Forget;
+use rigcast::engine::checkpoint::NoCheckpoints;
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
 use rigcast::engine::frf::estimate;
-use rigcast::engine::lstm::{Recombine, predict, train};
+use rigcast::engine::lstm::{Recombine, Until, predict, train};
 use rigcast::engine::progress::unwatched;
 
 #[path = "../examples/speed/works.rs"]
@@ -40,10 +40,10 @@ fn training(c: &mut Criterion) {
             b.iter(|| {
                 train(
                     from_ref(&stretch),
-                    from_ref(&validation),
+                    Until::Best(from_ref(&validation)),
                     &works::net(),
                     (&settings, 1),
-                    (&Forget, ""),
+                    (&NoCheckpoints, ""),
                     &unwatched,
                 )
                 .expect("the data suit the network")

@@ -1,12 +1,14 @@
 //! Fits and scores models on a folder of measured data, speaking only HTTP.
 //!
 //! `cargo run --release --example real_data -- ../shared/data/silverbox`
+//! `cargo run --release --example real_data -- ../shared/data/multiaxis_shaker --train halves --lstm '{}'`
 //!
 //! The folder's `about.json` names sample rate, channels, training and test files and the
 //! published figures. A service is started on a free port and a temporary directory unless
-//! `--url` names one. One JSON line is printed per model and test file, then a table. The model
-//! that a data set stands for is the one with the lowest error on validation data; test files are
-//! opened only after it is chosen.
+//! `--url` names one. One JSON line is printed per model and test file, then a table: RMSE is the root of
+//! the mean squared error in the unit of the data, NRMSE that relative to the measured standard deviation;
+//! both count an error of the mean, as the published figures do. The result for a data set is that of the
+//! model with the lowest error on validation data; test files are opened only after the choice.
 
 mod support;
 
@@ -25,10 +27,13 @@ use support::table;
 struct Args {
     /// Folder with an `about.json`.
     folder: PathBuf,
+    /// Of the shaker's data: the run to train on (`run1` or `run2`), or `halves` for the first half of each.
+    #[arg(long)]
+    train: Option<String>,
     /// A running service; left out: one is started for the occasion.
     #[arg(long)]
     url: Option<String>,
-    /// Token to show there.
+    /// Token for the service.
     #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
     token: Option<String>,
     /// Only these kinds of model.
@@ -40,7 +45,7 @@ struct Args {
     lstm: String,
 }
 
-/// A fitted model and what it cost.
+/// A fitted model, its error and its fit time.
 struct FittedModel {
     kind: String,
     version: u64,
@@ -65,7 +70,7 @@ async fn run(args: Args) -> Result<(), AnyError> {
     };
     let url = own.as_ref().map(|o| o.url()).or(args.url);
     let client = Client::new(&url.ok_or("no service")?, args.token.as_deref())?;
-    let data = Dataset::open(&args.folder)?;
+    let data = Dataset::open(&args.folder, args.train.as_deref())?;
 
     client.post("/v1/rigs", &data.rig()).await?;
     for (name, content_type, bytes) in data.training()? {
@@ -83,7 +88,7 @@ async fn run(args: Args) -> Result<(), AnyError> {
     let chosen = models.iter().min_by(|a, b| a.validation.total_cmp(&b.validation)).expect("a model").version;
     let active = client.get(&format!("/v1/rigs/{}/active-model", data.id())).await?["version"].as_u64();
 
-    // Only now are the test files read.
+    // The test files are read only now.
     let tests = data.tests()?;
     let mut rows = Vec::new();
     for model in &models {
@@ -93,9 +98,18 @@ async fn run(args: Args) -> Result<(), AnyError> {
             rows.push((model.kind.clone(), model.version == chosen, test.name.clone(), score));
         }
     }
+    let of = |kind: &str, test: &TestFile| {
+        rows.iter().find(|(k, _, name, _)| k == kind && *name == test.name).map(|(.., score)| score)
+    };
+    let active_kind = kind_of(&models, active);
+    let worst = tests.iter().filter_map(|test| of(active_kind, test)?.worst_against(of("frf", test)?));
+    let worst = worst.fold(f64::NAN, f64::max);
     println!("\n{}", table::compare(&data, &rows));
+    println!("RMSE: root of the mean squared error, an error of the mean counts; NRMSE: over the deviation.");
     println!("chosen on validation data: {}", kind_of(&models, Some(chosen)));
-    println!("active in the service (if_better): {}", kind_of(&models, active));
+    println!(
+        "active in the service (if_better): {active_kind}, at most {worst:.3} times the FRF's error on any output"
+    );
     if let Some(own) = own {
         own.stop().await?;
     }
@@ -136,6 +150,11 @@ pub struct Score {
 }
 
 impl Score {
+    /// Largest ratio of the errors of one output.
+    fn worst_against(&self, other: &Self) -> Option<f64> {
+        self.nrmse.iter().zip(&other.nrmse).map(|(own, other)| own / other).reduce(f64::max)
+    }
+
     fn line(&self, model: &FittedModel, test: &TestFile) -> Value {
         let one_or_all = |v: &[f64]| if v.len() == 1 { json!(v[0]) } else { json!(v) };
         json!({"model": model.kind, "file": test.name, "rmse": one_or_all(&self.rmse), "unit": self.unit,

@@ -21,7 +21,7 @@ GROUPS = {
     "set": ["not_distinguishable"],
     "none": ["none_of_catalogue"],
 }
-# The prior's weight in cases: [a, b] = [0, 1] unless the cases say otherwise.
+# Weight of the prior [a, b] = [0, 1], in cases.
 PRIOR = 2.0
 
 
@@ -55,7 +55,7 @@ def fit(cases):
             hbb += w * x * x
         det = haa * hbb - hab * hab
         da, db = (hbb * ga - hab * gb) / det, (haa * gb - hab * ga) / det
-        # Halved until it pays: far from the optimum a whole step may overshoot.
+        # Halved until the loss falls: far from the optimum a whole step may overshoot.
         now = cost(cases, a, b)
         while cost(cases, a - da, b - db) > now and abs(da) + abs(db) > 1e-9:
             da, db = 0.5 * da, 0.5 * db

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Holds the running program against openapi.yaml: schemathesis sends what the contract allows, and what
-# it forbids, with all checks on.
+# Checks the running program against openapi.yaml: schemathesis sends requests that the contract allows and
+# requests that it forbids, with all checks on.
 #
 #   scripts/contract.sh CASES        # about so many; settings in scripts/contract.toml
 #
-# Says that it skips, and succeeds, where Python or its packages cannot be had. RIGCAST names the program.
+# Prints that it skips, and succeeds, where Python or its packages are missing. RIGCAST names the program.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -21,7 +21,7 @@ stop() {
 }
 trap stop EXIT
 
-# Another version of a package is another environment.
+# One environment per set of package versions.
 wanted=$(sha256sum scripts/contract-requirements.txt | cut -c1-16)
 if [ ! -x "$tools-$wanted/bin/st" ]; then
   if ! { python3 -m venv "$tools-$wanted" && "$tools-$wanted/bin/pip" install --quiet --disable-pip-version-check \
@@ -48,12 +48,12 @@ export RIGCAST_TOKEN=$secret
 python3 scripts/contract_rig.py "$base" "$work/always" "$work/there"
 status=0
 total=0
-# Once into a rig that is there, with runs and a model; once into the void.
+# Once with a rig that has runs and a model; once with a rig that does not exist.
 for void in no yes; do
   cat scripts/contract.toml "$([ $void = yes ] && echo /dev/null || echo "$work/there")" "$work/always" >"$work/contract.toml"
-  # Each operation has some fixed cases of its own beside those that are drawn.
+  # Each operation has some fixed cases besides the random ones.
   each=$((cases / 2 / 38 + 1))
-  # It leaves a folder of its own where it runs.
+  # It leaves a folder in its working directory.
   (cd "$work" && "$st" --config-file contract.toml run "$root/openapi.yaml" --url "$base" --header "Authorization: Bearer $secret" \
     --max-examples "$each" --seed "${SEED:-1}" --no-color) >"$work/report.$void" 2>&1 || status=1
   awk '/= (FAILURES|ERRORS) =/ { on = 1 } on' "$work/report.$void" | head -400

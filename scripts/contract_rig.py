@@ -55,7 +55,7 @@ job = send("POST", "/v1/rigs/bench/fits", {"kind": "frf"})["id"]
 while send("GET", f"/v1/jobs/{job}")["state"] not in ("succeeded", "failed"):
     time.sleep(0.1)
 
-# The token that all requests show must not be the one that is revoked.
+# The token that all requests send must not be the one that is revoked.
 other = send("POST", "/v1/tokens", {"role": "reader"})["id"]
 with open(sys.argv[2], "w") as always:
     always.write(f"""

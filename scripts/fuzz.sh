@@ -3,7 +3,7 @@
 #
 #   scripts/fuzz.sh SECONDS [TARGET...]
 #
-# Inputs that were worth keeping gather in fuzz/corpus, those that broke something in fuzz/artifacts.
+# New inputs are kept in fuzz/corpus, inputs that fail in fuzz/artifacts.
 set -euo pipefail
 cd "$(dirname "$0")/../fuzz"
 

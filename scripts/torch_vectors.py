@@ -59,7 +59,7 @@ def main():
     for name, cells, blocks in [("lstm_39", 39, 1), ("lstm_23_23", 23, 2)]:
         torch.manual_seed(SEED)
         rng = np.random.default_rng(SEED)
-        # Larger than PyTorch's own start, so that gates leave their linear range.
+        # Larger than PyTorch's initial weights, so that gates leave their linear range.
         net = Net(3, cells, blocks, 3)
         with torch.no_grad():
             for p in net.parameters():

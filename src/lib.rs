@@ -1,7 +1,7 @@
 //! Rigcast: FRF, LSTM and hybrid models of fatigue test rigs behind an HTTP contract.
 //!
 //! Dependencies point one way: `engine <- domain <- formats, storage, ui <- compute, models <- jobs
-//! <- http <- app`. `tests/layout.rs` reads the imports and holds it.
+//! <- http <- config <- app <- demo`. `tests/layout.rs` reads the imports and holds it.
 
 pub mod app;
 pub mod client;
@@ -11,10 +11,16 @@ pub mod demo;
 pub mod domain;
 pub mod engine;
 pub mod formats;
+pub mod health;
 pub mod http;
 pub mod jobs;
 pub mod models;
+pub mod program;
 pub mod storage;
 pub mod telemetry;
 pub mod token;
 pub mod ui;
+
+/// Version of the program: the package's and, in optimised builds, the commit that it was built from, as
+/// `0.1.0+f8d4022c1a2b` (`-dirty` if the sources differ from the commit). Builds for tests say `+debug`.
+pub const VERSION: &str = env!("RIGCAST_VERSION");

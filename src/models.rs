@@ -1,8 +1,8 @@
-//! From a rig to its loaded model: a small cache whose entries are swapped whole.
+//! A small cache of loaded models, whose entries are replaced whole.
 //!
-//! Which version is active is asked of the registry for every prediction: one indexed read, and an
-//! answer can never come from a model that was active a moment ago. Only the weights are cached,
-//! and those of a version never change.
+//! The active version is read from the registry for every prediction, by one indexed read, so that an
+//! answer never comes from a model that was active a moment ago. Only the weights are cached, and those of a
+//! version never change.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,19 +10,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::OnceCell;
 
 use crate::compute::{Class, Compute, ComputeError};
-use crate::domain::{DiagnosisId, Model, RigId, RunId};
+use crate::domain::{Base, DiagnosisId, Model, RigId, RunId};
 use crate::engine::EngineError;
 use crate::engine::model::{Predictor, RigModel, from_safetensors};
-use crate::storage::{Of, Store, StoreError};
+use crate::storage::{CorruptObject, Store, StoreError};
 use crate::telemetry::names;
 
-/// A model in memory. A prediction holds one of these from start to end.
+/// A model in memory. A prediction holds the same one from start to end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedModel {
     /// Version.
     pub version: u32,
     /// SHA-256 of its weight file, verified when it was loaded.
     pub sha256: String,
+    /// The version beneath its adopted effects, if it has some.
+    pub base: Option<Base>,
     /// The model, ready to predict.
     pub predictor: Predictor,
 }
@@ -34,7 +36,7 @@ impl LoadedModel {
     }
 }
 
-/// Why a model cannot be loaded.
+/// The reason why a model cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The store failed, or the weight file is damaged.
@@ -56,8 +58,8 @@ pub enum ModelError {
 }
 
 impl ModelError {
-    /// Whether the model itself is unfit, and will be the next time.
-    fn is_damage(&self) -> bool {
+    /// Whether the model itself is corrupt, so that loading it again fails too.
+    fn is_corrupt(&self) -> bool {
         matches!(
             self,
             Self::Weights { .. }
@@ -66,7 +68,7 @@ impl ModelError {
     }
 }
 
-/// Something of a rig that could not be read when it was last wanted: what `readyz` calls degraded.
+/// A model, run or diagnosis that could not be read when it was last needed; `readyz` lists it as degraded.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Degraded {
     /// Rig.
@@ -80,11 +82,11 @@ pub struct Degraded {
     /// Diagnosis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<DiagnosisId>,
-    /// Why.
+    /// Reason.
     pub reason: String,
 }
 
-/// Rig and version, and the digest: a rig that is deleted and made again counts from one again.
+/// Rig, version and digest: the versions of a rig that is deleted and made again start from one again.
 type Key = (RigId, u32, String);
 
 /// The cache. Clones share it.
@@ -98,7 +100,7 @@ pub struct Models {
 #[derive(Debug)]
 struct Cache {
     capacity: usize,
-    /// Rises with every use.
+    /// Counter of uses.
     clock: u64,
     entries: HashMap<Key, Entry>,
     degraded: HashMap<(RigId, u32), String>,
@@ -107,7 +109,7 @@ struct Cache {
 #[derive(Debug)]
 struct Entry {
     used: u64,
-    /// Filled by the first who wants it; the others wait for that one.
+    /// Filled by the first request; the others wait for it.
     model: Arc<OnceCell<Arc<LoadedModel>>>,
 }
 
@@ -119,8 +121,8 @@ impl Models {
         Self { store, compute, cache: Arc::new(Mutex::new(cache)) }
     }
 
-    /// The rig's active model, or in the place of a damaged one the last version before it that is
-    /// whole and forward; `None` when none is active, or no such rig.
+    /// The rig's active model or, if that is corrupt, the last intact forward model before it; `None` when no
+    /// model is active, or there is no such rig.
     ///
     /// # Errors
     /// See [`ModelError`].
@@ -128,15 +130,15 @@ impl Models {
         let active = self.store.active_model(rig).await?.and_then(|active| active.version);
         let Some(version) = active else { return Ok(None) };
         match self.version(rig, version).await {
-            Err(damage) if damage.is_damage() => match self.last_good(rig, version).await? {
+            Err(corruption) if corruption.is_corrupt() => match self.last_good(rig, version).await? {
                 Some(good) => {
                     tracing::error!(
-                        rig.id = %rig, error = %damage, model.version = good.version,
+                        rig.id = %rig, error = %corruption, model.version = good.version,
                         "the active model is damaged: an earlier version answers"
                     );
                     Ok(Some(good))
                 }
-                None => Err(damage),
+                None => Err(corruption),
             },
             found => found,
         }
@@ -167,7 +169,7 @@ impl Models {
             Ok(_) => {
                 cache.degraded.remove(&(rig.clone(), version));
             }
-            // Being busy says nothing about the model.
+            // A busy service is no fault of the model.
             Err(ModelError::Compute(ComputeError::Busy(_))) => {}
             Err(error) => {
                 cache.degraded.insert((rig.clone(), version), error.to_string());
@@ -181,13 +183,13 @@ impl Models {
         self.lock().entries.values().filter(|entry| entry.model.initialized()).count()
     }
 
-    /// Models that could not be loaded when they were last wanted, and are wanted still; runs and
-    /// diagnoses whose objects were found damaged.
+    /// Existing models that could not be loaded when they were last needed; runs and diagnoses whose objects
+    /// were found corrupt.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn degraded(&self) -> Result<Vec<Degraded>, StoreError> {
-        let damaged = self.store.damaged().await?;
+        let corrupt = self.store.corrupt_objects().await?;
         let new = |rig: &RigId, reason: &str| Degraded {
             rig: rig.clone(),
             version: None,
@@ -201,12 +203,12 @@ impl Models {
             .iter()
             .map(|((rig, version), reason)| Degraded { version: Some(*version), ..new(rig, reason) })
             .collect();
-        for (rig, of) in damaged {
+        for (rig, of) in corrupt {
             let found = new(&rig, "its object is damaged or missing");
             match of {
-                Of::Run(run) => degraded.push(Degraded { run: Some(run), ..found }),
-                Of::Diagnosis(id) => degraded.push(Degraded { diagnosis: Some(id), ..found }),
-                Of::Model(version) => {
+                CorruptObject::Run(run) => degraded.push(Degraded { run: Some(run), ..found }),
+                CorruptObject::Diagnosis(id) => degraded.push(Degraded { diagnosis: Some(id), ..found }),
+                CorruptObject::Model(version) => {
                     if !degraded.iter().any(|d| d.rig == rig && d.version == Some(version)) {
                         degraded.push(Degraded { version: Some(version), ..found });
                     }
@@ -219,7 +221,7 @@ impl Models {
         Ok(degraded)
     }
 
-    /// Forgets what is known of a rig's model that was deleted, or of all of a deleted rig.
+    /// Forgets a deleted model of a rig, or all models of a deleted rig.
     pub fn forget(&self, rig: &RigId, version: Option<u32>) {
         let mut cache = self.lock();
         let meant = |r: &RigId, v: u32| r == rig && version.is_none_or(|version| version == v);
@@ -235,7 +237,8 @@ impl Models {
         let read = read.map_err(|source| ModelError::Weights { rig: rig.clone(), version, source })?;
         metrics::counter!(names::MODEL_LOADS).increment(1);
         tracing::info!(rig.id = %rig, model.version = version, "loaded a model");
-        Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), predictor: read }))
+        let base = model.adoption.as_ref().map(|adoption| adoption.base.clone());
+        Ok(Arc::new(LoadedModel { version, sha256: model.sha256.clone(), base, predictor: read }))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Cache> {
@@ -245,7 +248,7 @@ impl Models {
 }
 
 impl Cache {
-    /// The place of a model; makes room by dropping the one that was used longest ago.
+    /// The entry of a model; removes the least recently used one if the cache is full.
     fn slot(&mut self, key: Key) -> Arc<OnceCell<Arc<LoadedModel>>> {
         self.clock += 1;
         let used = self.clock;

@@ -1,4 +1,4 @@
-//! `rigcast token`: tokens made at the machine itself, while the service is stopped.
+//! `rigcast token`: tokens made on the machine itself, while the service is stopped.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp};
 use crate::domain::{FieldError, RigId, Secret, Token, TokenDraft, TokenRole};
 use crate::storage::{Store, StoreError, TokenInsert};
 
-/// What to do with tokens.
+/// Subcommands of `rigcast token`.
 #[derive(Debug, Subcommand)]
 pub enum TokenCommand {
     /// Make a token and print its secret, this once. The first one must be an admin's; from then on
@@ -17,10 +17,10 @@ pub enum TokenCommand {
     Create(CreateArgs),
 }
 
-/// How `rigcast token create` makes a token.
+/// Arguments of `rigcast token create`.
 #[derive(Debug, Clone, Args)]
 pub struct CreateArgs {
-    /// What it may do: each role may do what those before it may.
+    /// Role; each role includes those before it.
     #[arg(long, value_enum)]
     pub role: TokenRole,
 
@@ -32,7 +32,7 @@ pub struct CreateArgs {
     #[arg(long = "rig", value_name = "RIG")]
     pub rigs: Vec<RigId>,
 
-    /// When it ends, from now: 30d, 8h, 2w. Left out: never.
+    /// Time until it expires: 30d, 8h, 2w. Left out: never.
     #[arg(long, value_parser = duration)]
     pub expires_in: Option<SignedDuration>,
 
@@ -41,7 +41,7 @@ pub struct CreateArgs {
     pub data_dir: PathBuf,
 }
 
-/// Why no token was made.
+/// The reason why no token was made.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     /// The data directory is in use.
@@ -56,13 +56,13 @@ pub enum TokenError {
     /// The system gives no randomness.
     #[error("no random bits: {0}")]
     Random(#[from] rand::rngs::SysError),
-    /// The first token closes the service, so whoever has it must be able to open it to others.
+    /// From the first token on the service needs tokens, so that its holder must be able to make others.
     #[error("the first token must be an admin's for all rigs: rigcast token create --role admin")]
     FirstMustBeAdmin,
-    /// Settings that do not make sense.
+    /// Settings outside their limits.
     #[error("{} must be {}", .0.pointer.trim_start_matches('/'), .0.limit.as_deref().unwrap_or("otherwise"))]
     Invalid(FieldError),
-    /// An end beyond the calendar.
+    /// An expiry beyond the calendar.
     #[error("--expires-in is too long")]
     TooLong,
 }
@@ -72,13 +72,13 @@ fn duration(text: &str) -> Result<SignedDuration, String> {
     let span: Span = text.parse().map_err(|_| "a length of time like 30d, 8h or 2w")?;
     let duration = span.to_duration(SpanRelativeTo::days_are_24_hours());
     let duration = duration.map_err(|_| "weeks, days, hours, minutes or seconds")?;
-    if duration.is_positive() { Ok(duration) } else { Err("more than nothing".into()) }
+    if duration.is_positive() { Ok(duration) } else { Err("a positive length of time".into()) }
 }
 
 /// Makes a token in the data directory.
 ///
 /// # Errors
-/// A directory that is in use or cannot be read; settings that do not make sense.
+/// A directory that is in use or cannot be read; settings outside their limits.
 pub async fn create(args: &CreateArgs, now: Timestamp) -> Result<(Token, Secret), TokenError> {
     let rigs: BTreeSet<RigId> = args.rigs.iter().cloned().collect();
     let expires_at = args.expires_in.map(|duration| now.checked_add(duration)).transpose();

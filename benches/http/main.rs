@@ -1,13 +1,13 @@
-//! Predictions over HTTP: the release program on a loopback port, a client beside it.
+//! Predictions over HTTP: the release program on a loopback port, and a client on the same machine.
 //!
 //! `cargo bench --bench http` times 60 s of drive (3 drives, 6 responses, 1 kHz, a hybrid 2 of the
-//! paper's size) in NPY and in JSON. What is no plain time is measured by name, one JSON line each:
+//! paper's size) in NPY and in JSON. The other measurements run by name and print one JSON line each:
 //!
 //! - `cargo bench --bench http -- p50`: median of 60 s and 10 s requests, as a client sees them;
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
 //! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
-//! - `cargo bench --bench http -- load` (`fair`, `slow`): more load than can be borne.
+//! - `cargo bench --bench http -- load` (`fair`, `slow`): overload.
 
 mod load;
 mod rig;
@@ -99,7 +99,7 @@ fn p50() {
     }
 }
 
-/// A service each, so that no peak hides behind another one.
+/// One service per measurement, so that each peak is its own.
 fn hour() {
     for (name, recombine, low_pass_hz) in [
         ("windows", Recombine::Welch, None),
@@ -158,7 +158,7 @@ fn fit() {
     let names = [&DRIVES[..], &RESPONSES[..]].concat().join(",");
     for run in 0..8 {
         let x = noise(HOUR / 4, DRIVES.len(), 100 + run);
-        // Responses that the drives explain, with a bend.
+        // Responses that follow from the drives, with a nonlinearity.
         let y = (0..RESPONSES.len()).map(|o| {
             let (a, b) = (&x[o % 3], &x[(o + 1) % 3]);
             a.iter().zip(b).map(|(a, b)| 0.7 * a + 0.2 * b + 0.05 * a * a * a).collect()

@@ -18,10 +18,10 @@ pub const DRIVES: [&str; 3] = ["drive_x", "drive_y", "drive_z"];
 /// Responses of the rig.
 pub const RESPONSES: [&str; 6] = ["disp_x", "disp_y", "disp_z", "force_x", "force_y", "force_z"];
 
-/// Where predictions of the rig are asked for.
+/// Path of predictions.
 pub const PREDICT: &str = "POST /v1/rigs/bench/predict";
 
-/// Random, but smooth: noise behind a first-order low pass of some 30 Hz, standard deviation 1.
+/// Smooth noise: white noise after a first-order low pass of some 30 Hz, standard deviation 1.
 pub fn noise(samples: usize, channels: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..channels)
@@ -44,7 +44,7 @@ fn hybrid2() -> RigModel {
     let (inputs, outputs, segment_len) = (DRIVES.len(), RESPONSES.len(), 4096);
     let lines = segment_len / 2 + 1;
     let line = |line: usize, rng: &mut ChaCha8Rng| {
-        // An oscillator's fall-off, so that the response is a signal and no click.
+        // The fall-off of an oscillator, so that the response is a plausible signal.
         let gain = 1.0 / (1.0 + (line as f64 / 100.0).powi(2));
         let imaginary = if line == 0 || line == lines - 1 { 0.0 } else { rng.random::<f64>() - 0.5 };
         Complex64::new(rng.random::<f64>() - 0.5, imaginary) * gain
@@ -68,6 +68,7 @@ fn hybrid2() -> RigModel {
         sample_rate_hz: RATE_HZ,
         preprocess: Preprocess::default(),
         frf: Some(frf),
+        frf_quality: None,
         lstm: Some(LstmPart {
             net: LstmNet::init(inputs + outputs, &[39], outputs, 1.0, &mut rng),
             x: scaler(inputs + outputs),
@@ -76,7 +77,7 @@ fn hybrid2() -> RigModel {
             hop: 128,
             recombine: Recombine::Welch,
         }),
-        range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6 }; inputs],
+        range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6, band_hz: None }; inputs],
         effects: Vec::new(),
     }
 }
@@ -113,7 +114,7 @@ pub fn npy_request(samples: usize, dtype: Dtype) -> (String, Vec<u8>) {
     (head, write(&noise(samples, DRIVES.len(), 7), dtype, Order::C).expect("a drive"))
 }
 
-/// The same in JSON both ways; numbers have all their digits.
+/// The same with JSON in request and answer; numbers have all their digits.
 pub fn json_request(samples: usize) -> (String, Vec<u8>) {
     let channels: serde_json::Map<String, Value> = DRIVES
         .iter()

@@ -1,4 +1,4 @@
-//! The real program on a free loopback port, and a client that costs next to nothing.
+//! The real program on a free loopback port, and a client that takes hardly any time.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// A running `rigcast serve` with a data directory of its own; ends with this value.
+/// A running `rigcast serve` with a data directory of its own; dropping it stops the program.
 pub struct Service {
     child: Child,
     address: String,
@@ -39,7 +39,7 @@ impl Service {
         Self { child, address, log: Some(log), _data_dir: data_dir }
     }
 
-    /// Where it listens.
+    /// Its address.
     pub fn address(&self) -> &str {
         &self.address
     }
@@ -63,7 +63,7 @@ impl Service {
 
 impl Drop for Service {
     fn drop(&mut self) {
-        // Whatever goes wrong here, the directory is temporary and the figures are printed.
+        // Errors are ignored here: the directory is temporary, and the figures are printed.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if let Some(log) = self.log.take() {
@@ -72,8 +72,8 @@ impl Drop for Service {
     }
 }
 
-/// A kept-alive HTTP/1.1 connection that sends prepared bytes and reads answers into one buffer:
-/// what is measured is the service, not a client library.
+/// A kept-alive HTTP/1.1 connection that sends prepared bytes and reads answers into one buffer, so that the
+/// service is measured and not a client library.
 pub struct Connection {
     stream: BufReader<TcpStream>,
     body: Vec<u8>,

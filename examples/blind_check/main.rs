@@ -4,13 +4,13 @@
 //!
 //! - `generate` makes random rigs with an effect that a sim lacks, drawn and integrated without any code
 //!   of the service, and writes their measured runs; the labels go to a file of their own.
-//! - `diagnose` reads the runs, never the labels, and asks a service like any user.
+//! - `diagnose` reads the runs, never the labels, and uses a service like any user.
 //! - `score` reads reports and labels, prints the table of figures with its bars and a confusion matrix,
 //!   and ends with an error where a bar is missed.
 //! - `all` does the three; `real` diagnoses folders of measured data.
 //!
-//! A seed that has been looked at is spent: what a run of test seeds shows may change the diagnosis, what
-//! a run of final seeds shows is stated. Each final round runs once and is entered in a log.
+//! The results of test seeds may change the diagnosis. The results of final seeds are stated as they are:
+//! each final round runs once and is entered in a log.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -41,13 +41,13 @@ struct Cli {
 enum Command {
     /// Make the cases.
     Generate(Cases),
-    /// Ask a service what their sims lack.
+    /// Diagnose the cases with a service.
     Diagnose(Cases),
     /// Compare with the labels.
     Score(Cases),
-    /// Make, ask and compare.
+    /// Make, diagnose and compare.
     All(Cases),
-    /// Run the rig of a case once more, as a report asked for.
+    /// Run the rig of a case once more, as a report proposed.
     Lab(Lab),
     /// Diagnose measured data.
     Real(real::Args),
@@ -55,10 +55,10 @@ enum Command {
 
 #[derive(Debug, Args)]
 struct Cases {
-    /// Which seeds.
+    /// Seeds.
     #[arg(long, value_enum, default_value = "test")]
     seeds: Seeds,
-    /// Which of the many sets of such seeds; of the final ones the next that the log does not hold.
+    /// Round of such seeds; of the final ones the next that is not in the log.
     #[arg(long)]
     round: Option<u64>,
     /// Directory of cases, labels and reports; `target/blind_check/<seeds>-<round>` if left out.
@@ -70,13 +70,13 @@ struct Cases {
     /// Cases a suite, instead of the whole check's.
     #[arg(long)]
     cases: Option<usize>,
-    /// A running service; one is started for the occasion if left out.
+    /// A running service; one is started if left out.
     #[arg(long)]
     service: Option<String>,
-    /// Token to show there.
+    /// Token for the service.
     #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
     token: Option<String>,
-    /// Cases in flight.
+    /// Cases at a time.
     #[arg(long, default_value_t = 2)]
     in_flight: usize,
     /// Fit an FRF to the baseline runs instead of importing the sim that comes with a case.
@@ -104,7 +104,7 @@ struct Lab {
     /// Of a sine; what suits the rig if left out.
     #[arg(long)]
     frequency_hz: Option<f64>,
-    /// Where the recording goes, as NPY.
+    /// Output file for the recording, NPY.
     #[arg(long)]
     out: PathBuf,
 }
@@ -129,7 +129,7 @@ fn main() -> Result<ExitCode, AnyError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The round that is meant: of the final seeds one that no run has used.
+/// The round to run: of the final seeds one that no run has used.
 fn round(cases: &Cases) -> Result<u64, AnyError> {
     if let Some(round) = cases.round {
         return if round < seeds::ROUNDS { Ok(round) } else { Err("rounds end at 999".into()) };
@@ -176,7 +176,7 @@ fn score(dir: &Path) -> Result<ExitCode, AnyError> {
     Ok(if score::run(dir)? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Enters how long a step took.
+/// Records the time of a step.
 fn took(dir: &Path, step: &str, began: Instant) -> Result<(), AnyError> {
     let path = dir.join("times.json");
     let mut times: Value = match std::fs::read(&path) {

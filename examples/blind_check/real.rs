@@ -27,10 +27,10 @@ pub struct Args {
     /// Folder of data sets, or one data set with its `about.json`.
     #[arg(long)]
     data: PathBuf,
-    /// A running service; one is started for the occasion if left out.
+    /// A running service; one is started if left out.
     #[arg(long)]
     service: Option<String>,
-    /// Token to show there.
+    /// Token for the service.
     #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
     token: Option<String>,
     /// Runs that the diagnosed part is cut into: from eight on whole runs are fitted to, chosen on or
@@ -45,7 +45,7 @@ pub struct Args {
 /// Data sets of a folder that holds several.
 const SETS: [&str; 3] = ["silverbox", "wiener_hammerstein", "multiaxis_shaker"];
 
-/// Prints verdict, closure and what is left of each data set.
+/// Prints verdict, closure and remaining error of each data set.
 ///
 /// # Errors
 /// No data, or a service that refuses it.
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> Result<(), AnyError> {
 }
 
 async fn diagnose(client: &Client, folder: &Path, pieces: usize) -> Result<(Dataset, Value), AnyError> {
-    let data = Dataset::open(folder)?;
+    let data = Dataset::open(folder, None)?;
     let mut session = Session::open(client, &data.rig()).await?;
     let mut tests = data.tests()?;
     let (mode, test, from) = if data.id() == "silverbox" {
@@ -109,7 +109,7 @@ async fn diagnose(client: &Client, folder: &Path, pieces: usize) -> Result<(Data
     Ok((data, report))
 }
 
-/// Uploads what follows `from` as runs of equal length and answers their names.
+/// Uploads the samples after `from` as runs of equal length and returns their names.
 async fn upload(
     session: &mut Session<'_>,
     test: &TestFile,
@@ -135,7 +135,7 @@ fn npy(test: &TestFile, samples: Range<usize>) -> Result<Vec<u8>, AnyError> {
     Ok(npy::write(&part, Dtype::F8, Order::C)?)
 }
 
-/// Some minute of a day: the order of the pieces.
+/// A time of day that gives the pieces their order.
 fn started_at(minute: usize) -> String {
     format!("2026-03-02T{:02}:{:02}:00Z", minute / 60, minute % 60)
 }

@@ -1,5 +1,5 @@
-//! Which seeds a run may use: those for calibrating the decision, for testing and for the final figures
-//! never meet, and final ones are spent by use.
+//! The seeds of a run: those for calibration of the decision, for tests and for the final figures are
+//! disjoint, and final ones are used once.
 
 use std::io::Write;
 use std::path::Path;
@@ -7,14 +7,14 @@ use std::path::Path;
 use clap::ValueEnum;
 use serde_json::Value;
 
-/// What a run of the check is for.
+/// The purpose of a run of the check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Seeds {
-    /// To set the numbers of the decision by.
+    /// To set the numbers of the decision.
     Calibration,
-    /// To look at while the diagnosis is worked on.
+    /// To examine while the diagnosis is developed.
     Test,
-    /// For figures that are stated: each round is used once.
+    /// For the figures that are stated: each round is used once.
     Final,
 }
 

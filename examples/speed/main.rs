@@ -1,8 +1,8 @@
 //! Speed of the engine on this machine, one JSON line a row:
 //! `cargo run --release --example speed -- [--works infer,train,frf,rainflow,latency] [--threads N]`
 //!
-//! `peak_fma` comes first and again after each group of works: the other
-//! figures are to be read as shares of it, since machines and their neighbours differ.
+//! `peak_fma` comes first and again after each group of measurements. The other figures are best read as
+//! shares of it, since the speed of a shared machine varies.
 
 use std::ops::ControlFlow;
 use std::slice::from_ref;
@@ -11,10 +11,10 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use rigcast::engine::EngineError;
-use rigcast::engine::checkpoint::Forget;
+use rigcast::engine::checkpoint::NoCheckpoints;
 use rigcast::engine::fatigue::{DamageSettings, multi_rain};
 use rigcast::engine::frf::estimate;
-use rigcast::engine::lstm::{Recombine, predict, train};
+use rigcast::engine::lstm::{Recombine, Until, predict, train};
 use rigcast::engine::progress::{Progress, unwatched};
 use rigcast::engine::simd::{Isa, peak_fma};
 use serde_json::json;
@@ -35,7 +35,7 @@ enum Work {
 /// Measures the engine on this machine.
 #[derive(Debug, Parser)]
 struct Args {
-    /// Works to measure.
+    /// Groups to measure.
     #[arg(long, value_delimiter = ',', default_values = ["infer", "train", "frf", "rainflow", "latency"])]
     works: Vec<Work>,
     /// Threads; all cores unless said.
@@ -85,7 +85,7 @@ impl Report {
     }
 }
 
-/// Seconds of each of `reps` calls, after one that is not counted.
+/// Seconds of each of `reps` calls, after one call to warm up.
 fn seconds<T>(
     reps: usize,
     mut call: impl FnMut() -> Result<T, EngineError>,
@@ -117,7 +117,7 @@ fn training(report: &Report) -> Result<(), EngineError> {
     const EPOCHS: usize = 6;
     let (stretch, validation) = works::training();
     for batch_size in [32, 128, 512] {
-        // One call a mini-batch; a whole mini-batch lies between two calls of one epoch.
+        // One call per mini-batch: a whole mini-batch lies between two calls of one epoch.
         let calls = Mutex::new(Vec::new());
         let watch = |progress: Progress<'_>| {
             let call = (progress.fraction, Instant::now());
@@ -127,10 +127,10 @@ fn training(report: &Report) -> Result<(), EngineError> {
         let settings = works::training_settings(batch_size, EPOCHS);
         train(
             from_ref(&stretch),
-            from_ref(&validation),
+            Until::Best(from_ref(&validation)),
             &works::net(),
             (&settings, 1),
-            (&Forget, ""),
+            (&NoCheckpoints, ""),
             &watch,
         )?;
         let calls = calls.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -140,7 +140,7 @@ fn training(report: &Report) -> Result<(), EngineError> {
             .filter(|calls| calls.len() > 2)
             .skip(1)
             .map(|calls| {
-                // The last mini-batch of an epoch may be a rest.
+                // The last mini-batch of an epoch may be smaller.
                 let (first, last) = (calls[0].1, calls[calls.len() - 2].1);
                 ((calls.len() - 2) * batch_size) as f64 / (last - first).as_secs_f64()
             })

@@ -1,11 +1,13 @@
-//! The works whose speed is measured: the paper's hybrid 2 network (9 inputs, 39 cells, 6 outputs,
+//! The computations whose speed is measured: the paper's hybrid 2 network (9 inputs, 39 cells, 6 outputs,
 //! windows of 256 samples that half overlap) and three drives with six responses, at 1 kHz.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rigcast::engine::frf::{Estimator, FrfSettings};
-use rigcast::engine::lstm::{LstmNet, LstmSettings, Optimizer, RecombineChoice, Schedule, Stretch};
+use rigcast::engine::lstm::{
+    HybridStart, LstmNet, LstmSettings, Optimizer, RecombineChoice, Schedule, Segment, WindowOffset,
+};
 use rigcast::engine::{EngineError, Signal};
 
 /// Sample rate, Hz.
@@ -41,11 +43,11 @@ pub fn net_input(seconds: usize) -> Vec<Vec<f32>> {
     standardised(9, seconds)
 }
 
-/// Ten minutes to train on, and one window to validate on, which costs next to nothing.
-pub fn training() -> (Stretch, Stretch) {
-    let training = Stretch { x: standardised(9, 600), y: standardised(6, 600), score_from: 0 };
+/// Ten minutes to train on, and one window to validate on, which takes hardly any time.
+pub fn training() -> (Segment, Segment) {
+    let training = Segment { x: standardised(9, 600), y: standardised(6, 600), score_from: 0 };
     let short = |channels: &[Vec<f32>]| channels.iter().map(|c| c[..WINDOW].to_vec()).collect();
-    let validation = Stretch { x: short(&training.x), y: short(&training.y), score_from: 0 };
+    let validation = Segment { x: short(&training.x), y: short(&training.y), score_from: 0 };
     (training, validation)
 }
 
@@ -60,10 +62,13 @@ pub fn training_settings(batch_size: usize, epochs: usize) -> LstmSettings {
         schedule: Schedule::Cosine,
         warmup_steps: 100,
         epochs,
+        validate_every: None,
         batch_size,
+        window_offset: WindowOffset::Drawn,
         burn_in: 0.25,
         clip_norm: Some(1.0),
         forget_bias: 1.0,
+        hybrid_start: HybridStart::Random,
         recombine: RecombineChoice::Welch,
         seeds: vec![1],
     }

@@ -15,21 +15,25 @@ type AnyError = Box<dyn std::error::Error>;
 const SHAKER_RATE_HZ: f64 = 4096.0;
 const SHAKER_BAND_HZ: [f64; 2] = [12.0, 1250.0];
 
-/// Samples at either end of a training run that its filters have spoilt.
+/// Samples at either end of a training run that are distorted by its filters.
 const SHAKER_EDGE: usize = 128;
 
-/// A method's name and its error in each published column.
+/// The name of a method and its error in each published column.
 pub type PublishedMethod = (String, Vec<Option<f64>>);
 
 /// A file as it is uploaded: name, media type, bytes.
 pub type Upload = (String, &'static str, Vec<u8>);
 
-/// The folder; measured files are read when they are asked for.
+/// The folder; measured files are read on demand.
 pub struct Dataset {
     folder: PathBuf,
     id: String,
     about: Value,
+    train: Option<String>,
 }
+
+/// Name for the first half of every training run.
+const HALVES: &str = "halves";
 
 /// One file that no fit has seen.
 pub struct TestFile {
@@ -49,13 +53,26 @@ impl TestFile {
 }
 
 impl Dataset {
-    /// Reads `about.json`.
-    pub fn open(folder: &Path) -> Result<Self, AnyError> {
+    /// Reads `about.json`. `train` names the run of the shaker that is trained on (`run1` if left out), or
+    /// `halves`, the first half of each; the rest is what tests.
+    pub fn open(folder: &Path, train: Option<&str>) -> Result<Self, AnyError> {
         let path = folder.join("about.json");
         let text = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
         let folder = folder.canonicalize()?;
         let id = folder.file_name().ok_or("a folder has a name")?.to_string_lossy().to_lowercase();
-        Ok(Self { about: serde_json::from_str(&text)?, folder, id })
+        let data = Self { about: serde_json::from_str(&text)?, folder, id, train: train.map(String::from) };
+        match train {
+            Some(name) if name != HALVES && !(data.is_shaker() && data.runs().any(|run| run == name)) => {
+                Err(format!("the data have no training run {name:?}").into())
+            }
+            Some(_) if !data.is_shaker() => Err("these data name their own training and test files".into()),
+            _ => Ok(data),
+        }
+    }
+
+    /// Names of the runs.
+    fn runs(&self) -> impl Iterator<Item = &str> {
+        self.about["runs"].as_object().into_iter().flatten().map(|(name, _)| name.as_str())
     }
 
     /// Rig id: the folder's name.
@@ -72,7 +89,7 @@ impl Dataset {
         }
     }
 
-    /// Samples that the data set's users leave out of scores.
+    /// Samples that are left out of published scores.
     pub fn skip(&self) -> usize {
         self.about["skip_first_samples_in_scores"].as_u64().unwrap_or(0) as usize
     }
@@ -132,13 +149,11 @@ impl Dataset {
     /// Training files as they are uploaded: name, media type, bytes.
     pub fn training(&self) -> Result<Vec<Upload>, AnyError> {
         if self.is_shaker() {
-            let run = self.shaker("run1")?;
-            let run = run.slice(SHAKER_EDGE..run.n_samples() - SHAKER_EDGE);
-            return Ok(vec![(
-                "run1".into(),
-                "application/x-npy",
-                npy::write(run.channels(), Dtype::F8, Order::C)?,
-            )]);
+            let upload = |(name, run): (String, Signal)| {
+                let run = run.slice(SHAKER_EDGE..run.n_samples() - SHAKER_EDGE);
+                Ok((name, "application/x-npy", npy::write(run.channels(), Dtype::F8, Order::C)?))
+            };
+            return self.shaker_parts(true)?.into_iter().map(upload).collect();
         }
         let path = self.folder.join("train.csv");
         Ok(vec![("train".into(), "text/csv", std::fs::read(path)?)])
@@ -147,13 +162,14 @@ impl Dataset {
     /// All test files.
     pub fn tests(&self) -> Result<Vec<TestFile>, AnyError> {
         if self.is_shaker() {
-            let signal = self.shaker("run2")?;
-            let mut channels = signal.into_channels();
-            let response = channels.split_off(9);
-            return Ok(vec![TestFile { name: "run2".into(), drive: channels, response }]);
+            let file = |(name, signal): (String, Signal)| {
+                let mut channels = signal.into_channels();
+                let response = channels.split_off(9);
+                TestFile { name, drive: channels, response }
+            };
+            return Ok(self.shaker_parts(false)?.into_iter().map(file).collect());
         }
-        let mut names: Vec<String> =
-            self.about["runs"].as_object().into_iter().flatten().map(|(k, _)| k.clone()).collect();
+        let mut names: Vec<String> = self.runs().map(String::from).collect();
         names.retain(|name| name.starts_with("test"));
         let order = self.published().0;
         names.sort_by_key(|name| order.iter().position(|o| o == name));
@@ -171,6 +187,22 @@ impl Dataset {
 
     fn is_shaker(&self) -> bool {
         self.about["array"].is_string()
+    }
+
+    /// What of the shaker's runs is trained on, or what is left for tests.
+    fn shaker_parts(&self, training: bool) -> Result<Vec<(String, Signal)>, AnyError> {
+        let train = self.train.as_deref().unwrap_or("run1");
+        let part = |name: &str| -> Result<(String, Signal), AnyError> {
+            let run = self.shaker(name)?;
+            let (n, half) = (run.n_samples(), run.n_samples() / 2);
+            Ok(match (train == HALVES, training) {
+                (true, true) => (name.into(), run.slice(0..half)),
+                (true, false) => (format!("second half of {name}"), run.slice(half..n)),
+                (false, _) => (name.into(), run),
+            })
+        };
+        let wanted = |name: &&str| train == HALVES || (*name == train) == training;
+        self.runs().filter(wanted).map(part).collect()
     }
 
     /// One shaker run, resampled with an anti-alias filter and band-passed.

@@ -1,4 +1,4 @@
-//! What the example needs beside its own story.
+//! Helpers of the example.
 
 pub mod dataset;
 pub mod progress;

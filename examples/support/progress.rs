@@ -10,7 +10,7 @@ pub fn bar(name: &str) -> ProgressBar {
     ProgressBar::new(1000).with_style(style).with_prefix(name.to_owned())
 }
 
-/// Moves the bar to where the job stands.
+/// Shows the job's progress on the bar.
 pub fn show(bar: &ProgressBar, job: &Value) {
     bar.set_position((job["progress"].as_f64().unwrap_or(0.0) * 1000.0) as u64);
     let eta = job["eta_s"].as_f64().map(|s| format!(", about {s:.0} s left")).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Our figures beside the published ones.
+//! A table of measured and published figures.
 
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -9,7 +9,7 @@ use crate::Score;
 /// One scored model: kind, whether it was chosen on validation data, test file, score.
 pub type Row = (String, bool, String, Score);
 
-/// A table with a line a model and a column a test file (or output), published figures below.
+/// A table with one line per model and one column per test file (or output), published figures below.
 pub fn compare(data: &Dataset, rows: &[Row]) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);

@@ -1,4 +1,4 @@
-//! JSON bodies, at every operation that takes one and starts no job: the first byte says which.
+//! JSON bodies, at every operation that takes one and starts no job: the first byte selects it.
 #![no_main]
 
 use std::sync::LazyLock;

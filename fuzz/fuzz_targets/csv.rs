@@ -1,4 +1,4 @@
-//! CSV: whatever comes is a run of equally long, finite channels, or refused by a documented code.
+//! CSV: any input is a run of equally long, finite channels, or refused with a documented code.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

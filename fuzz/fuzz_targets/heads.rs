@@ -9,7 +9,7 @@ use axum::http::{HeaderName, HeaderValue, Request, Uri};
 use libfuzzer_sys::fuzz_target;
 use rigcast_fuzz::{Service, plant};
 
-/// Operations whose head is more than a path.
+/// Operations whose head has more than a path.
 const OPERATIONS: &[(&str, &str)] = &[
     ("GET", "/v1/rigs"),
     ("GET", "/v1/rigs/bench/runs"),

@@ -1,4 +1,4 @@
-//! A file that was right, with faults, through the whole ingest: run or weights, as they come in.
+//! A valid file with faults, through the whole upload of a run or of weights.
 #![no_main]
 
 use std::sync::LazyLock;
@@ -8,7 +8,7 @@ use libfuzzer_sys::fuzz_target;
 use rigcast::engine::model::ModelKind;
 use rigcast_fuzz::{Service, fixtures, plant};
 
-/// Where a file comes in.
+/// The operation that receives the file.
 #[derive(Debug, Clone, Copy, Arbitrary)]
 enum Door {
     Csv,
@@ -18,20 +18,20 @@ enum Door {
     Drive,
 }
 
-/// What is done to the file.
+/// A fault in the file.
 #[derive(Debug, Arbitrary)]
 enum Fault<'a> {
     /// A byte becomes another one.
     Flip { at: u16, with: u8 },
     /// The file ends early.
     Cut { at: u16 },
-    /// Bytes come in between.
+    /// Bytes are inserted.
     Insert { at: u16, bytes: &'a [u8] },
-    /// Bytes take the place of others: a size that lies, a NaN.
+    /// Bytes are replaced: a wrong size, a NaN.
     Overwrite { at: u16, bytes: &'a [u8] },
-    /// A part comes twice.
+    /// A part is repeated.
     Repeat { from: u16, len: u8 },
-    /// A part is gone.
+    /// A part is removed.
     Remove { from: u16, len: u8 },
 }
 
@@ -80,7 +80,7 @@ fn apply(fault: &Fault<'_>, file: &mut Vec<u8>) {
     }
 }
 
-/// A query may hold anything that an address may.
+/// Characters that a query may hold.
 fn encoded(text: &str) -> String {
     text.bytes()
         .map(|b| {

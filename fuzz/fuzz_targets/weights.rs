@@ -1,5 +1,5 @@
-//! Weight files: what is read can be written, reads back as the same, and predicts finite numbers or
-//! says that it cannot.
+//! Weight files: a model that is read can be written, reads back as the same, and predicts finite numbers
+//! or returns an error.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,4 +1,4 @@
-//! A rig, a model of it and files of runs, as small as they may be.
+//! A small rig, a model of it and files of runs.
 
 use realfft::num_complex::Complex64;
 use rigcast::engine::frf::Frf;
@@ -56,13 +56,14 @@ pub fn weights(kind: ModelKind) -> Vec<u8> {
         sample_rate_hz: 100.0,
         preprocess: Preprocess::default(),
         frf: (kind != ModelKind::Lstm).then_some(frf),
+        frf_quality: None,
         lstm: (kind != ModelKind::Frf).then_some(lstm),
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0 }],
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None }],
         effects: Vec::new(),
     })
 }
 
-/// A sample that moves.
+/// A sample of a varying signal.
 fn sample(channel: usize, i: usize) -> f64 {
     (0.9 * i as f64 + channel as f64).sin()
 }

@@ -1,4 +1,4 @@
-//! What the fuzz targets share: the judgement of what readers answer, and a service to send requests to.
+//! Helpers of the fuzz targets: checks of readers' results, and a service to send requests to.
 
 pub mod fixtures;
 mod seeds;
@@ -10,7 +10,7 @@ pub use service::{Service, reply};
 use rigcast::formats::{FormatError, MAX_CHANNELS, ParsedRun};
 use rigcast::http::codes;
 
-/// Holds a reader to its word: a run that is one, no larger than its file can hold, or a documented code.
+/// Checks the result of a reader: a valid run, no larger than its file can hold, or a documented code.
 pub fn check_parsed(read: Result<ParsedRun, FormatError>, bytes: usize) {
     match read {
         Ok(run) => {

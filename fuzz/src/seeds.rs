@@ -38,7 +38,7 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
             .map(|kind| named(kind.as_str(), &fixtures::weights(kind)))
             .to_vec(),
         "bodies" => bodies(),
-        // What the others make of bytes is decided by bytes: any will do to begin with.
+        // The other targets are driven by raw bytes, so that any bytes will do as a start.
         _ => (0..4_u32)
             .map(|seed| {
                 let bytes = (0..200_u32).map(|i| (i.wrapping_mul(2 * seed + 37) >> 2) as u8).collect();

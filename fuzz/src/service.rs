@@ -18,7 +18,7 @@ use tower::ServiceExt;
 
 use crate::fixtures;
 
-/// Where a data directory does not wear out a disk.
+/// A directory in memory, so that data directories do not wear out a disk.
 const MEMORY: &str = "/dev/shm";
 
 /// A service with a rig `bench` (drive `u`, response `y`, 100 Hz) that has an active model.
@@ -79,7 +79,7 @@ impl Service {
         self.ask(request.body(Body::from(body)).expect("a request"))
     }
 
-    /// Sends a request, holds its answer to the contract, and takes back what it made, but for models.
+    /// Sends a request, checks its answer, and deletes the resource that it made, unless it is a model.
     pub fn ask(&self, request: Request<Body>) -> Answer {
         let answer = self.exchange(request);
         let made = answer.location.as_deref().filter(|at| answer.status == 201 && !at.contains("/models/"));
@@ -102,7 +102,7 @@ fn request(method: &str, path: &str) -> axum::http::request::Builder {
     Request::builder().method(method).uri(path).header("host", "localhost")
 }
 
-/// Reads an answer: no defect of ours, and a problem document wherever something was refused.
+/// Reads and checks an answer: no internal error, and a problem document for every refusal.
 pub async fn reply(response: Response<Body>) -> Answer {
     let (head, body) = response.into_parts();
     let bytes = body.collect().await.expect("a whole answer").to_bytes().to_vec();

@@ -1,55 +1,55 @@
 //! The service as a whole: built from its settings, served until it is told to stop.
 
-mod connections;
-mod farewell;
-mod stalled;
+mod address;
+mod connection;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use axum::Router;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
+use tower::Layer;
 
 use crate::compute::{Compute, ComputeError, ComputeSettings};
-use crate::config::Config;
+use crate::config::{Config, ConnectionSettings};
 use crate::domain::TokenRole;
-use crate::http::{self, Admission, Connection, Doors, Http, Shared};
+use crate::http::{self, Admission, Auth, ClientAddress, Http, Shared};
 use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry::{self, names};
-use connections::{Connections, Place};
-use stalled::Stalled;
+use connection::{ConnectionSlot, Connections, ProblemStream, WriteTimeout};
 
-pub use connections::ConnectionSettings;
+pub use address::{Address, AddressError};
 
 /// Models that stay in memory; one of the usual size takes some three megabytes, most of it the
 /// FRF's spectra.
 const MODEL_CACHE: usize = 32;
 
-/// How long answers under way may take after the wish to stop. Jobs then have the rest of the
-/// 30 seconds that a stop may take.
+/// How long answers under way may take once the service is told to stop. Jobs then have the rest of the
+/// 30 seconds of a stop.
 const DRAIN: Duration = Duration::from_secs(20);
 
-/// How long connections are still accepted after the wish to stop: who came before readiness said no is
-/// answered.
+/// How long connections are still accepted once the service is told to stop: clients that connected
+/// before readiness changed get an answer.
 const LAST_CALL: Duration = Duration::from_millis(100);
 
-/// How long the last of them have to send a request.
+/// How long the last of these connections have to send a request.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 
-/// How often measured times are put into their buckets, whether somebody asks for them or not: until
-/// then each takes memory of its own.
+/// How often recorded durations are sorted into histogram buckets, even if nobody reads the metrics:
+/// until then each takes memory of its own.
 const UPKEEP: Duration = Duration::from_secs(5);
 
-/// Pause after an accept that failed for want of file handles, so that closing ones can catch up.
+/// Pause after an accept that failed because no file handle was free, so that closing connections can
+/// catch up.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Why the service did not start.
@@ -61,15 +61,18 @@ pub enum AppError {
     /// Threads.
     #[error(transparent)]
     Compute(#[from] ComputeError),
-    /// Without a token only loopback is safe.
+    /// The address is beyond loopback, and no admin's token is in force.
     #[error(
         "refusing to listen on {0}: there is no admin's token in force, and everybody who reaches that address \
          could read and delete everything; make one with `rigcast token create --role admin`, or listen on 127.0.0.1"
     )]
     OpenToNetwork(SocketAddr),
+    /// The address.
+    #[error(transparent)]
+    Address(#[from] AddressError),
 }
 
-/// A service that is ready to be served; its jobs run already.
+/// A service that is ready to accept connections; its jobs run already.
 pub struct App {
     router: Router,
     http: Shared,
@@ -80,12 +83,12 @@ pub struct App {
     connections: Arc<Connections>,
 }
 
-/// The one place that reads the clock; everything below is handed this function.
+/// The one place that reads the clock; everything below receives this function.
 pub fn now() -> jiff::Timestamp {
     jiff::Timestamp::now()
 }
 
-/// Whether somebody holds a token with which all others can be made.
+/// Whether there is a token in force that can create all others.
 async fn has_admin(store: &Store) -> Result<bool, StoreError> {
     let tokens = store.token_table().await?.tokens;
     Ok(tokens
@@ -100,8 +103,12 @@ impl App {
     /// A data directory that is in use, damaged or from a newer version; an address beyond loopback
     /// without an admin's token; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
-        let store = Store::open(&config.data_dir).await?;
         let on_loopback = config.listen.ip().is_loopback();
+        if !on_loopback && !Store::exists(&config.data_dir) {
+            // A missing directory holds no token, and a refused start must not create it.
+            return Err(AppError::OpenToNetwork(config.listen));
+        }
+        let store = Store::open(&config.data_dir).await?;
         if !on_loopback && !has_admin(&store).await? {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));
@@ -114,7 +121,7 @@ impl App {
         let http = Arc::new(Http {
             store: store.clone(),
             jobs: jobs.clone(),
-            doors: Doors::new(store.clone(), on_loopback),
+            auth: Auth::new(store.clone(), on_loopback),
             models,
             compute,
             admission: Admission::new(config.admission.clone()),
@@ -123,19 +130,20 @@ impl App {
             draining: seen,
             metrics: telemetry::metrics_handle(),
         });
+        http::begin_metrics(&http);
         let settings = config.connections.clone();
         let connections = Connections::new(&settings);
         Ok(Self { router: http::router(http.clone()), http, store, jobs, draining, settings, connections })
     }
 
-    /// What answers requests, for whoever brings them by another way than [`App::serve`].
+    /// The router, for callers that bring requests another way than [`App::serve`].
     pub fn router(&self) -> Router {
         self.router.clone()
     }
 
-    /// Answers requests until `shutdown` comes, then ends: readiness says no at once, soon no
-    /// connection is accepted any more, answers under way are finished, running jobs go back
-    /// into the queue, the database is closed.
+    /// Answers requests until `shutdown` resolves, then stops in order: readiness turns to 503, new
+    /// connections are no longer accepted, answers under way are finished, running jobs go back into the
+    /// queue, and the database is closed.
     pub async fn serve(self, listener: TcpListener, shutdown: impl Future<Output = ()>) {
         let connections = GracefulShutdown::new();
         tokio::select! {
@@ -145,15 +153,15 @@ impl App {
         }
         tracing::info!("stopping: soon no more connections are accepted");
         self.draining.send_replace(true);
-        let doors = async {
+        let last_answers = async {
             let _ = tokio::time::timeout(LAST_CALL, self.accept(&listener, &connections)).await;
             self.accept_last(listener, &connections);
             tokio::time::sleep(LAST_WORDS).await;
             tokio::time::timeout(DRAIN, connections.shutdown()).await
         };
-        // Jobs stop at once: the longer they go on, the less of the time for a stop is left to put them by.
-        // That also ends the streams that follow jobs.
-        let (drained, ()) = tokio::join!(doors, self.jobs.shutdown());
+        // Jobs stop at once: the longer they go on, the less time is left to store their checkpoints.
+        // Stopping them also ends the streams that follow jobs.
+        let (drained, ()) = tokio::join!(last_answers, self.jobs.shutdown());
         if drained.is_err() {
             tracing::warn!(drain_s = DRAIN.as_secs(), "connections were still open and are cut");
         }
@@ -161,7 +169,7 @@ impl App {
         tracing::info!("stopped");
     }
 
-    /// Accepts connections for ever.
+    /// Accepts connections until it is dropped.
     async fn accept(&self, listener: &TcpListener, connections: &GracefulShutdown) {
         loop {
             match listener.accept().await {
@@ -174,8 +182,8 @@ impl App {
         }
     }
 
-    /// Accepts who is connected already, of which the runtime may not have heard yet, and nobody more:
-    /// closing a listener cuts them off.
+    /// Accepts the connections that the system has completed but the runtime has not seen yet. Closing
+    /// the listener would reset them.
     fn accept_last(&self, listener: TcpListener, connections: &GracefulShutdown) {
         let Ok(listener) = listener.into_std() else { return };
         for _ in 0..self.settings.most {
@@ -188,12 +196,12 @@ impl App {
 
     fn enter(&self, stream: TcpStream, peer: SocketAddr, connections: &GracefulShutdown) {
         match self.connections.enter(peer.ip()) {
-            Some(place) => self.answer(stream, place, connections),
+            Some(slot) => self.answer(stream, peer, slot, connections),
             None => self.connections.refuse(stream, http::too_many_connections(&self.http)),
         }
     }
 
-    /// Sorts measured times in for ever.
+    /// Sorts recorded durations into their buckets until it is dropped.
     async fn upkeep(&self) {
         let mut upkeep = tokio::time::interval(UPKEEP);
         loop {
@@ -203,16 +211,23 @@ impl App {
     }
 
     /// Serves one connection on a task of its own.
-    fn answer(&self, stream: TcpStream, place: Place, connections: &GracefulShutdown) {
-        // A failure costs a few milliseconds a request, no more.
+    fn answer(
+        &self,
+        stream: TcpStream,
+        peer: SocketAddr,
+        slot: ConnectionSlot,
+        connections: &GracefulShutdown,
+    ) {
+        // Without it each request takes a few milliseconds longer.
         let _ = stream.set_nodelay(true);
         let mut server = http1::Builder::new();
-        // The time for a head runs while none is there: it ends idle connections too.
+        // The timeout of a head also runs while a connection is idle, and ends it.
         server.timer(TokioTimer::new()).header_read_timeout(self.settings.head_timeout).half_close(true);
-        let service = TowerToHyperService::new(self.router.clone());
-        let stream = Stalled::new(stream, self.settings.answer_timeout);
+        let router = Extension(ClientAddress(peer.ip())).layer(self.router.clone());
+        let service = TowerToHyperService::new(router);
+        let stream = WriteTimeout::new(stream, self.settings.answer_timeout);
         let begun = stream.begun();
-        let stream = Connection::new(stream, self.http.clone());
+        let stream = ProblemStream::new(stream, self.http.clone());
         let connection = connections.watch(server.serve_connection(TokioIo::new(stream), service));
         tokio::spawn(async move {
             if let Err(error) = connection.await {
@@ -220,10 +235,10 @@ impl App {
                     let slow_in = if begun.load(Ordering::Relaxed) { "head" } else { "idle" };
                     metrics::counter!(names::CONNECTIONS_ENDED, "slow_in" => slow_in).increment(1);
                 }
-                // Clients that go away are everyday business.
+                // A client that goes away is no fault.
                 tracing::debug!(error = %error, "a connection ended early");
             }
-            drop(place);
+            drop(slot);
         });
     }
 }

@@ -1,11 +1,11 @@
-//! The only door from async code to work for the processor: turns, blocking threads, spans.
+//! The only way from async code to work for the processor: permits, blocking threads, spans.
 //!
-//! Each class of work has its own turns ([`turns`]) and its own pool of threads, so that a fit that keeps
-//! every core busy never holds a thread that a prediction needs, and a prediction of an hour none
-//! that one of seconds waits for: it is the system that shares the cores between them. Threads of
-//! long work and of fits have lower priorities: they get what the others leave.
+//! Each class of work has its own permits ([`fair_queue`]) and its own pool of threads. A fit that keeps
+//! every core busy therefore never holds a thread that a prediction needs, and an hour-long prediction
+//! none that a short one waits for; the operating system shares the cores between them. Threads of long
+//! work and of fits have lower priorities and get the time that the others leave.
 
-pub mod turns;
+pub mod fair_queue;
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use turns::{Refused, TurnSettings, Turns, Who};
+use fair_queue::{ClientId, FairQueue, QueueSettings, Refused};
 
 /// Niceness of threads that fit. Ten of nineteen: against a thread of normal priority they get
 /// about a tenth of a core, and all of it when nobody else wants it.
@@ -24,31 +24,31 @@ const FIT_NICENESS: i32 = 10;
 /// of normal priority.
 const LONG_NICENESS: i32 = 5;
 
-/// Most values that work may go over and still count as short: a minute of a large rig, whose
-/// parsing, prediction or damage takes some tens of milliseconds.
+/// Largest number of values of short work: a minute of a large rig, which takes some tens of
+/// milliseconds to parse, predict or count.
 const SHORT_VALUES: usize = 1 << 20;
 
-/// What kind of work it is; each has permits and threads of its own.
+/// A class of work; each has permits and threads of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Class {
-    /// An answer that somebody waits for: predictions, damage, parsing.
+    /// Short work for an answer: predictions, damage, parsing.
     Predict,
-    /// The same when it takes long: whoever asks for an hour of signal can wait a little more.
+    /// Long work for an answer, such as an hour of signal.
     Long,
     /// A fit: long, and at a lower priority.
     Fit,
 }
 
-/// How much may happen at once.
+/// Permits and threads of each class.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ComputeSettings {
     /// Predictions and other short work.
-    pub predict: TurnSettings,
-    /// Threads that share it.
+    pub predict: QueueSettings,
+    /// Threads that share this work.
     pub predict_threads: usize,
     /// Long work; each piece holds an hour of signal or more in memory.
-    pub long: TurnSettings,
-    /// Threads that share it.
+    pub long: QueueSettings,
+    /// Threads that share this work.
     pub long_threads: usize,
     /// Fits at once; as many as there are job workers, which are their only queue.
     pub fit_permits: usize,
@@ -57,17 +57,17 @@ pub struct ComputeSettings {
 }
 
 impl Class {
-    /// Class of work for an answer that goes over so many values (samples of all channels).
+    /// Class of work for an answer with this number of values (samples of all channels).
     pub fn of_values(values: usize) -> Self {
         if values > SHORT_VALUES { Self::Long } else { Self::Predict }
     }
 
-    /// Class of work on so many bytes that hold values.
+    /// Class of work on this number of bytes that hold values.
     pub fn of_bytes(bytes: usize) -> Self {
         Self::of_values(bytes / size_of::<f64>())
     }
 
-    /// The longer of two.
+    /// The longer of the two classes.
     #[must_use]
     pub fn or(self, other: Self) -> Self {
         if self == Self::Predict { other } else { self }
@@ -75,19 +75,19 @@ impl Class {
 }
 
 impl Default for ComputeSettings {
-    /// One turn and one thread of each class a core, thirty-two tasks that wait a core, one fit. The
-    /// queue of short work is kept short once it has stood for a tenth of a second: some ten
-    /// predictions, which then wait for those under way and no more.
+    /// For each core one permit and one thread of each class, and a queue of thirty-two tasks; one fit.
+    /// Once the queue of short work has not been empty for a tenth of a second (some ten predictions),
+    /// it is kept short: a task then waits only for the work under way.
     fn default() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let predict = TurnSettings {
+        let predict = QueueSettings {
             patience: Duration::from_millis(100),
-            ..TurnSettings::new(cores, 32 * cores, Duration::from_secs(5))
+            ..QueueSettings::new(cores, 32 * cores, Duration::from_secs(5))
         };
         Self {
             predict,
             predict_threads: cores,
-            long: TurnSettings::new(cores, 32 * cores, Duration::from_secs(30)),
+            long: QueueSettings::new(cores, 32 * cores, Duration::from_secs(30)),
             long_threads: cores,
             fit_permits: 1,
             fit_threads: cores,
@@ -98,10 +98,10 @@ impl Default for ComputeSettings {
 /// Why work was not done.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ComputeError {
-    /// Too much to do: try again later.
+    /// The service is overloaded: try again later.
     #[error("busy: {0}")]
     Busy(#[from] Refused),
-    /// A defect of ours; the message is for the log, not for a client.
+    /// A panic, which is a defect; the message is for the log, not for a client.
     #[error("panicked: {0}")]
     Panicked(String),
     /// Thread pools could not be made, or their threads are gone.
@@ -109,7 +109,7 @@ pub enum ComputeError {
     Threads(String),
 }
 
-/// The door. Clones share it.
+/// The classes of work with their permits and threads. Clones share them.
 #[derive(Debug, Clone)]
 pub struct Compute {
     predict: Arc<Lane>,
@@ -117,10 +117,10 @@ pub struct Compute {
     fit: Arc<Lane>,
 }
 
-/// Turns and threads of one class.
+/// Permits and threads of one class.
 #[derive(Debug)]
 struct Lane {
-    turns: Arc<Turns>,
+    queue: Arc<FairQueue>,
     threads: ThreadPool,
 }
 
@@ -130,17 +130,17 @@ impl Compute {
     /// # Errors
     /// [`ComputeError::Threads`] when the system gives no threads.
     pub fn new(settings: &ComputeSettings) -> Result<Self, ComputeError> {
-        let lane = |name, turns, threads: usize, niceness| -> Result<Arc<Lane>, ComputeError> {
+        let lane = |name, queue, threads: usize, niceness| -> Result<Arc<Lane>, ComputeError> {
             let threads = ThreadPoolBuilder::new()
                 .num_threads(threads.max(1))
                 .thread_name(move |i| format!("{name}-{i}"))
                 .start_handler(move |_| lower_priority(niceness))
                 .build()
                 .map_err(|error| ComputeError::Threads(error.to_string()))?;
-            Ok(Arc::new(Lane { turns: Turns::new(name, turns), threads }))
+            Ok(Arc::new(Lane { queue: FairQueue::new(name, queue), threads }))
         };
         let s = settings;
-        let fits = TurnSettings::new(s.fit_permits, usize::MAX, Duration::MAX);
+        let fits = QueueSettings::new(s.fit_permits, usize::MAX, Duration::MAX);
         Ok(Self {
             predict: lane("predict", s.predict.clone(), s.predict_threads, 0)?,
             long: lane("long", s.long.clone(), s.long_threads, LONG_NICENESS)?,
@@ -148,21 +148,21 @@ impl Compute {
         })
     }
 
-    /// Does `work` of `who` on the threads of its class, inside the current tracing span, and waits.
-    /// Work that has begun goes on, and keeps its turn, when the caller goes away.
+    /// Does `work` of `client` on the threads of its class, inside the current tracing span, and waits
+    /// for its result. Work that has begun goes on, and keeps its permit, even if the caller goes away.
     ///
     /// # Errors
     /// [`ComputeError::Busy`], at once when too many wait; [`ComputeError::Panicked`].
-    pub async fn run<T, F>(&self, class: Class, who: Who, work: F) -> Result<T, ComputeError>
+    pub async fn run<T, F>(&self, class: Class, client: ClientId, work: F) -> Result<T, ComputeError>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
         let lane = Arc::clone(self.lane(class));
-        let turn = lane.turns.take(who).await?;
+        let permit = lane.queue.acquire(client).await?;
         let span = tracing::Span::current();
         let task = tokio::task::spawn_blocking(move || {
-            let _turn = turn;
+            let _permit = permit;
             let inside = || span.in_scope(|| catch_unwind(AssertUnwindSafe(work)));
             lane.threads.install(inside)
         });
@@ -173,9 +173,9 @@ impl Compute {
         }
     }
 
-    /// Turns of a class.
-    pub fn turns(&self, class: Class) -> &Turns {
-        &self.lane(class).turns
+    /// The permits and the queue of a class.
+    pub fn queue(&self, class: Class) -> &FairQueue {
+        &self.lane(class).queue
     }
 
     fn lane(&self, class: Class) -> &Arc<Lane> {
@@ -187,8 +187,8 @@ impl Compute {
     }
 }
 
-/// Lowers the priority of the calling thread (on Linux niceness belongs to the thread). Elsewhere,
-/// or where it is forbidden, all compete as equals.
+/// Lowers the priority of the calling thread (on Linux niceness belongs to the thread). On other
+/// systems, or where that is forbidden, all threads have the same priority.
 fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
     if niceness > 0
@@ -201,7 +201,7 @@ fn lower_priority(niceness: i32) {
     let _ = niceness;
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
@@ -215,11 +215,11 @@ mod tests {
     use super::*;
 
     fn compute(permits: usize, queue: usize) -> Compute {
-        let turns = TurnSettings::new(permits, queue, Duration::from_secs(60));
+        let queue = QueueSettings::new(permits, queue, Duration::from_secs(60));
         Compute::new(&ComputeSettings {
-            predict: turns.clone(),
+            predict: queue.clone(),
             predict_threads: 2,
-            long: turns,
+            long: queue,
             long_threads: 2,
             fit_permits: 1,
             fit_threads: 1,
@@ -236,7 +236,7 @@ mod tests {
             tokio::spawn(async move { compute.run(Class::Predict, None, work).await })
         };
         let depth = || {
-            let (_, in_use, waiting) = compute.turns(Class::Predict).depth();
+            let (_, in_use, waiting) = compute.queue(Class::Predict).depth();
             (in_use, waiting)
         };
         let first = run(Box::new(move || gate.recv().unwrap()));
@@ -249,9 +249,9 @@ mod tests {
         }
         let third = compute.run(Class::Predict, None, || ()).await;
         assert_eq!(third, Err(ComputeError::Busy(Refused::Full)));
-        // Fits have turns of their own.
+        // Fits have permits of their own.
         assert_eq!(compute.run(Class::Fit, None, || 7).await, Ok(7));
-        // One that gives up waiting makes room.
+        // A task that gives up waiting makes room.
         second.abort();
         assert!(second.await.unwrap_err().is_cancelled());
         assert_eq!(depth(), (1, 0));
@@ -276,7 +276,7 @@ mod tests {
         tokio::task::spawn_blocking(move || at_work.recv().unwrap()).await.unwrap();
         task.abort();
         assert!(task.await.unwrap_err().is_cancelled());
-        assert_eq!(compute.turns(Class::Predict).depth().1, 1);
+        assert_eq!(compute.queue(Class::Predict).depth().1, 1);
         release.send(()).unwrap();
         assert_eq!(compute.run(Class::Predict, None, || 7).await, Ok(7));
     }
@@ -292,7 +292,7 @@ mod tests {
     #[tokio::test]
     async fn short_work_is_done_while_long_work_holds_all_its_permits_and_threads() {
         let compute = compute(2, 8);
-        // Each piece of long work keeps both threads of its class until it is let go.
+        // Each piece of long work keeps both threads of its class until it is released.
         let (started, at_work) = mpsc::channel::<()>();
         let gates: Vec<_> = (0..2)
             .map(|_| {
@@ -306,7 +306,7 @@ mod tests {
             })
             .collect();
         tokio::task::spawn_blocking(move || (0..2).for_each(|_| at_work.recv().unwrap())).await.unwrap();
-        // The third waits for a permit; nobody short does.
+        // The third waits for a permit; short work does not.
         let third = tokio::spawn({
             let compute = compute.clone();
             async move { compute.run(Class::Long, None, || 3).await }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-/// What `rigcast backup` and `rigcast restore` work on.
+/// Arguments of `rigcast backup` and `rigcast restore`.
 #[derive(Debug, Clone, Args)]
 pub struct CopyArgs {
     /// Directory of the backup.

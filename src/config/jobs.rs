@@ -1,4 +1,4 @@
-//! Settings of jobs and of the processes that do them.
+//! Settings of jobs and of their processes.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -9,15 +9,15 @@ use clap::Args;
 use super::{ConfigError, LogArgs, seconds};
 use crate::jobs::{JobSettings, WorkerProgram};
 
-/// How jobs are done.
+/// Settings of jobs.
 #[derive(Debug, Clone, Args)]
 pub struct JobArgs {
     /// Jobs that run at the same time, each in a process of its own; a fit uses all cores by itself.
     #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub workers: u16,
 
-    /// How long a job stays with a worker that is not heard of, seconds; a worker process that is silent for
-    /// as long is killed.
+    /// Lease of a job: a job is taken from a worker after so many seconds without a heartbeat, and a worker
+    /// process that is silent for as long is killed.
     #[arg(long, env = "RIGCAST_LEASE_S", default_value = "30", value_parser = seconds)]
     pub lease_s: Duration,
 
@@ -25,7 +25,7 @@ pub struct JobArgs {
     #[arg(long, env = "RIGCAST_HEARTBEAT_S", default_value = "5", value_parser = seconds)]
     pub heartbeat_s: Duration,
 
-    /// How often jobs of lost workers are looked for, seconds.
+    /// Seconds between two searches for jobs of lost workers.
     #[arg(long, env = "RIGCAST_SWEEP_S", default_value = "10", value_parser = seconds)]
     pub sweep_s: Duration,
 
@@ -38,7 +38,7 @@ pub struct JobArgs {
     #[arg(long, env = "RIGCAST_JOB_MEMORY_MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 40))]
     pub job_memory_mib: Option<u64>,
 
-    /// How long one attempt of a job may take, seconds.
+    /// Longest time for one attempt of a job, seconds.
     #[arg(long, env = "RIGCAST_JOB_TIME_LIMIT_S", default_value = "86400", value_parser = seconds)]
     pub job_time_limit_s: Duration,
 }
@@ -53,7 +53,7 @@ fn at_most_a_minute(text: &str) -> Result<Duration, String> {
 }
 
 impl JobArgs {
-    /// The settings, once they have been found sound together.
+    /// The settings, checked together.
     pub(super) fn check(&self, log: &LogArgs) -> Result<JobSettings, ConfigError> {
         if self.heartbeat_s * 3 > self.lease_s {
             return Err(ConfigError::Heartbeat { heartbeat: self.heartbeat_s, lease: self.lease_s });
@@ -77,7 +77,7 @@ impl JobArgs {
     }
 }
 
-/// This program, even after another version has taken the place of its file.
+/// This program, even after its file was replaced by another version.
 fn own_program() -> PathBuf {
     if cfg!(target_os = "linux") {
         return PathBuf::from("/proc/self/exe");
@@ -86,7 +86,7 @@ fn own_program() -> PathBuf {
 }
 
 impl LogArgs {
-    /// A subcommand that logs in the same way.
+    /// Arguments that start a subcommand with the same logging.
     fn as_arguments(&self, subcommand: &str) -> Vec<OsString> {
         use clap::ValueEnum;
         let format =

@@ -1,40 +1,40 @@
-//! Settings of how much is done at once, and how long clients and their requests may take.
+//! Settings of load: work at once, and the time that clients and requests may take.
 
 use std::time::Duration;
 
 use clap::Args;
 
-use super::seconds;
-use crate::app::ConnectionSettings;
+use super::{ConnectionSettings, seconds};
 use crate::compute::ComputeSettings;
-use crate::compute::turns::TurnSettings;
+use crate::compute::fair_queue::QueueSettings;
 use crate::http::{AdmissionSettings, Pace};
 
-/// How much is done at once, and how long it may take.
+/// Settings of load.
 #[derive(Debug, Clone, Args)]
 pub struct LoadArgs {
-    /// Short predictions and other short work for an answer: at once, waiting, longest wait in seconds
-    /// [default: one a core, 32 a core, 5].
-    #[arg(long, env = "RIGCAST_PREDICT_TURNS", value_parser = turns, value_name = "N:QUEUE:WAIT_S")]
-    pub predict_turns: Option<Turns>,
+    /// Short predictions and other short work for an answer: number at once, number waiting, longest wait in
+    /// seconds [default: one per core, 32 per core, 5].
+    #[arg(long, env = "RIGCAST_PREDICT_TURNS", value_parser = queue_limits, value_name = "N:QUEUE:WAIT_S")]
+    pub predict_turns: Option<QueueLimits>,
 
-    /// The same for long ones, of over a million samples, say [default: one a core, 32 a core, 30].
-    #[arg(long, env = "RIGCAST_LONG_TURNS", value_parser = turns, value_name = "N:QUEUE:WAIT_S")]
-    pub long_turns: Option<Turns>,
+    /// The same for long predictions, of more than about a million samples [default: one per core, 32 per
+    /// core, 30].
+    #[arg(long, env = "RIGCAST_LONG_TURNS", value_parser = queue_limits, value_name = "N:QUEUE:WAIT_S")]
+    pub long_turns: Option<QueueLimits>,
 
     /// Uploads; one token has at most three quarters of them [default: 16:64:30].
-    #[arg(long, env = "RIGCAST_UPLOAD_TURNS", value_parser = turns, value_name = "N:QUEUE:WAIT_S")]
-    pub upload_turns: Option<Turns>,
+    #[arg(long, env = "RIGCAST_UPLOAD_TURNS", value_parser = queue_limits, value_name = "N:QUEUE:WAIT_S")]
+    pub upload_turns: Option<QueueLimits>,
 
     /// Requests that make jobs [default: 4:64:5].
-    #[arg(long, env = "RIGCAST_JOB_TURNS", value_parser = turns, value_name = "N:QUEUE:WAIT_S")]
-    pub job_turns: Option<Turns>,
+    #[arg(long, env = "RIGCAST_JOB_TURNS", value_parser = queue_limits, value_name = "N:QUEUE:WAIT_S")]
+    pub job_turns: Option<QueueLimits>,
 
-    /// Reads and small changes of what is registered [default: 16:256:5].
-    #[arg(long, env = "RIGCAST_REGISTRY_TURNS", value_parser = turns, value_name = "N:QUEUE:WAIT_S")]
-    pub registry_turns: Option<Turns>,
+    /// Reads and small changes of the registry [default: 16:256:5].
+    #[arg(long, env = "RIGCAST_REGISTRY_TURNS", value_parser = queue_limits, value_name = "N:QUEUE:WAIT_S")]
+    pub registry_turns: Option<QueueLimits>,
 
-    /// Longest time that an answer may take to compute once its request was read, seconds.
+    /// Longest time to compute an answer once its request was read, seconds.
     #[arg(long, env = "RIGCAST_PREDICT_DEADLINE_S", default_value = "60", value_parser = seconds)]
     pub predict_deadline_s: Duration,
 
@@ -42,7 +42,7 @@ pub struct LoadArgs {
     #[arg(long, env = "RIGCAST_CONNECTIONS", default_value_t = ConnectionSettings::default().most)]
     pub connections: usize,
 
-    /// Connections at once of one address, which may be a proxy's.
+    /// Connections at once of one address, which may belong to a proxy.
     #[arg(
         long,
         env = "RIGCAST_CONNECTIONS_PER_ADDRESS",
@@ -50,11 +50,11 @@ pub struct LoadArgs {
     )]
     pub connections_per_address: usize,
 
-    /// How long a client may take to send the head of a request, and may keep a connection idle, seconds.
+    /// Longest time for a client to send the head of a request, and to keep a connection idle, seconds.
     #[arg(long, env = "RIGCAST_HEAD_TIMEOUT_S", default_value = "15", value_parser = seconds)]
     pub head_timeout_s: Duration,
 
-    /// How long a client may take none of its answer, seconds.
+    /// Longest time in which a client reads nothing of its answer, seconds.
     #[arg(long, env = "RIGCAST_ANSWER_TIMEOUT_S", default_value = "30", value_parser = seconds)]
     pub answer_timeout_s: Duration,
 
@@ -67,32 +67,32 @@ pub struct LoadArgs {
     pub body_window_s: Duration,
 }
 
-/// Turns of a class, as they are written on the command line.
+/// Limits of a class as they are written on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Turns {
+pub struct QueueLimits {
     permits: usize,
-    queue: usize,
-    wait: Duration,
+    max_waiting: usize,
+    max_wait: Duration,
 }
 
-fn turns(text: &str) -> Result<Turns, String> {
+fn queue_limits(text: &str) -> Result<QueueLimits, String> {
     let read = || {
         let mut parts = text.split(':');
         let permits = parts.next()?.parse().ok().filter(|n| (1..=4096).contains(n))?;
-        let queue = parts.next()?.parse().ok().filter(|n| (0..=1 << 20).contains(n))?;
-        let wait = seconds(parts.next()?).ok()?;
-        parts.next().is_none().then_some(Turns { permits, queue, wait })
+        let max_waiting = parts.next()?.parse().ok().filter(|n| (0..=1 << 20).contains(n))?;
+        let max_wait = seconds(parts.next()?).ok()?;
+        parts.next().is_none().then_some(QueueLimits { permits, max_waiting, max_wait })
     };
     read().ok_or_else(|| {
-        "turns at once (1 to 4096), waiting (0 to 1048576), longest wait in s: 16:64:30".into()
+        "number at once (1 to 4096), number waiting (0 to 1048576), longest wait in s: 16:64:30".into()
     })
 }
 
-/// The default, with the numbers that were given.
-fn changed(default: TurnSettings, given: Option<Turns>) -> TurnSettings {
-    let Some(Turns { permits, queue, wait }) = given else { return default };
+/// The default settings with the given limits.
+fn changed(default: QueueSettings, given: Option<QueueLimits>) -> QueueSettings {
+    let Some(QueueLimits { permits, max_waiting, max_wait }) = given else { return default };
     let per_token = (permits * default.per_token).div_ceil(default.permits);
-    TurnSettings { permits, per_token, queue, wait, patience: default.patience }
+    QueueSettings { permits, per_token, max_waiting, max_wait, patience: default.patience }
 }
 
 impl LoadArgs {
@@ -135,10 +135,10 @@ mod tests {
 
     #[test]
     fn turns_are_three_numbers() {
-        let wait = Duration::from_millis(500);
-        assert_eq!(turns("2:0:0.5"), Ok(Turns { permits: 2, queue: 0, wait }));
+        let max_wait = Duration::from_millis(500);
+        assert_eq!(queue_limits("2:0:0.5"), Ok(QueueLimits { permits: 2, max_waiting: 0, max_wait }));
         for text in ["", "2", "2:3", "0:3:1", "2:-1:1", "2:3:0", "2:3:nan", "2:3:1:1", "a:3:1"] {
-            assert!(turns(text).is_err(), "{text}");
+            assert!(queue_limits(text).is_err(), "{text}");
         }
     }
 
@@ -147,7 +147,7 @@ mod tests {
         let upload = AdmissionSettings::default().upload;
         assert_eq!(changed(upload.clone(), None), upload);
         for (given, per_token) in [("1:1:1", 1), ("2:1:1", 2), ("4:1:1", 3), ("32:1:1", 24)] {
-            assert_eq!(changed(upload.clone(), turns(given).ok()).per_token, per_token);
+            assert_eq!(changed(upload.clone(), queue_limits(given).ok()).per_token, per_token);
         }
     }
 }

@@ -1,6 +1,9 @@
-//! What the program can be told: flags, each with an environment variable behind it.
+//! The command line: flags, each with an environment variable as its default.
 
+mod connections;
 mod copies;
+mod demo;
+mod health;
 mod jobs;
 mod load;
 
@@ -10,23 +13,24 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::app::ConnectionSettings;
 use crate::compute::ComputeSettings;
-use crate::demo::DemoArgs;
 use crate::http::{AdmissionSettings, Limits};
 use crate::jobs::JobSettings;
 use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
+pub use connections::ConnectionSettings;
 pub use copies::CopyArgs;
+pub use demo::DemoArgs;
+pub use health::HealthArgs;
 pub use jobs::JobArgs;
 pub use load::LoadArgs;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
-#[command(version, about, propagate_version = true)]
+#[command(version = crate::VERSION, about, propagate_version = true)]
 pub struct Cli {
-    /// What to do.
+    /// Subcommand.
     #[command(subcommand)]
     pub command: Command,
 }
@@ -36,11 +40,13 @@ pub struct Cli {
 pub enum Command {
     /// Answer HTTP requests and run jobs until told to stop (SIGTERM or Ctrl-C).
     Serve(Box<ServeArgs>),
-    /// Show the whole job on a virtual rig: upload, fit, predict, compare.
+    /// Run an example on a virtual rig: upload, fit, predict, compare.
     Demo(DemoArgs),
     /// Make tokens while the service is stopped.
     #[command(subcommand)]
     Token(TokenCommand),
+    /// Check whether a running service is alive; the exit status is 0 if it answers (for containers and monitors).
+    Health(HealthArgs),
     /// Copy a data directory, which may be in use, into a new directory.
     Backup(CopyArgs),
     /// Make a new data directory from a backup.
@@ -50,14 +56,14 @@ pub enum Command {
     Work(LogArgs),
 }
 
-/// How a process logs.
+/// Settings of logs.
 #[derive(Debug, Clone, Args)]
 pub struct LogArgs {
     /// Log filter: a level (error, warn, info, debug, trace) or directives like `rigcast=debug,info`.
     #[arg(long, env = "RIGCAST_LOG", default_value = "info")]
     pub log: String,
 
-    /// How log lines look.
+    /// Format of log lines.
     #[arg(long, env = "RIGCAST_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
 }
@@ -67,7 +73,7 @@ pub struct LogArgs {
 pub struct ServeArgs {
     /// Address and port to listen on; port 0 takes a free one. Beyond loopback only once there is an
     /// admin's token (`rigcast token create --role admin`).
-    #[arg(long, env = "RIGCAST_LISTEN", default_value = "127.0.0.1:8080")]
+    #[arg(long, env = "RIGCAST_LISTEN", default_value = "127.0.0.1:8080", value_parser = address)]
     pub listen: SocketAddr,
 
     /// Directory of the registry, the signals and the weights; made if missing, locked while in use.
@@ -99,27 +105,27 @@ pub struct ServeArgs {
     pub drive_limit_bytes: u64,
 }
 
-/// Everything that [`crate::app::App::build`] needs to know.
+/// Everything that the service needs to know to start.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
-    /// Where it will listen: what is open on loopback is not open beyond.
+    /// Address to listen on. Without a token the service answers on loopback only.
     pub listen: SocketAddr,
-    /// How jobs are done.
+    /// Settings of jobs.
     pub jobs: JobSettings,
-    /// Largest and slowest bodies that are read, longest work for an answer.
+    /// Limits on bodies and on the work for an answer.
     pub limits: Limits,
-    /// Work for answers at once.
+    /// Limits on work at once.
     pub compute: ComputeSettings,
-    /// Requests at once.
+    /// Limits on requests at once.
     pub admission: AdmissionSettings,
-    /// Connections at once.
+    /// Limits on connections.
     pub connections: ConnectionSettings,
 }
 
 impl Config {
-    /// The defaults, which do jobs on threads of this process.
+    /// The default settings, with jobs on threads of this process.
     pub fn new(data_dir: PathBuf, listen: SocketAddr) -> Self {
         Self {
             data_dir,
@@ -149,6 +155,17 @@ pub enum ConfigError {
     },
 }
 
+/// An address with its port; `localhost` is this machine's IPv4 loopback.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let numeric = match text.split_once(':') {
+        Some((host, port)) if host.eq_ignore_ascii_case("localhost") => format!("127.0.0.1:{port}"),
+        _ => text.to_owned(),
+    };
+    numeric
+        .parse()
+        .map_err(|_| "an IP address and a port, like 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080".to_owned())
+}
+
 /// A time of a tenth of a second to a year; fractions are for tests.
 fn seconds(text: &str) -> Result<Duration, String> {
     let limit = "a number of seconds from 0.1 to 31536000";
@@ -161,7 +178,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 }
 
 impl ServeArgs {
-    /// The settings of the service, once they have been found sound together.
+    /// The settings of the service, checked together.
     ///
     /// # Errors
     /// [`ConfigError::Heartbeat`].
@@ -213,6 +230,17 @@ mod tests {
         assert_eq!(config.compute, ComputeSettings::default());
         assert_eq!(config.admission, AdmissionSettings::default());
         assert_eq!(config.connections, ConnectionSettings::default());
+    }
+
+    #[test]
+    fn an_address_has_a_port_and_may_be_called_localhost() {
+        assert_eq!(serve(&["--listen", "localhost:9000"]).listen.to_string(), "127.0.0.1:9000");
+        assert_eq!(serve(&["--listen", "[::1]:9000"]).listen.to_string(), "[::1]:9000");
+        for text in ["8080", "localhost", "lab-pc:8080", "127.0.0.1:99999", ""] {
+            let refused =
+                Cli::try_parse_from(["rigcast", "serve", "--listen", text]).expect_err(text).to_string();
+            assert!(refused.contains("like 127.0.0.1:8080"), "{refused}");
+        }
     }
 
     #[test]

@@ -1,12 +1,12 @@
-//! The rig once more, months later: the pilot stage of z's servo-valve is worn, and the command has play. No model
-//! knows of it; a diagnosis finds it.
+//! The rig months later: the pilot stage of z's servo-valve is worn, and the command has play. The models
+//! do not have this effect; a diagnosis finds it.
 
 use rayon::prelude::*;
 
 use super::upload::DemoRun;
 use crate::engine::virtual_rig::drives::{Noise, ServiceLoad, ServiceShape, noise, service_load};
-use crate::engine::virtual_rig::{ProgrammeRun, RunKind, RunSplit, VirtualRig};
-use crate::engine::{EngineError, Signal};
+use crate::engine::virtual_rig::{ProgrammeRun, VirtualRig};
+use crate::engine::{EngineError, RunKind, Signal, Split};
 
 /// Tag of these runs.
 pub const TAG: &str = "later";
@@ -22,10 +22,11 @@ const NOISE_S: f64 = 20.0;
 const LOAD: ServiceLoad =
     ServiceLoad { shape: ServiceShape::HandlingCourse, duration_s: 60.0, scale: 0.5, offset_kn: 0.0 };
 
-/// Two noise drives, each run twice so that repeats tell what is noise, and a service load to check on.
+/// Two noise drives, each run twice so that the repeats give the noise floor, and a service load for the
+/// test.
 ///
 /// # Errors
-/// What [`VirtualRig::simulate`] refuses.
+/// Those of [`VirtualRig::simulate`].
 pub fn record(rig: &VirtualRig, seed: u64) -> Result<Vec<DemoRun>, EngineError> {
     let of = |number: u64| seed.wrapping_mul(1_000).wrapping_add(number);
     let first = drive(of(900))?;
@@ -34,7 +35,7 @@ pub fn record(rig: &VirtualRig, seed: u64) -> Result<Vec<DemoRun>, EngineError> 
     let run = |name: &str, kind, drive: &Signal| ProgrammeRun {
         name: format!("{TAG}-{name}"),
         kind,
-        split: RunSplit::Test,
+        split: Split::Test,
         tags: vec![TAG],
         drive: drive.clone(),
     };
@@ -60,7 +61,7 @@ fn drive(seed: u64) -> Result<Signal, EngineError> {
     noise(&Noise { duration_s: NOISE_S, mean_kn: [0.0; 3], amplitude_kn: [NOISE_KN; 3] }, seed)
 }
 
-/// What arrives of a command: it moves only where the command pushes it from either side.
+/// The command after the play: it moves only where the command pushes it from either side.
 fn play(command: &mut [f64]) {
     let mut arrived = 0.0;
     for u in command {

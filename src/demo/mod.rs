@@ -1,9 +1,9 @@
-//! `rigcast demo`: the whole job on a virtual rig, over HTTP like any lab's software.
+//! `rigcast demo`: an example on a virtual rig, over HTTP as a lab's software would do it.
 //!
 //! Starts the service on an empty data directory, uploads noise runs, lets the fit policy fit the
-//! four kinds of model, predicts withheld loads and prints how close each kind comes (the shape
-//! of Heindel et al., figure 7). Then it uploads runs from after a change of the rig, for a diagnosis.
-//! What it does is what a client would do; nothing in the service knows that the rig is not real.
+//! four kinds of model, predicts withheld loads and prints the errors of each kind (in the form of
+//! Heindel et al., figure 7). Then it uploads runs from after a change of the rig, for a diagnosis. It
+//! calls the service as any client does; the service does not know that the rig is virtual.
 
 mod bars;
 mod later;
@@ -11,64 +11,20 @@ mod scores;
 mod service;
 mod upload;
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use clap::Args;
 use serde_json::{Value, json};
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::app::AppError;
 use crate::client::{self, Client, ClientError};
+use crate::config::DemoArgs;
 use crate::engine::EngineError;
 use crate::engine::virtual_rig::VirtualRig;
 
 pub use service::LocalService;
 
-/// What the demo can be told.
-#[derive(Debug, Clone, Args)]
-pub struct DemoArgs {
-    /// End after the table instead of leaving the service up to explore.
-    #[arg(long)]
-    pub exit: bool,
-
-    /// Seed of the virtual rig and of its loads.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-
-    /// Minutes of training noise.
-    #[arg(long, default_value_t = 20.0, value_parser = minutes)]
-    pub minutes: f64,
-
-    /// Epochs of each network.
-    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub epochs: u32,
-
-    /// Address to listen on; port 0 takes a free one.
-    #[arg(long, default_value = "127.0.0.1:0")]
-    pub listen: SocketAddr,
-
-    /// Data directory, which must be empty or missing; left out: a temporary one.
-    #[arg(long)]
-    pub data_dir: Option<PathBuf>,
-
-    /// Token to show at the service, for a directory that has some.
-    #[arg(long, env = "RIGCAST_TOKEN", hide_env_values = true)]
-    pub token: Option<String>,
-
-    /// Log filter of the service.
-    #[arg(long, env = "RIGCAST_LOG", default_value = "warn")]
-    pub log: String,
-}
-
-fn minutes(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(m) if (1.0..=240.0).contains(&m) => Ok(m),
-        _ => Err("1 to 240 minutes".into()),
-    }
-}
-
-/// Why the demo ended early.
+/// The reason why the demo ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     /// The service did not start or stop.
@@ -98,7 +54,7 @@ const RIG: &str = "hydromount-3x";
 /// Runs the demo.
 ///
 /// # Errors
-/// Whatever step failed, in the words of the service.
+/// The error of the step that failed, in the words of the service.
 pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
     if let Some(dir) = &args.data_dir
         && dir.is_dir()
@@ -117,17 +73,13 @@ pub async fn run(args: DemoArgs) -> Result<(), DemoError> {
     let uploaded = upload::all(&client, RIG, &runs).await?;
     let models = wait_for_fits(&client, &uploaded.jobs).await?;
     let table = scores::table(&client, RIG, &models, &uploaded.tests).await?;
-    println!("\n{table}");
-    println!(
-        "RMS: root of squared error over squared response, mean over three channels. Damage: predicted / measured\n\
-         Multi-Rain damage of the forces (500 directions, k = 5, residue repeated); SL: mean over its levels."
-    );
+    println!("\n{table}\n{}", scores::LEGEND);
     let (draw, seed) = (VirtualRig::draw(args.seed), args.seed);
     let changed = computed(move || later::record(&draw, seed)).await??;
     upload::all(&client, RIG, &changed).await?;
     println!(
-        "\nMonths later, z's servo-valve has play: {} more runs, tagged `{}`. README, \"Where model and rig differ\",\n\
-         has the service find it and mend the model.",
+        "\nMonths later, z's servo-valve has play: {} more runs, tagged `{}`. docs/diagnosis.md, \"Where model and rig\n\
+         differ\", has the service find it and mend the model.",
         changed.len(),
         later::TAG
     );
@@ -159,7 +111,7 @@ async fn simulate(args: &DemoArgs) -> Result<Vec<upload::DemoRun>, DemoError> {
     Ok(runs)
 }
 
-/// Runs what takes long beside the service.
+/// Runs long work on a thread apart from the service.
 async fn computed<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> std::io::Result<T> {
     tokio::task::spawn_blocking(work).await.map_err(|e| std::io::Error::other(e.to_string()))
 }
@@ -169,7 +121,7 @@ fn rig(args: &DemoArgs, training_s: f64) -> Value {
     let channels = VirtualRig::draw(args.seed).channels();
     // As in the paper, service loads help to choose among networks, never to train them.
     let validation = json!({"kinds": ["noise", "service"], "split": "validation"});
-    // The FRF belongs where the rig is nearly linear.
+    // The FRF is fitted where the rig is nearly linear.
     let linear = json!({"runs": {"tags": ["linear"]}});
     // One network each, so that the whole demo takes minutes; the default is the best of three.
     let network = json!({"seeds": [args.seed], "epochs": args.epochs});
@@ -185,7 +137,7 @@ fn rig(args: &DemoArgs, training_s: f64) -> Value {
            "fit_policy": {"kinds": ["noise"], "min_total_s": training_s - 0.5, "fits": fits}})
 }
 
-/// Waits for the jobs that the policy queued; answers each kind's model version.
+/// Waits for the jobs that the policy queued. Returns the model version of each kind.
 async fn wait_for_fits(client: &Client, jobs: &[String]) -> Result<Vec<(String, u64)>, DemoError> {
     let mut models = Vec::new();
     for job in jobs {

@@ -4,12 +4,11 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
-use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::DemoError;
-use crate::app::App;
+use crate::app::{Address, App, AppError};
 use crate::config::Config;
 
 /// A running service. It is reached over HTTP only; dropping it without [`LocalService::stop`]
@@ -27,30 +26,31 @@ impl LocalService {
     /// Starts a service; `data_dir` left out is a temporary directory that goes with it.
     ///
     /// # Errors
-    /// A directory or address that cannot be had.
+    /// A directory or address that cannot be used.
     pub async fn start(listen: SocketAddr, data_dir: Option<PathBuf>) -> Result<Self, DemoError> {
         let temporary = if data_dir.is_none() { Some(TempDir::with_prefix("rigcast-")?) } else { None };
         let data_dir = data_dir
             .or_else(|| temporary.as_ref().map(|t| t.path().to_owned()))
             .expect("a directory was given or has been made");
         let config = Config::new(data_dir.clone(), listen);
+        let address = Address::take(listen).map_err(AppError::from)?;
         let app = App::build(&config).await?;
-        let listener = TcpListener::bind(listen).await?;
+        let listener = address.listen().map_err(AppError::from)?;
         let address = listener.local_addr()?;
         let (shutdown, told) = oneshot::channel();
         let task = tokio::spawn(app.serve(listener, async move {
-            // A sender that is gone is a wish to stop as well.
+            // A dropped sender means stop too.
             let _ = told.await;
         }));
         Ok(Self { address, data_dir, _temporary: temporary, shutdown, task })
     }
 
-    /// Where it listens, such as `http://127.0.0.1:40001`.
+    /// Its URL, such as `http://127.0.0.1:40001`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// Where it keeps everything.
+    /// Its data directory.
     pub fn data_dir(&self) -> &Path {
         &self.data_dir
     }

@@ -1,13 +1,12 @@
 //! The rig's test programme: simulated, then uploaded run by run.
 
-use indicatif::ProgressBar;
 use rayon::prelude::*;
 
 use super::scores::TestRun;
 use super::{DemoError, bars};
 use crate::client::{Client, ClientError};
-use crate::engine::virtual_rig::{ProgrammeRun, ProgrammeSettings, RunSplit, VirtualRig, programme};
-use crate::engine::{EngineError, Signal};
+use crate::engine::virtual_rig::{ProgrammeRun, ProgrammeSettings, VirtualRig, programme};
+use crate::engine::{EngineError, Signal, Split};
 use crate::formats::npy::{self, Dtype, Order};
 
 /// One recorded run of the virtual rig.
@@ -18,10 +17,10 @@ pub struct DemoRun {
 }
 
 impl DemoRun {
-    /// Simulates a run; the drives arrive at the rig as `arriving` where they do not as they were sent.
+    /// Simulates a run; `arriving` holds the drives that reach the rig if they differ from those sent.
     ///
     /// # Errors
-    /// What [`VirtualRig::simulate`] refuses.
+    /// Those of [`VirtualRig::simulate`].
     pub fn simulated(
         rig: &VirtualRig,
         run: ProgrammeRun,
@@ -36,12 +35,12 @@ impl DemoRun {
 
     /// Length of training data in it.
     pub fn training_s(&self) -> f64 {
-        if self.run.split == RunSplit::Training { self.recorded.duration_s() } else { 0.0 }
+        if self.run.split == Split::Training { self.recorded.duration_s() } else { 0.0 }
     }
 
     /// Column of the table that it belongs to.
     fn column(&self) -> Option<&'static str> {
-        let test = self.run.split == RunSplit::Test;
+        let test = self.run.split == Split::Test;
         self.run.tags.iter().filter(|_| test).find_map(|tag| match *tag {
             "n1" => Some("N1"),
             "n2" => Some("N2"),
@@ -53,7 +52,7 @@ impl DemoRun {
     }
 }
 
-/// What the service made of the uploads.
+/// The service's answers to the uploads.
 pub struct Uploaded {
     /// Jobs that the fit policy queued.
     pub jobs: Vec<String>,
@@ -61,7 +60,7 @@ pub struct Uploaded {
     pub tests: Vec<TestRun>,
 }
 
-/// Simulates a whole test programme, a run a core.
+/// Simulates a whole test programme, one run per core.
 ///
 /// # Errors
 /// Lengths that the programme refuses.
@@ -69,7 +68,7 @@ pub fn record(
     rig: &VirtualRig,
     seed: u64,
     minutes: f64,
-    bar: &ProgressBar,
+    bar: &bars::Bar,
 ) -> Result<Vec<DemoRun>, EngineError> {
     let runs = programme(&ProgrammeSettings::of_minutes(minutes), seed)?;
     bar.set_length(runs.len() as u64);

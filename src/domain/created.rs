@@ -1,18 +1,18 @@
-//! The answer to a request that has made something: made once, and given again as it was when the
-//! request comes again under its idempotency key.
+//! The answer to a creating request. It is stored, and repeated when the request comes again under its
+//! idempotency key.
 
 use serde::Serialize;
 
 use super::{InsertedRun, Job, Model, Rig};
 
-/// Status, place and JSON of what was made.
+/// Status, location and JSON of a created resource.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Created {
-    /// 201 for a thing, 202 for a job.
+    /// 201 for a resource, 202 for a job.
     pub status: u16,
     /// Path.
     pub location: String,
-    /// Of a thing that can change.
+    /// `ETag` of a resource that can change.
     pub etag: Option<String>,
     /// JSON.
     pub body: String,

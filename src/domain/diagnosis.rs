@@ -1,15 +1,17 @@
-//! A diagnosis as a client asks for it (`POST /v1/rigs/{rig}/diagnoses`), as lists show it and as it
-//! is kept.
+//! A diagnosis as it is requested (`POST /v1/rigs/{rig}/diagnoses`), listed and stored.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fits::{RunFilter, RunSelection};
 use super::ids::{DiagnosisId, JobId, RigId, RunId};
 use super::model::Span;
-use super::model_name::ModelName;
+use super::model_ref::ModelRef;
 use super::problem::FieldError;
 use crate::engine::diagnosis::{Augmented, Effect, Family, Mode, Report, Verdict, VerdictKind, Views};
 
@@ -18,8 +20,8 @@ use crate::engine::diagnosis::{Augmented, Effect, Family, Mode, Report, Verdict,
 const MATERIAL_GAP: f64 = 0.02;
 
 /// Runs to explain: the service splits them, or each has its role.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "ids of runs, {fit, select, test} with ids of runs, or a selection of runs")]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
 pub enum DiagnosisRuns {
     /// Exactly these.
     Ids(Vec<RunId>),
@@ -29,7 +31,59 @@ pub enum DiagnosisRuns {
     Match(RunFilter),
 }
 
-/// What each run is used for.
+impl<'de> Deserialize<'de> for DiagnosisRuns {
+    /// By hand, as for [`RunSelection`].
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        /// Fields of either object.
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Fields {
+            fit: Option<Vec<RunId>>,
+            select: Option<Vec<RunId>>,
+            test: Option<Vec<RunId>>,
+            kinds: Option<Vec<String>>,
+            #[serde(default)]
+            tags: Vec<String>,
+            split: Option<String>,
+        }
+        struct RunsVisitor;
+        impl<'de> Visitor<'de> for RunsVisitor {
+            type Value = DiagnosisRuns;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("ids of runs, {fit, select, test} with ids of runs, or a selection of runs")
+            }
+
+            fn visit_str<E: Error>(self, id: &str) -> Result<DiagnosisRuns, E> {
+                id.parse().map(|id| DiagnosisRuns::Ids(vec![id])).map_err(E::custom)
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, ids: A) -> Result<DiagnosisRuns, A::Error> {
+                Vec::deserialize(SeqAccessDeserializer::new(ids)).map(DiagnosisRuns::Ids)
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, fields: A) -> Result<DiagnosisRuns, A::Error> {
+                match Fields::deserialize(MapAccessDeserializer::new(fields))? {
+                    Fields { fit: None, select: None, test: None, kinds, tags, split } => {
+                        Ok(DiagnosisRuns::Match(RunFilter { kinds, tags, split }))
+                    }
+                    Fields {
+                        fit: Some(fit),
+                        select: Some(select),
+                        test: Some(test),
+                        kinds: None,
+                        tags,
+                        split: None,
+                    } if tags.is_empty() => Ok(DiagnosisRuns::Roles(RunRoles { fit, select, test })),
+                    _ => Err(A::Error::invalid_type(Unexpected::Map, &self)),
+                }
+            }
+        }
+        deserializer.deserialize_any(RunsVisitor)
+    }
+}
+
+/// The use of each run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunRoles {
@@ -37,7 +91,7 @@ pub struct RunRoles {
     pub fit: Vec<RunId>,
     /// Effects are chosen on these.
     pub select: Vec<RunId>,
-    /// On these, neither fitted nor chosen on, the closure is measured.
+    /// The closure is measured on these, which are used for neither of the others.
     pub test: Vec<RunId>,
 }
 
@@ -55,8 +109,8 @@ pub struct Envelope {
 pub struct DiagnosisRequest {
     /// The sim; left out: the active model, unless `simulated` is given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model: Option<ModelName>,
-    /// Instead of a model: for each run the one that holds its simulated responses.
+    pub model: Option<ModelRef>,
+    /// Instead of a model: for each run, the run that holds its simulated responses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulated: Option<BTreeMap<RunId, RunId>>,
     /// Whether the sim has seen the effect.
@@ -96,7 +150,7 @@ impl DiagnosisRequest {
     /// Effects of the catalogue, each once, in the catalogue's order.
     ///
     /// # Errors
-    /// Names that are neither an effect nor a family, with what is allowed; an empty list.
+    /// Names that are neither an effect nor a family, with the names that are allowed; an empty list.
     pub fn effects(&self) -> Result<Vec<Effect>, Vec<FieldError>> {
         let named = |name: &str| -> Vec<Effect> {
             let is = |e: &Effect| name == "all" || name == e.name() || name == word(&e.family());
@@ -105,7 +159,7 @@ impl DiagnosisRequest {
         if self.catalogue.is_empty() {
             return Err(vec![FieldError::new("/catalogue", "at least one effect, family or all")]);
         }
-        // Each that is wrong is answered with all that would be right.
+        // The error for each wrong name lists all names that are allowed.
         if self.catalogue.len() > MAX_CATALOGUE {
             return Err(vec![FieldError::new("/catalogue", format!("at most {MAX_CATALOGUE} names"))]);
         }
@@ -149,7 +203,7 @@ pub struct DiagnosedModel {
 /// The verdict without its reasons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VerdictSummary {
-    /// What kind of answer.
+    /// Kind of verdict.
     pub kind: VerdictKind,
     /// The effect blamed, if one is.
     pub effect: Option<Effect>,
@@ -159,7 +213,7 @@ pub struct VerdictSummary {
     pub axis: Option<String>,
     /// Response on which it closes most.
     pub channel: Option<String>,
-    /// That the verdict is right, 0..1.
+    /// Probability that the verdict is right, 0..1.
     pub probability: f64,
 }
 
@@ -185,11 +239,11 @@ pub struct DiagnosisSummary {
     pub rig: RigId,
     /// When its report was stored.
     pub created_at: Timestamp,
-    /// The sim; none where simulated responses were sent.
+    /// The sim; `None` where simulated responses were sent.
     pub model: Option<DiagnosedModel>,
     /// Whether the sim had seen the effect.
     pub mode: Mode,
-    /// The answer in short.
+    /// The verdict in short.
     pub verdict: VerdictSummary,
     /// The job that made it.
     pub job: JobId,
@@ -208,12 +262,12 @@ pub struct StoredDiagnosis {
     pub findings: String,
 }
 
-/// What a diagnosis found: too much for a row.
+/// The findings of a diagnosis, which are too large for a row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Findings {
     /// The report; its runs are named by their ids.
     pub report: Report,
-    /// What the report's page draws.
+    /// Data of the plots on the report's page.
     pub views: Views,
     /// The sim with the effect in it, one a hypothesis.
     pub augmented: Vec<Augmented>,

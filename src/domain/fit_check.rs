@@ -1,14 +1,15 @@
-//! What can be said about a fit request with nothing but the rig at hand.
+//! Checks of a fit request that need only the rig.
 
 use std::collections::HashSet;
 
 use crate::engine::EngineError;
 use crate::engine::frf::FrfSettings;
+use crate::engine::model::{Preset, Task};
 
 use super::fits::{FitRequest, FrfOptions, RunFilter, RunSelection};
 use super::problem::FieldError;
 use super::rig::{Channel, Role};
-use super::run::{RunKind, Split};
+use crate::engine::{RunKind, Split};
 
 /// Most runs that a selection may list by id.
 const MAX_IDS: usize = 10_000;
@@ -22,10 +23,22 @@ pub struct FitChannels {
     pub outputs: Vec<String>,
 }
 
+/// What a model from `inputs` to `outputs` is for: forward prediction where all inputs are drives and
+/// all outputs responses of a rig with these channels, else virtual sensing.
+pub fn task(channels: &[Channel], inputs: &[String], outputs: &[String]) -> Task {
+    let all = |names: &[String], role| {
+        names.iter().all(|name| channels.iter().any(|channel| channel.name == *name && channel.role == role))
+    };
+    match all(inputs, Role::Drive) && all(outputs, Role::Response) {
+        true => Task::Forward,
+        false => Task::VirtualSensing,
+    }
+}
+
 impl FrfOptions {
-    /// Settings of the engine: what is left open is the engine's to choose.
-    pub fn settings(&self) -> FrfSettings {
-        let default = FrfSettings::default();
+    /// Settings of the engine. Those that are left open come from the preset, or the engine chooses them.
+    pub fn settings(&self, preset: Preset) -> FrfSettings {
+        let default = preset.frf();
         FrfSettings {
             segment_len: self.segment_len,
             overlap: self.overlap.unwrap_or(default.overlap),
@@ -36,7 +49,7 @@ impl FrfOptions {
 }
 
 impl FitRequest {
-    /// Names the channels of the fit and checks its settings and its selections of runs.
+    /// Resolves the channels of the fit, and checks its settings and its selections of runs.
     ///
     /// # Errors
     /// Channels that the rig does not have, that come twice, or that are input and output at
@@ -45,14 +58,15 @@ impl FitRequest {
     pub fn check(&self, channels: &[Channel], sample_rate_hz: f64) -> Result<FitChannels, Vec<FieldError>> {
         let mut errors = Vec::new();
         setting(&mut errors, self.preprocess.check(sample_rate_hz));
-        setting(&mut errors, self.frf.settings().check());
-        setting(&mut errors, self.lstm.check(self.preset, self.kind));
+        setting(&mut errors, self.frf.settings(self.preset).check());
         let inputs = resolve(&mut errors, channels, "/inputs", self.inputs.as_deref(), Role::Drive);
         let outputs = resolve(&mut errors, channels, "/outputs", self.outputs.as_deref(), Role::Response);
         for (i, output) in outputs.iter().enumerate().filter(|(_, output)| inputs.contains(output)) {
             let error = FieldError::new(format!("/outputs/{i}"), "a channel that is no input of the fit");
             errors.push(error.on_channel(output));
         }
+        let task = task(channels, &inputs, &outputs);
+        setting(&mut errors, self.lstm.check(self.preset, self.kind, task));
         check_runs(&mut errors, "/runs", self.runs.as_ref());
         check_runs(&mut errors, "/validation_runs", self.validation_runs.as_ref());
         check_runs(&mut errors, "/frf/runs", self.frf.runs.as_ref());
@@ -126,6 +140,7 @@ fn check_runs(errors: &mut Vec<FieldError>, pointer: &str, selection: Option<&Ru
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::frf::Estimator;
 
     fn channels() -> Vec<Channel> {
         let channel = |name: &str, role| Channel {
@@ -147,6 +162,29 @@ mod tests {
     fn channels_left_open_are_all_drives_and_all_responses() {
         let found = request(r#"{"kind": "frf"}"#).check(&channels(), 100.0).unwrap();
         assert_eq!(found, FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into(), "z".into()] });
+    }
+
+    #[test]
+    fn a_model_from_drives_to_responses_is_for_forward_prediction_and_any_other_for_virtual_sensing() {
+        let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
+        let of = |inputs: &[&str], outputs: &[&str]| task(&channels(), &names(inputs), &names(outputs));
+        assert_eq!(of(&["u"], &["y", "z"]), Task::Forward);
+        assert_eq!(of(&["u"], &["z"]), Task::Forward);
+        assert_eq!(of(&["y"], &["z"]), Task::VirtualSensing);
+        assert_eq!(of(&["u", "y"], &["z"]), Task::VirtualSensing);
+        assert_eq!(of(&["y"], &["u"]), Task::VirtualSensing);
+    }
+
+    #[test]
+    fn the_frf_settings_that_a_request_leaves_open_are_those_of_its_preset() {
+        let of = |json: &str| {
+            let request = request(json);
+            request.frf.settings(request.preset)
+        };
+        assert_eq!(of(r#"{"kind": "frf"}"#).estimator, Estimator::H1);
+        assert_eq!(of(r#"{"kind": "frf", "preset": "paper"}"#).estimator, Estimator::Auto);
+        let asked = r#"{"kind": "frf", "preset": "paper", "frf": {"estimator": "ratio", "overlap": 0.5}}"#;
+        assert_eq!((of(asked).estimator, of(asked).overlap), (Estimator::Ratio, 0.5));
     }
 
     #[test]

@@ -1,18 +1,49 @@
-//! A fit as a client asks for it (`POST /v1/rigs/{rig}/fits`, and in a rig's `fit_policy`).
+//! A fit request (`POST /v1/rigs/{rig}/fits`, and in a rig's `fit_policy`).
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Error, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::engine::frf::Estimator;
 use crate::engine::model::{LstmOptions, ModelKind, Preprocess, Preset};
 
-/// Runs by id, or by what they are.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Runs by id, or by kind, tags and split.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum RunSelection {
     /// Exactly these.
     Ids(Vec<uuid::Uuid>),
     /// All that match.
     Match(RunFilter),
+}
+
+impl<'de> Deserialize<'de> for RunSelection {
+    /// By hand: what serde derives for an untagged type says neither where nor what is wrong.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct SelectionVisitor;
+        impl<'de> Visitor<'de> for SelectionVisitor {
+            type Value = RunSelection;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("ids of runs, or a selection of runs")
+            }
+
+            fn visit_str<E: Error>(self, id: &str) -> Result<RunSelection, E> {
+                id.parse().map(|id| RunSelection::Ids(vec![id])).map_err(E::custom)
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, ids: A) -> Result<RunSelection, A::Error> {
+                Vec::deserialize(SeqAccessDeserializer::new(ids)).map(RunSelection::Ids)
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, filter: A) -> Result<RunSelection, A::Error> {
+                RunFilter::deserialize(MapAccessDeserializer::new(filter)).map(RunSelection::Match)
+            }
+        }
+        deserializer.deserialize_any(SelectionVisitor)
+    }
 }
 
 /// A selection by kind, tag and split; an empty list matches all.
@@ -50,14 +81,14 @@ pub struct FrfOptions {
     pub ridge: Option<f64>,
 }
 
-/// When a new model becomes the active one.
+/// The condition on which a new model becomes the active one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activate {
     /// If none was active, or if it is at least 1 % better on data neither was trained on.
     #[default]
     IfBetter,
-    /// Not by the fit.
+    /// Never by the fit.
     Never,
     /// In any case.
     Always,

@@ -1,4 +1,4 @@
-//! Names of things: the rig's slug, which the client chooses, and UUIDs, which we choose.
+//! Ids: the rig's slug, which the client chooses, and UUIDs, which the service makes.
 
 use std::fmt;
 use std::str::FromStr;
@@ -21,7 +21,7 @@ pub type DiagnosisId = uuid::Uuid;
 #[serde(try_from = "String", into = "String")]
 pub struct RigId(String);
 
-/// What a rig id must look like.
+/// The form of a rig id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a rig id is 1 to 63 of a-z, 0-9, _ and -, and starts with a letter or digit")]
 pub struct RigIdError;
@@ -65,13 +65,13 @@ impl fmt::Display for RigId {
     }
 }
 
-/// Keeps ids that are made in one process in order, within a millisecond and when the clock
-/// steps back: lists and queues are read in the order of their ids.
+/// Keeps the ids of one process in order within a millisecond and when the clock steps back, since lists
+/// and queues are read in the order of their ids.
 static ORDER: Mutex<ContextV7> = Mutex::new(ContextV7::new());
 
 /// A new UUID v7 at `now`; later calls give greater ids.
 pub fn new_id(now: jiff::Timestamp) -> uuid::Uuid {
-    // UUIDs count from 1970 and unsigned: an earlier clock is as good as 1970.
+    // UUIDs count from 1970 without a sign, so that an earlier clock is set to 1970.
     let seconds = u64::try_from(now.as_second()).unwrap_or(0);
     let nanoseconds = u32::try_from(now.subsec_nanosecond()).unwrap_or(0);
     uuid::Uuid::new_v7(uuid::Timestamp::from_unix(&ORDER, seconds, nanoseconds))

@@ -1,4 +1,4 @@
-//! Jobs: durable pieces of long work, their states and the moves between them.
+//! Jobs: durable pieces of long work, their states and the transitions between them.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::ids::{JobId, RigId};
 use super::problem::Problem;
 
-/// How often a job may be started; a job that was interrupted this often has failed.
+/// Most attempts of a job; a job that was interrupted this often has failed.
 pub const MAX_ATTEMPTS: u32 = 3;
 
-/// What a job does.
+/// Kinds of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JobKind {
@@ -17,7 +17,7 @@ pub enum JobKind {
     Fit,
     /// Compares models with runs.
     Evaluation,
-    /// Finds where model and rig disagree, and why.
+    /// Finds where model and rig disagree, and the effect behind it.
     Diagnosis,
     /// Finds the drive that reproduces a target.
     Iteration,
@@ -26,6 +26,9 @@ pub enum JobKind {
 }
 
 impl JobKind {
+    /// All kinds.
+    pub const ALL: [Self; 5] = [Self::Fit, Self::Evaluation, Self::Diagnosis, Self::Iteration, Self::Study];
+
     /// The word of the contract.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -38,19 +41,19 @@ impl JobKind {
     }
 }
 
-/// Where a job stands.
+/// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
     /// Waits for a worker.
     Queued,
-    /// A worker has it.
+    /// Claimed by a worker.
     Running,
-    /// Done, with a result.
+    /// Ended with a result.
     Succeeded,
-    /// Done, with a problem.
+    /// Ended with a problem.
     Failed,
-    /// Done, by wish.
+    /// Ended on request.
     Cancelled,
 }
 
@@ -76,7 +79,7 @@ impl JobState {
 
     /// Whether a job may go from this state to `next`.
     ///
-    /// Running goes back to queued when its worker stops or dies; queued fails when its attempts
+    /// A running job goes back to queued when its worker stops or dies; a queued one fails when its attempts
     /// are used up.
     pub fn may_become(self, next: Self) -> bool {
         match self {
@@ -87,14 +90,14 @@ impl JobState {
     }
 }
 
-/// What a job made.
+/// The result of a job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobResult {
-    /// Kind of thing (`model`).
+    /// Kind of resource (`model`).
     pub kind: String,
-    /// Its id; of a model the version.
+    /// Its id; for a model the version.
     pub id: String,
-    /// Where it is.
+    /// Its path.
     pub href: String,
 }
 
@@ -109,13 +112,13 @@ pub struct Job {
     pub rig: RigId,
     /// State.
     pub state: JobState,
-    /// What is being done, in an engineer's words; of a finished job, what came of it.
+    /// The present stage in an engineer's words; for a finished job, the outcome.
     pub stage: Option<String>,
     /// Share that is done, 0..=1.
     pub progress: f64,
-    /// Seconds until it is done, by the speed so far; only while it runs.
+    /// Estimated seconds until it is done, from the speed so far; only while it runs.
     pub eta_s: Option<f64>,
-    /// How often it was started.
+    /// Number of attempts.
     pub attempt: u32,
     /// When it was queued.
     pub created_at: Timestamp,
@@ -123,22 +126,22 @@ pub struct Job {
     pub started_at: Option<Timestamp>,
     /// When it reached a terminal state.
     pub finished_at: Option<Timestamp>,
-    /// Of a job that succeeded.
+    /// The result, if it succeeded.
     pub result: Option<JobResult>,
-    /// Of a job that failed.
+    /// The problem, if it failed.
     pub problem: Option<Problem>,
     /// Rises with every change: the id of its server-sent event.
     #[serde(skip)]
     pub event: u64,
-    /// Whether somebody asked for an end.
+    /// Whether a cancellation was requested.
     #[serde(skip)]
     pub cancel_requested: bool,
 }
 
-/// Seconds until work is done that came to `fraction` in `elapsed_s`; `None` before anything can
-/// be said.
+/// Estimated seconds until work is done of which `fraction` took `elapsed_s`; `None` while the fraction is
+/// too small for an estimate.
 pub fn eta_s(fraction: f64, elapsed_s: f64) -> Option<f64> {
-    // Below one percent the quotient says more about the start-up than about the work.
+    // Below one percent the quotient is dominated by the start-up.
     let known = fraction.is_finite() && (0.01..=1.0).contains(&fraction) && elapsed_s > 0.0;
     known.then(|| elapsed_s * (1.0 - fraction) / fraction)
 }

@@ -1,4 +1,4 @@
-//! The service's nouns and their legal moves: rigs, runs, fits, jobs, models, diagnoses, tokens.
+//! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, tokens.
 
 mod created;
 pub mod diagnosis;
@@ -7,28 +7,31 @@ pub mod fits;
 pub mod ids;
 pub mod job;
 pub mod model;
-mod model_name;
+mod model_ref;
 pub mod page;
 pub mod problem;
 pub mod quality;
 pub mod rig;
 pub mod run;
+pub mod strict;
 pub mod token;
 
-pub use crate::engine::Quantity;
+pub use crate::engine::{Quantity, RunKind, Split};
 pub use created::Created;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
-pub use fit_check::FitChannels;
+pub use fit_check::{FitChannels, task};
 pub use ids::{DiagnosisId, JobId, RigId, RunId, new_id};
 pub use job::{Job, JobKind, JobResult, JobState};
-pub use model::{ActiveModel, Adopted, Lineage, Model, Origin, Span};
-pub use model_name::ModelName;
+pub use model::{
+    ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span,
+};
+pub use model_ref::ModelRef;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
-pub use run::{InsertedRun, Run, RunKind, RunMeta, RunPatch, Split};
+pub use run::{InsertedRun, Run, RunMeta, RunPatch};
 pub use token::{Secret, SecretDigest, Token, TokenDraft, TokenId, TokenRole};
 
-/// Where the time comes from; `app` passes the one real clock in, tests pass their own.
+/// Source of the time. `app` passes the real clock in, tests pass their own.
 pub type Clock = fn() -> jiff::Timestamp;

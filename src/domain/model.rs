@@ -1,4 +1,4 @@
-//! Model versions: immutable, numbered, with everything that says where they came from.
+//! Model versions: immutable, numbered, with their lineage.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -6,9 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::fits::FitRequest;
 use super::ids::{DiagnosisId, JobId, RigId, RunId};
 use super::rig::Rig;
-use crate::engine::model::{FitReport, ModelKind};
+use crate::engine::diagnosis::{Effect, Family};
+use crate::engine::frf::FrfSummary;
+use crate::engine::model::{FitReport, ModelKind, RigModel, VersionKind};
 
-/// How a model came into the registry.
+/// The origin of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
@@ -31,9 +33,9 @@ impl Origin {
     }
 }
 
-/// A stretch of a run: samples `from_sample..to_sample`.
+/// A span of a run: samples `from_sample..to_sample`.
 ///
-/// The digest of the uploaded bytes tells two uploads of one measurement, and outlives the run.
+/// The digest of the uploaded bytes identifies a measurement that was uploaded twice, and outlives the run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Span {
     /// The run.
@@ -57,19 +59,24 @@ impl Span {
 /// The data that made a model.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Lineage {
-    /// What the LSTM (or, without one, the FRF) was trained on.
+    /// Training data of the LSTM or, without one, of the FRF.
     pub training: Vec<Span>,
-    /// What the FRF part was estimated on, where that was something else.
+    /// Data of the FRF part, if they differ.
     pub frf: Vec<Span>,
-    /// What chose among models; its errors are the report's.
+    /// Data that stopped the training and chose seed and recombination. Absent from models that were made
+    /// before these were told apart from `validation`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopping: Option<Vec<Span>>,
+    /// Data that compare the model with others; the errors in the report are on these. If the model was fitted
+    /// again on all runs, they are in `training` too.
     pub validation: Vec<Span>,
-    /// Effects that diagnoses added to it, the first adopted first; the rest of the lineage is that
-    /// of the version that they were added to.
+    /// Effects that were adopted from diagnoses, in the order of adoption. The rest of the lineage is that of
+    /// the version that they were added to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub diagnoses: Vec<Adopted>,
 }
 
-/// Where an adopted effect came from.
+/// The origin of an adopted effect.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Adopted {
     /// The diagnosis.
@@ -78,9 +85,9 @@ pub struct Adopted {
     pub hypothesis: usize,
     /// The version that was diagnosed.
     pub version: u32,
-    /// What the effect's parameters were fitted to.
+    /// Data to which the effect's parameters were fitted.
     pub fit: Vec<Span>,
-    /// What the effect was chosen on.
+    /// Data on which the effect was chosen.
     pub select: Vec<Span>,
 }
 
@@ -91,10 +98,62 @@ impl Lineage {
         self.training.iter().chain(&self.frf).chain(effects).any(|used| used.overlaps(span))
     }
 
+    /// Whether a sample of `span` shaped the model, or stopped its training, or chose it.
+    pub fn has_seen(&self, span: &Span) -> bool {
+        let stopped = self.stopping.as_ref().unwrap_or(&self.validation);
+        let chosen = self.diagnoses.iter().flat_map(|adopted| &adopted.select);
+        self.was_trained_on(span) || stopped.iter().chain(chosen).any(|used| used.overlaps(span))
+    }
+
     /// All data that the model has seen, for weights, parameters or choices.
     pub fn spans(&self) -> impl Iterator<Item = &Span> {
         let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
-        self.training.iter().chain(&self.frf).chain(&self.validation).chain(effects)
+        let stopping = self.stopping.iter().flatten();
+        self.training.iter().chain(&self.frf).chain(stopping).chain(&self.validation).chain(effects)
+    }
+}
+
+/// What an adopted version consists of. Its weight file holds all of it: the base may be deleted.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Adoption {
+    /// The model beneath all effects, which a fit or an import made.
+    pub base: Base,
+    /// The effects on top of it, the first adopted first, as in the lineage's `diagnoses`.
+    pub effects: Vec<AdoptedEffect>,
+}
+
+/// The model beneath adopted effects.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Base {
+    /// Its version of this rig; none where base and effects came in one weight file.
+    pub version: Option<u32>,
+    /// Its kind.
+    pub kind: ModelKind,
+    /// SHA-256 of its weight file, hex; none where the version is unknown or was gone when this was written.
+    pub sha256: Option<String>,
+}
+
+/// An effect of an adopted version.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AdoptedEffect {
+    /// The effect.
+    pub effect: Effect,
+    /// Its family.
+    pub family: Family,
+    /// The output at which it acts; others may feel it.
+    pub channel: String,
+}
+
+impl Adoption {
+    /// What a model with effects consists of, on a base of this version and digest; none without effects.
+    pub fn of(model: &RigModel, version: Option<u32>, sha256: Option<String>) -> Option<Self> {
+        let named = |added: &crate::engine::model::AddedEffect| {
+            let effect = added.augmented.effect();
+            let channel = model.outputs[added.augmented.response()].clone();
+            AdoptedEffect { effect, family: effect.family(), channel }
+        };
+        let base = Base { version, kind: model.kind, sha256 };
+        (!model.effects.is_empty()).then(|| Self { base, effects: model.effects.iter().map(named).collect() })
     }
 }
 
@@ -105,8 +164,14 @@ pub struct Model {
     pub version: u32,
     /// Its rig.
     pub rig: RigId,
+    /// Its parts and how they combine; of an adopted version those of its base.
+    #[serde(skip)]
+    pub parts: ModelKind,
     /// Kind.
-    pub kind: ModelKind,
+    pub kind: VersionKind,
+    /// Of kind `adopted`: the model beneath, and the effects on top of it.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub adoption: Option<Adoption>,
     /// Input channels, in order.
     pub inputs: Vec<String>,
     /// Output channels, in order.
@@ -121,11 +186,14 @@ pub struct Model {
     pub origin: Origin,
     /// The job that fitted it, or found its effect.
     pub job: Option<JobId>,
-    /// What was asked for, with runs and channels resolved.
+    /// The fit request, with runs and channels resolved.
     pub request: Option<FitRequest>,
-    /// What the fit found, with all settings used.
+    /// Results of the fit, with all settings used.
     pub report: Option<FitReport>,
-    /// The data behind it.
+    /// Figures of its FRF; absent where it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frf: Option<ModelFrf>,
+    /// The data that made it.
     pub lineage: Lineage,
     /// Version of this program that made it.
     pub code_version: String,
@@ -137,14 +205,51 @@ pub struct Model {
     pub active: bool,
 }
 
+/// A model's FRF in a few figures, with the path of the whole.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelFrf {
+    /// Path of all its lines.
+    pub href: String,
+    /// The figures; `None` for a model that was stored before there were any.
+    #[serde(flatten)]
+    pub summary: Option<FrfSummary>,
+    /// Why figures are missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<&'static str>,
+}
+
+/// Why an FRF has no coherence to show.
+pub const NO_COHERENCE: &str =
+    "the weights carry no coherence: they were made elsewhere or by an earlier version";
+
+impl ModelFrf {
+    /// Of a version with these parts, whose summary may be stored; `None` for parts without FRF.
+    pub fn of(rig: &RigId, version: u32, parts: ModelKind, summary: Option<FrfSummary>) -> Option<Self> {
+        if summary.is_none() && parts == ModelKind::Lstm {
+            return None;
+        }
+        let measured = summary.as_ref().is_some_and(|summary| summary.measured.is_some());
+        let href = format!("/v1/rigs/{rig}/models/{version}/frf");
+        Some(Self { href, summary, reason: (!measured).then_some(NO_COHERENCE) })
+    }
+}
+
 impl Model {
-    /// Whether it maps the rig's drives to the rig's responses, all of them, in whatever order.
+    /// Its kind and, of an adopted version, that of its base.
+    pub fn kind_in_words(&self) -> String {
+        match &self.adoption {
+            Some(adoption) => format!("{} on {}", self.kind.as_str(), adoption.base.kind.as_str()),
+            None => self.kind.as_str().to_owned(),
+        }
+    }
+
+    /// Whether it maps all of the rig's drives to all of its responses, in any order.
     pub fn is_forward(&self, rig: &Rig) -> bool {
         is_forward(rig, &self.inputs, &self.outputs)
     }
 }
 
-/// Whether `inputs` are the rig's drives and `outputs` its responses, in whatever order.
+/// Whether `inputs` are the rig's drives and `outputs` its responses, in any order.
 pub fn is_forward(rig: &Rig, inputs: &[String], outputs: &[String]) -> bool {
     let same = |mut wanted: Vec<&str>, found: &[String]| {
         let mut found: Vec<&str> = found.iter().map(String::as_str).collect();
@@ -155,7 +260,7 @@ pub fn is_forward(rig: &Rig, inputs: &[String], outputs: &[String]) -> bool {
     same(rig.drives().collect(), inputs) && same(rig.responses().collect(), outputs)
 }
 
-/// Which model answers when a client asks for `active`.
+/// The model that a request for `active` refers to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ActiveModel {
     /// The version, if any.
@@ -195,6 +300,7 @@ mod tests {
         let lineage = Lineage {
             training: vec![span(1, "aa", 0, 10)],
             frf: vec![span(2, "bb", 0, 10)],
+            stopping: Some(vec![span(6, "ff", 0, 10)]),
             validation: vec![span(3, "cc", 0, 10)],
             diagnoses: vec![Adopted {
                 id: DiagnosisId::nil(),
@@ -208,6 +314,10 @@ mod tests {
         assert!(!lineage.was_trained_on(&span(3, "cc", 0, 10)));
         assert!(lineage.was_trained_on(&span(4, "dd", 0, 1)), "an effect's parameters are weights too");
         assert!(!lineage.was_trained_on(&span(5, "ee", 0, 10)));
-        assert_eq!(lineage.spans().count(), 5);
+        assert_eq!(lineage.spans().count(), 6);
+        let seen = |run, sha256| lineage.has_seen(&span(run, sha256, 0, 1));
+        assert!(seen(6, "ff") && seen(5, "ee") && seen(1, "aa") && !seen(3, "cc"));
+        let before = Lineage { stopping: None, ..lineage.clone() };
+        assert!(before.has_seen(&span(3, "cc", 0, 1)), "validation data stopped the models of before");
     }
 }

@@ -8,12 +8,12 @@ pub const MAX_LIMIT: u32 = 1000;
 /// Items of a page when the client does not say.
 pub const DEFAULT_LIMIT: u32 = 100;
 
-/// Key of the last item that a client has seen. Opaque to clients; it stays good when items come
-/// and go, because it names a place in the order and not a count.
+/// Key of the last item that a client has seen. Opaque to clients. It stays valid when items are added or
+/// removed, because it names a place in the order and not a count.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cursor(String);
 
-/// A cursor that we did not make.
+/// A cursor that is not valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("not a cursor of this list")]
 pub struct CursorError;
@@ -24,10 +24,10 @@ impl Cursor {
         Self(key.to_string())
     }
 
-    /// Reads a cursor from a query. Any text of a key's shape will do: it is compared, never run.
+    /// Reads a cursor from a query. Any text in the form of a key is accepted, since it is only compared.
     ///
     /// # Errors
-    /// Text that no key can be.
+    /// Text that cannot be a key.
     pub fn parse(text: &str) -> Result<Self, CursorError> {
         let fits = !text.is_empty()
             && text.len() <= 64
@@ -41,12 +41,12 @@ impl Cursor {
     }
 }
 
-/// Which page is wanted.
+/// A request for a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PageRequest {
     /// Most items, 1..=[`MAX_LIMIT`].
     pub limit: u32,
-    /// Where the page before ended; `None`: the first page.
+    /// End of the previous page; `None`: the first page.
     pub cursor: Option<Cursor>,
 }
 

@@ -1,9 +1,8 @@
-//! What went wrong, in the form that the contract answers with (RFC 9457) and that a failed job
-//! keeps in its row.
+//! Problem documents (RFC 9457), in answers and in the rows of failed jobs.
 
 use serde::{Deserialize, Serialize};
 
-/// One thing that is wrong with a request, named so that it can be found and mended.
+/// One error in a request, with the place and the limit that a client needs to correct it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct FieldError {
     /// JSON pointer (RFC 6901) to the field, `""` for the whole body.
@@ -45,15 +44,15 @@ pub struct Problem {
     /// `about:blank`: the code says it all.
     #[serde(rename = "type")]
     pub kind: String,
-    /// The same for every problem of this code.
+    /// Title, the same for every problem of this code.
     pub title: String,
     /// HTTP status that it has, or would have, as an answer.
     pub status: u16,
-    /// This case, in words.
+    /// Description of this case.
     pub detail: String,
-    /// Stable, for programs.
+    /// Stable code for programs.
     pub code: String,
-    /// What exactly is wrong.
+    /// The errors in detail.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<FieldError>,
 }
@@ -79,8 +78,22 @@ impl Problem {
     }
 }
 
-/// The JSON pointer of the place where deserialisation stopped.
-pub fn pointer(path: &serde_path_to_error::Path) -> String {
+/// The JSON pointer of the place that serde's message is about: where deserialisation stopped, and the
+/// field there that is missing, unknown or a duplicate, which only the message names.
+pub fn pointer(path: &serde_path_to_error::Path, message: &str) -> String {
+    let pointer = pointer_of_path(path);
+    let about_field = ["unknown field", "missing field", "duplicate field"];
+    match message.split('`').nth(1) {
+        Some(name) if about_field.iter().any(|prefix| message.starts_with(prefix)) => {
+            let last = format!("/{}", name.replace('~', "~0").replace('/', "~1"));
+            // However much of it the path already says.
+            if pointer.ends_with(&last) { pointer } else { pointer + &last }
+        }
+        _ => pointer,
+    }
+}
+
+fn pointer_of_path(path: &serde_path_to_error::Path) -> String {
     use serde_path_to_error::Segment;
     let mut pointer = String::new();
     for segment in path {

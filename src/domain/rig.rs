@@ -1,4 +1,4 @@
-//! Rigs: a sample rate, named channels, and what is fitted when runs arrive.
+//! Rigs: a sample rate, named channels, and the fits that arriving runs start.
 
 use std::collections::BTreeMap;
 
@@ -9,14 +9,15 @@ use serde_json::Value;
 use super::fits::FitRequest;
 use super::ids::RigId;
 use super::problem::FieldError;
-use super::run::RunKind;
+use super::strict::Strict;
 use crate::engine::Quantity;
+use crate::engine::RunKind;
+use crate::engine::wording::plain;
 
 /// Most channels of a rig.
 pub const MAX_CHANNELS: usize = 128;
 
-/// Lowest sample rate: at one that is next to nothing, a run of a few samples lasts longer than a number
-/// can say.
+/// Lowest sample rate. At much lower rates the length of a short run overflows.
 pub const MIN_SAMPLE_RATE_HZ: f64 = 1e-6;
 
 /// Highest sample rate.
@@ -28,7 +29,7 @@ pub const MAX_NAME_CHARS: usize = 1000;
 /// Most fits of a fit policy.
 pub const MAX_POLICY_FITS: usize = 16;
 
-/// What a channel is to the rig.
+/// The role of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -59,7 +60,7 @@ pub struct Channel {
     pub group: Option<String>,
 }
 
-/// Which fits are queued when runs arrive.
+/// The fits that are queued when runs arrive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FitPolicy {
@@ -90,7 +91,7 @@ pub struct RigDraft {
     pub sample_rate_hz: f64,
     /// Channels, in order.
     pub channels: Vec<Channel>,
-    /// What is fitted when runs arrive.
+    /// The fits that arriving runs start.
     #[serde(default)]
     pub fit_policy: Option<FitPolicy>,
 }
@@ -106,7 +107,7 @@ pub struct Rig {
     pub sample_rate_hz: f64,
     /// Channels, in order.
     pub channels: Vec<Channel>,
-    /// What is fitted when runs arrive.
+    /// The fits that arriving runs start.
     pub fit_policy: Option<FitPolicy>,
     /// When it was created.
     pub created_at: Timestamp,
@@ -138,7 +139,7 @@ impl Rig {
         self.channels.iter().find(|channel| channel.name == name)
     }
 
-    /// What a client would send to create it.
+    /// The draft from which the same rig would be created.
     pub fn draft(&self) -> RigDraft {
         RigDraft {
             id: self.id.clone(),
@@ -157,8 +158,11 @@ impl Rig {
         let mut whole = serde_json::to_value(self.draft())
             .map_err(|error| vec![FieldError::new("", error.to_string())])?;
         merge(&mut whole, patch);
-        let draft: RigDraft = serde_path_to_error::deserialize(whole).map_err(|error| {
-            vec![FieldError::new(super::problem::pointer(error.path()), error.inner().to_string())]
+        let mut track = serde_path_to_error::Track::new();
+        let tracked = serde_path_to_error::Deserializer::new(whole, &mut track);
+        let draft = RigDraft::deserialize(Strict(tracked)).map_err(|error| {
+            let text = error.to_string();
+            vec![FieldError::new(super::problem::pointer(&track.path(), &text), plain(&text))]
         })?;
         if draft.id != self.id {
             return Err(vec![FieldError::new("/id", "a rig keeps its id")]);
@@ -173,7 +177,7 @@ fn names(channels: &[Channel], role: Role) -> impl Iterator<Item = &str> {
 }
 
 impl RigDraft {
-    /// Checks everything that can be said without the registry.
+    /// Checks everything that does not depend on the registry.
     ///
     /// # Errors
     /// Every field that leaves its limit.
@@ -398,5 +402,9 @@ mod tests {
             rig.patched(&json!({"channels": [{"name": "u", "unit": "", "role": "boss"}]})).unwrap_err();
         assert_eq!(wrong[0].pointer, "/channels/0/role");
         assert!(rig.patched(&json!([1])).is_err());
+        assert_eq!(wrong[0].limit.as_deref(), Some("expected `drive` or `response`, found `boss`"));
+        let one = rig.patched(&json!({"fit_policy": {"kinds": "noise", "fits": {"kind": "lstm"}}})).unwrap();
+        let policy = one.fit_policy.unwrap();
+        assert_eq!((policy.kinds.as_slice(), policy.fits.len()), (&[RunKind::Noise][..], 1));
     }
 }

@@ -7,77 +7,19 @@ use super::ids::{JobId, RigId, RunId};
 use super::problem::FieldError;
 use super::quality::Quality;
 use super::rig::MAX_NAME_CHARS;
+use crate::engine::{RunKind, Split};
 
 /// Most tags of a run.
 pub const MAX_TAGS: usize = 32;
 
-/// What was driven.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RunKind {
-    /// Random excitation that identifies the rig.
-    Noise,
-    /// Service loads.
-    Service,
-    /// Sine at fixed frequency.
-    Sine,
-    /// Sine of sweeping frequency.
-    Sweep,
-    /// Anything else.
-    Other,
-}
-
-impl RunKind {
-    /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Noise, Self::Service, Self::Sine, Self::Sweep, Self::Other];
-
-    /// The word of the contract.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Noise => "noise",
-            Self::Service => "service",
-            Self::Sine => "sine",
-            Self::Sweep => "sweep",
-            Self::Other => "other",
-        }
-    }
-}
-
-/// What a run may be used for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Split {
-    /// Sets weights.
-    #[default]
-    Training,
-    /// Chooses among models and settings.
-    Validation,
-    /// Never enters a fit.
-    Test,
-}
-
-impl Split {
-    /// All splits.
-    pub const ALL: [Self; 3] = [Self::Training, Self::Validation, Self::Test];
-
-    /// The word of the contract.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Training => "training",
-            Self::Validation => "validation",
-            Self::Test => "test",
-        }
-    }
-}
-
-/// What a client says about a run beside its samples.
+/// A client's description of a run, without its samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunMeta {
     /// Name for people, may be empty.
     pub name: String,
-    /// What was driven.
+    /// Kind of excitation.
     pub kind: RunKind,
-    /// What it may be used for.
+    /// Its use.
     pub split: Split,
     /// Tags, without repeats.
     pub tags: Vec<String>,
@@ -123,9 +65,9 @@ pub struct Run {
     pub rig: RigId,
     /// Name for people, may be empty.
     pub name: String,
-    /// What was driven.
+    /// Kind of excitation.
     pub kind: RunKind,
-    /// What it may be used for.
+    /// Its use.
     pub split: Split,
     /// Tags.
     pub tags: Vec<String>,
@@ -145,16 +87,16 @@ pub struct Run {
     pub sample_rate_hz: f64,
     /// SHA-256 of the file that was uploaded, hex.
     pub sha256: String,
-    /// What the samples look like.
+    /// Quality figures of the samples.
     pub quality: Quality,
-    /// The run of this rig that came earlier with the same bytes.
+    /// An earlier run of this rig with the same bytes.
     pub duplicate_of: Option<RunId>,
     /// SHA-256 of the object that holds the samples, hex.
     #[serde(skip)]
     pub object: String,
 }
 
-/// Answer to an accepted upload: the run, and the jobs that it set off.
+/// Answer to an accepted upload: the run, and the jobs that it started.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InsertedRun {
     /// The run.
@@ -162,6 +104,8 @@ pub struct InsertedRun {
     pub run: Run,
     /// Jobs of the fit policy that it queued or joined.
     pub jobs: Vec<JobId>,
+    /// Outcome of the rig's fit policy in words: the reason for no jobs, or the number of fits.
+    pub policy: String,
 }
 
 /// A merge patch of a run: what is absent stays, `null` clears.
@@ -185,7 +129,7 @@ pub struct RunPatch {
     pub started_at: Option<Option<Timestamp>>,
 }
 
-/// Tells what is there from what is absent: `null` is an inner `None`, or refused where there is none.
+/// Distinguishes `null` from an absent field: `null` is an inner `None`, or refused where there is none.
 fn present<'de, T, D>(deserializer: D) -> Result<Option<T>, D::Error>
 where
     T: Deserialize<'de>,
@@ -195,7 +139,7 @@ where
 }
 
 impl RunPatch {
-    /// What the run says after the patch, checked.
+    /// The description of the run after the patch, checked.
     ///
     /// # Errors
     /// As [`RunMeta::check`].

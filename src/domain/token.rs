@@ -1,4 +1,4 @@
-//! Tokens: who may do what with which rigs, and the secret that proves it.
+//! Tokens: a role, the rigs it is limited to, and the secret that proves it.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -16,13 +16,13 @@ use super::ids::RigId;
 use super::problem::FieldError;
 use super::rig::MAX_NAME_CHARS;
 
-/// Id of a token (UUID v7): no secret.
+/// Id of a token (UUID v7); not secret.
 pub type TokenId = uuid::Uuid;
 
 /// Most rigs that a token may be limited to.
 const MAX_RIGS: usize = 1000;
 
-/// What a token may do; each role may do what those before it may.
+/// The role of a token; each role includes those before it.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, clap::ValueEnum,
 )]
@@ -47,28 +47,28 @@ impl TokenRole {
     }
 }
 
-/// The word that opens: 256 random bits. Nothing prints it but [`Secret::reveal`].
+/// The secret of a token: 256 random bits. Only [`Secret::reveal`] prints it.
 #[derive(Clone)]
 pub struct Secret(String);
 
-/// SHA-256 of a secret, which is all that is kept of it. The secret has 256 random bits, so that a
-/// slow hash would add nothing.
+/// SHA-256 of a secret; the secret itself is not stored. With 256 random bits in the secret a slow hash
+/// would add nothing.
 #[derive(Clone, Copy)]
 pub struct SecretDigest([u8; 32]);
 
-/// A token as it is wished for.
+/// A token to be made.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TokenDraft {
-    /// For people; may be empty.
+    /// Name for people; may be empty.
     #[serde(default)]
     pub name: String,
-    /// What it may do.
+    /// Its role.
     pub role: TokenRole,
-    /// Rigs that it is limited to, which need not exist yet; without: all.
+    /// Rigs that it is limited to, which need not exist yet; `None`: all.
     #[serde(default)]
     pub rigs: Option<BTreeSet<RigId>>,
-    /// When it ends; without: never.
+    /// When it expires; `None`: never.
     #[serde(default)]
     pub expires_at: Option<Timestamp>,
 }
@@ -78,36 +78,36 @@ pub struct TokenDraft {
 pub struct Token {
     /// Id.
     pub id: TokenId,
-    /// For people; may be empty.
+    /// Name for people; may be empty.
     pub name: String,
-    /// What it may do.
+    /// Its role.
     pub role: TokenRole,
-    /// Rigs that it is limited to; without: all.
+    /// Rigs that it is limited to; `None`: all.
     pub rigs: Option<BTreeSet<RigId>>,
     /// When it was made.
     pub created_at: Timestamp,
-    /// When it ends; without: never.
+    /// When it expires; `None`: never.
     pub expires_at: Option<Timestamp>,
 }
 
 impl Secret {
-    /// Draws a new one from the system's randomness: the one draw that no seed may repeat.
+    /// Draws a new one from the system's randomness, the only draw without a seed.
     ///
     /// # Errors
-    /// A system that gives none.
+    /// A system that gives no randomness.
     pub fn draw() -> Result<Self, rand::rngs::SysError> {
         let mut bits = [0; 32];
         SysRng.try_fill_bytes(&mut bits)?;
-        // The prefix lets people and scanners of repositories see what was left lying about.
+        // The prefix lets people and scanners of repositories recognise a leaked secret.
         Ok(Self(format!("rigcast_{}", URL_SAFE_NO_PAD.encode(bits))))
     }
 
-    /// The text, to be shown once.
+    /// The secret as text, to be shown once.
     pub fn reveal(&self) -> &str {
         &self.0
     }
 
-    /// What is kept of it.
+    /// Its digest.
     pub fn digest(&self) -> SecretDigest {
         SecretDigest::of(self.0.as_bytes())
     }
@@ -120,7 +120,7 @@ impl fmt::Debug for Secret {
 }
 
 impl SecretDigest {
-    /// Digest of what somebody presents as a secret.
+    /// Digest of a text that a client presents as a secret.
     pub fn of(presented: &[u8]) -> Self {
         Self(Sha256::digest(presented).into())
     }
@@ -135,12 +135,12 @@ impl SecretDigest {
         &self.0
     }
 
-    /// The half by which a table finds it; the other half is left for [`SecretDigest::matches`].
+    /// The first half, which a table is indexed by; [`SecretDigest::matches`] compares the whole.
     pub fn half(&self) -> [u8; 16] {
         *self.0.first_chunk().expect("a digest has 32 bytes")
     }
 
-    /// Whether both are the same, in a time that does not tell how much of them is.
+    /// Whether both are equal, in a time that does not depend on how much of them is.
     pub fn matches(&self, other: &Self) -> bool {
         self.0.ct_eq(&other.0).into()
     }
@@ -153,10 +153,10 @@ impl fmt::Debug for SecretDigest {
 }
 
 impl TokenDraft {
-    /// Whether it makes sense at `now`.
+    /// Checks it at `now`.
     ///
     /// # Errors
-    /// The fields that do not, each with its limit.
+    /// The fields outside their limits, each with its limit.
     pub fn check(&self, now: Timestamp) -> Result<(), Vec<FieldError>> {
         let mut errors = Vec::new();
         if self.name.chars().count() > MAX_NAME_CHARS {
@@ -171,19 +171,19 @@ impl TokenDraft {
         if errors.is_empty() { Ok(()) } else { Err(errors) }
     }
 
-    /// Whether it may be the first one: whoever holds it must be able to make all others.
+    /// Whether it may be the first one, whose holder must be able to make all others.
     pub fn may_be_first(&self) -> bool {
         self.role == TokenRole::Admin && self.rigs.is_none()
     }
 }
 
 impl Token {
-    /// Whether it opens anything at `now`.
+    /// Whether it is in force at `now`.
     pub fn is_in_force(&self, now: Timestamp) -> bool {
         self.expires_at.is_none_or(|at| now < at)
     }
 
-    /// Whether it may see a rig, be there one of that id or not.
+    /// Whether its scope includes a rig, which need not exist.
     pub fn reaches(&self, rig: &RigId) -> bool {
         self.rigs.as_ref().is_none_or(|rigs| rigs.contains(rig))
     }

@@ -1,41 +1,40 @@
-//! How long work survives an interruption: what it puts by now and then, and finds when it begins
-//! again.
+//! Checkpoints: state that long work saves now and then, so that it can go on after an interruption.
 
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-/// Where work puts by what it would need to go on, part by part, and finds it again. Whoever keeps
-/// it makes sure that what is found was put by for the same work.
-pub trait Keeper: Sync {
-    /// What was put by of a part, if anything was.
-    fn kept(&self, part: &str) -> Option<Vec<u8>>;
+/// A store of checkpoints, one for each part of some work. An implementation returns only checkpoints
+/// that were saved for the same work.
+pub trait CheckpointStore: Sync {
+    /// The last checkpoint of a part, if there is one.
+    fn load(&self, part: &str) -> Option<Vec<u8>>;
 
-    /// Whether it is time to put a part by; `done` when it has come to its end.
-    fn due(&self, part: &str, done: bool) -> bool;
+    /// Whether a part should be saved now; `done` when it has come to its end.
+    fn is_due(&self, part: &str, done: bool) -> bool;
 
-    /// Puts a part by in the place of what was kept of it.
-    fn keep(&self, part: &str, state: Vec<u8>);
+    /// Saves a part in the place of its last checkpoint.
+    fn save(&self, part: &str, state: Vec<u8>);
 }
 
-/// Keeps nothing.
+/// Saves nothing.
 #[derive(Debug, Clone, Copy)]
-pub struct Forget;
+pub struct NoCheckpoints;
 
-impl Keeper for Forget {
-    fn kept(&self, _: &str) -> Option<Vec<u8>> {
+impl CheckpointStore for NoCheckpoints {
+    fn load(&self, _: &str) -> Option<Vec<u8>> {
         None
     }
 
-    fn due(&self, _: &str, _: bool) -> bool {
+    fn is_due(&self, _: &str, _: bool) -> bool {
         false
     }
 
-    fn keep(&self, _: &str, _: Vec<u8>) {}
+    fn save(&self, _: &str, _: Vec<u8>) {}
 }
 
-/// Weights in JSON: their bytes in base64, so that each comes back bit for bit and none takes long.
+/// Weights in JSON, as the base64 of their bytes: exact and fast to read.
 pub(crate) mod floats {
     use super::*;
 

@@ -1,6 +1,8 @@
 //! The one error type of the engine; fields carry what was expected and what was found.
 
-/// Why a computation was refused.
+use super::rounded;
+
+/// The reason why a computation was refused.
 ///
 /// Channels are indices into the signal that was passed; callers that know names map them.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -38,7 +40,7 @@ pub enum EngineError {
         sample: usize,
     },
     /// Sample rates that should agree do not (1e-6 relative).
-    #[error("{what}: sample rate {found_hz} Hz, expected {expected_hz} Hz")]
+    #[error("{what}: sample rate {} Hz, expected {} Hz", rounded(*found_hz, 10), rounded(*expected_hz, 10))]
     SampleRate {
         /// Which argument.
         what: &'static str,
@@ -50,7 +52,7 @@ pub enum EngineError {
     /// Too few samples for the settings.
     #[error("{what}: {found} samples, at least {needed} are needed")]
     TooShort {
-        /// Which argument, and why it must be longer.
+        /// Which argument, and the reason why it must be longer.
         what: &'static str,
         /// Samples needed.
         needed: usize,
@@ -98,7 +100,7 @@ pub enum EngineError {
     /// A weight file that cannot be read, or lacks something.
     #[error("weights: {0}")]
     Weights(String),
-    /// Training ran away: the loss is no longer finite.
+    /// The training diverged: the loss is no longer finite.
     #[error("training diverged in epoch {epoch}: lower lstm.learning_rate")]
     Diverged {
         /// Epoch, from 1.
@@ -132,7 +134,7 @@ pub enum EngineError {
         /// Channel index among the inputs.
         channel: usize,
     },
-    /// A value outside what a channel can carry.
+    /// A value outside the range of a channel.
     #[error("{what}: channel {channel} is {found} at sample {sample}, the limit is {limit}")]
     OutOfRange {
         /// Which argument.
@@ -152,7 +154,7 @@ pub enum EngineError {
 }
 
 impl EngineError {
-    /// A value that is not finite in something computed, not in something given.
+    /// An error about a computed value that is not finite, as opposed to a given one.
     pub(super) fn of_result(self) -> Self {
         match self {
             Self::NonFinite { channel, sample, .. } => {

@@ -13,13 +13,18 @@ pub mod model;
 pub mod progress;
 pub mod quantity;
 pub mod resample;
+mod rounding;
+pub mod run_kind;
 pub mod signal;
 pub mod simd;
 pub mod spectral;
 pub mod virtual_rig;
 pub mod windowing;
+pub mod wording;
 
 pub use error::EngineError;
 pub use progress::{Progress, Watch};
 pub use quantity::Quantity;
+pub use rounding::rounded;
+pub use run_kind::{RunKind, Split};
 pub use signal::{Signal, first_not_finite};

@@ -4,21 +4,21 @@ use std::ops::ControlFlow;
 
 use super::EngineError;
 
-/// Where a long computation stands.
+/// Progress of a long computation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress<'a> {
-    /// What is being done, in an engineer's words ("FRF", "LSTM seed 2 of 3").
+    /// The present stage in an engineer's words ("FRF", "LSTM seed 2 of 3").
     pub stage: &'a str,
     /// Share of this computation that is done, 0..=1, never falling.
     pub fraction: f64,
 }
 
-/// Called often by long work; answering [`ControlFlow::Break`] cancels it.
+/// Called often by long work; returning [`ControlFlow::Break`] cancels it.
 ///
 /// `Sync`, so that training of several seeds can report from several threads.
 pub type Watch<'a> = &'a (dyn Fn(Progress<'_>) -> ControlFlow<()> + Sync);
 
-/// Reports and turns a wish to cancel into [`EngineError::Cancelled`].
+/// Reports progress, and returns [`EngineError::Cancelled`] when the callback breaks.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`] when the callback breaks.
@@ -29,7 +29,7 @@ pub fn report(watch: Watch<'_>, stage: &str, fraction: f64) -> Result<(), Engine
     }
 }
 
-/// A callback that neither shows nor cancels.
+/// A callback that does nothing.
 pub fn unwatched(_: Progress<'_>) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }

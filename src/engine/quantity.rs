@@ -1,4 +1,4 @@
-//! What a channel measures.
+//! Physical quantities of channels.
 
 use serde::{Deserialize, Serialize};
 

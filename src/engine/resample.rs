@@ -1,8 +1,8 @@
 //! A signal at another sample rate: polyphase filtering with a Kaiser-windowed sinc.
 //!
-//! The pass band reaches to 90 % of the lower Nyquist frequency, at which 100 dB are reached: what
-//! would fold back is gone. The output's first sample lies at the input's first; beyond its ends
-//! the signal is held.
+//! The pass band ends at 90 % of the lower Nyquist frequency. At the Nyquist frequency the attenuation is
+//! 100 dB, so that nothing aliases. The first output sample lies at the first input sample; beyond its
+//! ends the signal is held.
 
 use rayon::prelude::*;
 
@@ -12,8 +12,8 @@ use super::{EngineError, Signal, first_not_finite};
 const STOP_DB: f64 = 100.0;
 /// Transition band as a share of the lower Nyquist frequency; it ends there.
 const TRANSITION: f64 = 0.1;
-/// A rate may grow and fall by these factors at most: the size of the result follows from what a
-/// client declares.
+/// Largest factors by which a rate may rise and fall. They bound the size of the result, which follows from
+/// rates that a client declares.
 const MAX_GROWTH: f64 = 32.0;
 const MAX_FALL: f64 = 1000.0;
 /// Rates are taken as equal to a fraction within this relative error: over an hour at 1 kHz the

@@ -1,4 +1,4 @@
-//! A checked multi-channel signal: what every engine function takes.
+//! A checked multi-channel signal, the argument of most engine functions.
 
 use super::EngineError;
 
@@ -41,7 +41,7 @@ impl Signal {
         Ok(Self { sample_rate_hz, channels })
     }
 
-    /// Takes over channels that the engine has made, checked sample by sample and equally long.
+    /// Wraps channels that the engine has made, checked sample by sample and equally long.
     pub(super) fn of_checked(sample_rate_hz: f64, channels: Vec<Vec<f64>>) -> Self {
         debug_assert!(channels.iter().all(|c| c.len() == channels[0].len() && first_not_finite(c).is_none()));
         Self { sample_rate_hz, channels }
@@ -80,7 +80,7 @@ impl Signal {
         &self.channels
     }
 
-    /// Gives the samples away.
+    /// The samples, by value.
     pub fn into_channels(self) -> Vec<Vec<f64>> {
         self.channels
     }
@@ -107,7 +107,7 @@ impl Signal {
         self
     }
 
-    /// A stretch of all channels.
+    /// A range of samples of all channels.
     ///
     /// # Panics
     /// If the range leaves the signal.
@@ -118,15 +118,15 @@ impl Signal {
         }
     }
 
-    /// Whether two sample rates are one (1e-6 relative).
+    /// Whether two sample rates are equal (1e-6 relative).
     pub fn same_rate(a_hz: f64, b_hz: f64) -> bool {
         (a_hz - b_hz).abs() <= 1e-6 * a_hz.abs().max(b_hz.abs())
     }
 }
 
-/// Place of the first NaN or infinity.
+/// Index of the first NaN or infinity.
 ///
-/// Whole blocks are looked at without a branch a sample: every signal passes here several times.
+/// Whole blocks are checked without a branch per sample, since every signal passes here several times.
 pub fn first_not_finite(samples: &[f64]) -> Option<usize> {
     const BLOCK: usize = 512;
     let bad = |block: &[f64]| block.iter().fold(false, |bad, v| bad | !v.is_finite());

@@ -1,5 +1,4 @@
-//! Windows over a signal and the weights that make one signal of them again (Heindel et al.,
-//! section 2.2.2).
+//! Windows over a signal, and the weights with which they are recombined (Heindel et al., section 2.2.2).
 //!
 //! Windows of `L` samples start at 0, hop, 2 hop, ..., on past the end until every sample has its
 //! full set of weights; one more spans `-L/2..L/2`. Before the start and after the end inputs are
@@ -38,7 +37,7 @@ impl Windows {
 
     /// How many windows there are, the one before the start included.
     pub fn count(&self) -> usize {
-        // One that starts at the last sample has weight zero there, and nothing else to say.
+        // A window that starts at the last sample has weight zero there and is not needed.
         1 + (self.samples - 1).div_ceil(self.hop)
     }
 

@@ -1,5 +1,5 @@
 //! CSV: a header row of channel names, an optional units row, an optional time column, then one
-//! row a sample.
+//! row per sample.
 //!
 //! - Cells are separated by a tab, `;` or `,`: the first of these, in this order, that the first
 //!   row has outside quotes. Where the separator is not the comma, `1,5` is a number like `1.5`.
@@ -8,8 +8,8 @@
 //! - A time column is one named `time`, `t` or `zeit`, with or without `_s`, `_ms` or a unit in
 //!   brackets, or else the one column with the unit `s`. It must rise in even steps, and gives the
 //!   sample rate.
-//! - A byte order mark, CRLF and empty lines at the end are fine; an empty line between rows is
-//!   not, since it may be a lost sample.
+//! - A byte order mark, CRLF and empty lines at the end are accepted. An empty line between rows is
+//!   refused, since it may be a lost sample.
 
 mod number;
 mod rows;
@@ -34,10 +34,10 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
     read_from(file, file.len() as u64).map_err(ReadError::of_bytes)
 }
 
-/// The same from a file of `len` bytes that is not in memory, of which no more than a piece is kept.
+/// [`read`] for a file of `len` bytes that is not in memory; only a piece of it is kept at a time.
 ///
 /// # Errors
-/// As [`read`]; what reading the file says.
+/// As [`read`]; errors of the file system.
 pub fn read_from(file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
     let mut rows = Rows::new(file)?;
     let mut table = Table { decimal_comma: rows.separator() != b',', ..Table::default() };
@@ -75,10 +75,10 @@ pub fn read_from(file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
     Ok(table.finish(time)?)
 }
 
-/// Rows that tell how many there will be, if the others are as long.
+/// Rows from which the number of rows is estimated, if the others are as long.
 const TRIED: usize = 64;
 
-/// What has been read so far; a time column still among the others.
+/// The columns read so far, a time column among them.
 #[derive(Default)]
 struct Table {
     decimal_comma: bool,
@@ -92,7 +92,8 @@ struct Table {
 }
 
 impl Table {
-    /// Whether the first row has names; a mixture would lose a sample, or a name.
+    /// Whether the first row has names. A mixture of names and numbers is refused: it would lose a sample or
+    /// a name.
     fn is_header(&self, rows: &Rows<impl Read>) -> Result<bool, FormatError> {
         let is_number = |cell: &[u8]| number(cell, self.decimal_comma).is_some();
         let Some(column) = rows.cells().iter().position(is_number) else { return Ok(true) };
@@ -117,7 +118,7 @@ impl Table {
         Err(FormatError::CsvRagged { row: rows.row(), expected: self.width, found })
     }
 
-    /// Takes one row of samples.
+    /// Adds one row of samples.
     fn take(&mut self, rows: &Rows<impl Read>, time: Option<&TimeColumn>) -> Result<(), FormatError> {
         self.check_width(rows)?;
         for (column, cell) in rows.cells().iter().enumerate() {
@@ -142,12 +143,12 @@ impl Table {
         Ok(())
     }
 
-    /// Makes room for `times` as many rows as there are: columns that grow side by side leave as much
-    /// behind as they hold. Room that nothing is put into takes no memory.
+    /// Reserves memory for `times` as many rows as there are. Columns that grow side by side would leave as
+    /// much freed memory behind as they hold; reserved memory that is not used takes none.
     fn reserve(&mut self, times: u64) {
         let rows = self.columns[0].len().saturating_mul(times as usize);
         for column in &mut self.columns {
-            // Without room at hand it grows as it can.
+            // If the memory cannot be reserved, the columns grow as usual.
             let _ = column.try_reserve_exact(rows);
         }
     }

@@ -1,11 +1,12 @@
-//! Why a measurement file was refused, with the place in it.
+//! Errors of measurement files, with the place in the file.
 
 use super::MAX_NAME_BYTES;
+use crate::engine::rounded;
 
 /// A channel of a file: by name where the file names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChannelAt {
-    /// Place among the file's channels, from 0; a time column is none of them.
+    /// Index among the file's channels, from 0, without a time column.
     pub index: usize,
     /// Name in the file.
     pub name: Option<String>,
@@ -20,13 +21,13 @@ impl std::fmt::Display for ChannelAt {
     }
 }
 
-/// Why a file could not be taken: it is wrong, or it could not be read.
+/// The reason why a file was not read: its content is wrong, or the file system failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The file is wrong.
+    /// The content is wrong.
     #[error(transparent)]
     Format(#[from] FormatError),
-    /// Whatever it is read from.
+    /// The file system failed.
     #[error(transparent)]
     Io(#[from] std::io::Error),
 }
@@ -41,14 +42,14 @@ impl ReadError {
     }
 }
 
-/// Why a file was refused. Rows and columns count from 1, as editors show them: a row is a line of
+/// The reason why a file was refused. Rows and columns count from 1, as editors show them: a row is a line of
 /// the file, a column a cell (CSV) or a byte (JSON). Samples count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FormatError {
     /// No samples at all.
     #[error("the file holds no samples")]
     Empty,
-    /// Samples of nothing: no channel, or only a time column.
+    /// No channel, or only a time column.
     #[error("the file holds no channels")]
     NoChannels,
     /// More channels than [`MAX_CHANNELS`](super::MAX_CHANNELS).
@@ -81,7 +82,7 @@ pub enum FormatError {
         /// Samples of this channel.
         found: usize,
     },
-    /// NaN, infinity, or a number beyond what the type of the file holds.
+    /// NaN, infinity, or a number beyond the range of the file's type.
     #[error("channel {channel} is not finite at sample {sample}")]
     NonFinite {
         /// The channel.
@@ -94,7 +95,7 @@ pub enum FormatError {
         column: Option<usize>,
     },
     /// A sample rate that is not a positive, finite number.
-    #[error("sample_rate_hz is {found}, it must be positive and finite")]
+    #[error("sample_rate_hz is {}, it must be positive and finite", short(*found))]
     SampleRate {
         /// The rate.
         found: f64,
@@ -105,7 +106,7 @@ pub enum FormatError {
         /// Line of the file.
         row: u64,
     },
-    /// A header row that cannot be one.
+    /// A first row that is not a header.
     #[error("row {row}, column {column}: {reason}")]
     CsvHeader {
         /// Line of the file.
@@ -138,7 +139,11 @@ pub enum FormatError {
         found: usize,
     },
     /// A time column that does not rise in even steps.
-    #[error("row {row}: time goes on by {found_s} s, not by the even step of {step_s} s (within 0.1 %)")]
+    #[error(
+        "row {row}: the time step is {} s, and not the {} s of most rows (within 0.1 %)",
+        short(*found_s),
+        short(*step_s)
+    )]
     CsvUnevenTime {
         /// Line of the file.
         row: u64,
@@ -165,13 +170,13 @@ pub enum FormatError {
     /// A dtype that is not read: object, structured, text, complex, other widths.
     #[error("NPY dtype {found}: float32, float64, int16 and int32 are read")]
     NpyDtype {
-        /// As the header has it, cut after 40 characters.
+        /// Text of the header, cut after 40 characters.
         found: String,
     },
     /// A shape that is neither `[samples, channels]` nor `[samples]`.
     #[error("NPY shape {found:?}: expected [samples, channels] or [samples]")]
     NpyShape {
-        /// As the header has it.
+        /// Text of the header.
         found: Vec<u64>,
     },
     /// The header declares more data than there is.
@@ -311,7 +316,7 @@ impl FormatError {
         }
     }
 
-    /// Place of the channel in the file, from 0.
+    /// Index of the channel in the file, from 0.
     pub fn channel_index(&self) -> Option<usize> {
         self.channel_at().map(|c| c.index)
     }
@@ -332,7 +337,7 @@ impl FormatError {
             Self::UnequalLengths { expected, .. } => Some(format!("{expected} samples")),
             Self::SampleRate { .. } => Some("a positive, finite number of hertz".into()),
             Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),
-            Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {step_s} s within 0.1 %")),
+            Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
             Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
             Self::NpyTruncated { expected, .. } | Self::NpyTrailing { expected, .. } => {
@@ -341,6 +346,11 @@ impl FormatError {
             _ => None,
         }
     }
+}
+
+/// A number as the file's writer would put it, without the digits that a difference leaves behind.
+fn short(value: f64) -> f64 {
+    rounded(value, 10)
 }
 
 /// Text of a file for an error message: the first 40 characters.

@@ -1,7 +1,7 @@
 //! JSON: `{"sample_rate_hz": 1000.0, "channels": {"drive_x": [0.0, 0.1]}}`, nothing more.
 //!
-//! Channels keep the order of the file. Unknown fields and fields that come twice are refused, so
-//! that a typing error is no silent default.
+//! Channels keep the order of the file. Unknown fields and fields that come twice are refused, so that a
+//! typing error does not silently become a default.
 
 use std::fmt;
 use std::io::{BufReader, Read};
@@ -11,6 +11,7 @@ use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
 
 use super::error::excerpt;
 use super::{ChannelAt, FormatError, PIECE, ParsedRun, ReadError, check_channel_count, check_name};
+use crate::engine::wording::plain;
 
 /// Reads a file.
 ///
@@ -20,10 +21,10 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
     parse(serde_json::Deserializer::from_slice(file)).map_err(ReadError::of_bytes)
 }
 
-/// The same from a file that is not in memory, of which no more than a piece is kept.
+/// [`read`] for a file that is not in memory; only a piece of it is kept at a time.
 ///
 /// # Errors
-/// As [`read`]; what reading the file says.
+/// As [`read`]; errors of the file system.
 pub fn read_from(file: impl Read) -> Result<ParsedRun, ReadError> {
     parse(serde_json::Deserializer::from_reader(BufReader::with_capacity(PIECE, file)))
 }
@@ -31,7 +32,7 @@ pub fn read_from(file: impl Read) -> Result<ParsedRun, ReadError> {
 fn parse<'de>(
     mut json: serde_json::Deserializer<impl serde_json::de::Read<'de>>,
 ) -> Result<ParsedRun, ReadError> {
-    let mut place = Place::default();
+    let mut place = ParsePosition::default();
     let read = File(&mut place).deserialize(&mut json).and_then(|run| json.end().map(|()| run));
     match read {
         Ok((sample_rate_hz, channels)) => {
@@ -46,9 +47,10 @@ fn parse<'de>(
 
 type Channels = Vec<(String, Vec<f64>)>;
 
-/// Where the parser is, and what our own rules found there: serde's errors are text only.
+/// The position of the parser, and the error that a rule of this format found there: serde's errors are
+/// text only.
 #[derive(Default)]
-struct Place {
+struct ParsePosition {
     refused: Option<FormatError>,
     /// The array being read.
     channel: Option<ChannelAt>,
@@ -56,8 +58,8 @@ struct Place {
     sample: usize,
 }
 
-impl Place {
-    /// Keeps our error and gives serde one to stop at.
+impl ParsePosition {
+    /// Keeps the error, and gives serde one that stops the parser.
     fn refuse<E: Error>(&mut self, error: FormatError) -> E {
         let stop = E::custom(&error);
         self.refused = Some(error);
@@ -79,7 +81,7 @@ impl Place {
             }
             _ => {
                 // The place is in fields of its own.
-                let detail = text.split(" at line ").next().unwrap_or_default().to_owned();
+                let detail = plain(text.split(" at line ").next().unwrap_or_default());
                 FormatError::Json { row, column, detail }
             }
         }
@@ -87,7 +89,7 @@ impl Place {
 }
 
 /// The whole file.
-struct File<'p>(&'p mut Place);
+struct File<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for File<'_> {
     type Value = (f64, Channels);
@@ -131,7 +133,7 @@ impl<'de> Visitor<'de> for File<'_> {
 }
 
 /// The value of `channels`.
-struct ChannelMap<'p>(&'p mut Place);
+struct ChannelMap<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for ChannelMap<'_> {
     type Value = Channels;
@@ -172,13 +174,14 @@ impl<'de> Visitor<'de> for ChannelMap<'_> {
 }
 
 /// One channel.
-struct Samples<'p>(&'p mut Place);
+struct Samples<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for Samples<'_> {
     type Value = Vec<f64>;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<f64>, D::Error> {
-        deserializer.deserialize_seq(self)
+        // Programs that write a list of one as its element write a single sample so.
+        deserializer.deserialize_any(self)
     }
 }
 
@@ -189,8 +192,20 @@ impl<'de> Visitor<'de> for Samples<'_> {
         f.write_str("an array of numbers")
     }
 
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Vec<f64>, E> {
+        Ok(vec![value])
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Vec<f64>, E> {
+        Ok(vec![value as f64])
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Vec<f64>, E> {
+        Ok(vec![value as f64])
+    }
+
     fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Vec<f64>, A::Error> {
-        // No size hint is believed: the array grows with what comes.
+        // No size hint is trusted: the array grows with the elements that arrive.
         let mut samples = Vec::new();
         while let Some(value) = seq.next_element::<f64>()? {
             samples.push(value);
@@ -257,8 +272,29 @@ mod tests {
             assert_eq!((error.channel(), error.channel_index()), (Some("b"), Some(1)), "{element}");
             assert_eq!((error.sample(), error.row()), (Some(2), Some(2)), "{element}");
         }
-        let error = refused(r#"{"sample_rate_hz": 1, "channels": {"a": 5}}"#);
-        assert_eq!((error.code(), error.channel()), ("json.not_a_number", Some("a")));
+        for odd in ["null", "\"1\"", "{}", "true"] {
+            let error = refused(&format!(r#"{{"sample_rate_hz": 1, "channels": {{"a": {odd}}}}}"#));
+            assert_eq!((error.code(), error.channel()), ("json.not_a_number", Some("a")), "{odd}");
+        }
+        let error = refused(r#"{"sample_rate_hz": 1, "channels": {"a": 1e999}}"#);
+        assert_eq!((error.code(), error.sample()), ("run.non_finite", Some(0)));
+    }
+
+    #[test]
+    fn a_single_number_is_a_channel_of_one_sample() {
+        let run = read(br#"{"sample_rate_hz": 1, "channels": {"a": 5, "b": [-2.5], "c": -3}}"#).unwrap();
+        assert_eq!(run.channels, [[5.0], [-2.5], [-3.0]]);
+    }
+
+    #[test]
+    fn a_field_of_another_type_is_said_in_words() {
+        let detail = |text: &str| match refused(text) {
+            FormatError::Json { detail, .. } => detail,
+            other => panic!("{other}"),
+        };
+        assert_eq!(detail("[]"), "expected an object with sample_rate_hz and channels, found an array");
+        let text = r#"{"sample_rate_hz": "1"}"#;
+        assert_eq!(detail(text), r#"expected a number, found the string "1""#);
     }
 
     #[test]
@@ -281,7 +317,7 @@ mod tests {
             let error = refused(&format!(r#"{{"sample_rate_hz": 1, "channels": {{"a": [{nan}]}}}}"#));
             assert_eq!(error.code(), "json.invalid", "{nan}");
         }
-        // Nesting without end meets a type that does not nest.
+        // Deep nesting is refused because the types do not nest.
         assert_eq!(refused(&"[".repeat(100_000)).code(), "json.invalid");
         let deep = format!(r#"{{"sample_rate_hz": 1, "channels": {{"a": [{}"#, "[".repeat(100_000));
         assert_eq!(refused(&deep).code(), "json.not_a_number");

@@ -1,9 +1,9 @@
-//! Measurement files in and out, one file a format: bytes in, a run out.
+//! Reading and writing of measurement files, one module per format.
 //!
-//! Every reader takes the file from memory or piece by piece and answers a [`ParsedRun`] or a
-//! [`FormatError`] that says where the file is wrong. Memory follows the bytes that came: no size that a file declares is
-//! believed before it is compared with them. On the wire arrays are `[sample, channel]`, in memory
-//! `[channel][sample]`.
+//! Every reader takes the file from memory or piece by piece, and returns a [`ParsedRun`] or a
+//! [`FormatError`] with the place of the error. Memory grows with the bytes that arrive: a size that a file
+//! declares is compared with them before it is used. Arrays are `[sample, channel]` in files and
+//! `[channel][sample]` in memory.
 
 pub mod csv;
 mod error;
@@ -20,16 +20,16 @@ use crate::engine::first_not_finite;
 /// above any rig.
 pub const MAX_CHANNELS: usize = 1024;
 
-/// Bytes of a file that a reader of pieces keeps at once.
+/// Bytes of a piece of a file.
 const PIECE: usize = 64 << 10;
 
 /// Longest name of a channel: longer than a rig's may be.
 pub const MAX_NAME_BYTES: usize = 4096;
 
-/// What a measurement file holds.
+/// The content of a measurement file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParsedRun {
-    /// From the file's own statement or its time column.
+    /// Sample rate from the file's field or its time column.
     pub sample_rate_hz: Option<f64>,
     /// Channel names, distinct, where the format has them.
     pub names: Option<Vec<String>>,
@@ -40,7 +40,7 @@ pub struct ParsedRun {
 }
 
 impl ParsedRun {
-    /// Checks everything that holds for every format.
+    /// Checks the rules that all formats share.
     ///
     /// # Errors
     /// The `run.*` codes of [`FormatError`].
@@ -105,7 +105,7 @@ mod tests {
 
     use super::*;
 
-    /// A file that comes in pieces of three bytes: wherever it is cut, it is the same file.
+    /// A file that comes in pieces of three bytes; the cuts must not change the result.
     pub(super) struct Pieces<'a>(pub &'a [u8]);
 
     impl Read for Pieces<'_> {
@@ -131,7 +131,7 @@ mod tests {
             r#"{"rate": 5}"#,
             "{",
         ] {
-            // The column may be one further, since a reader has to look ahead.
+            // The column may be one higher, since a reader looks ahead.
             let told = |error: FormatError| {
                 (error.code(), error.row(), error.channel().map(str::to_owned), error.sample())
             };
@@ -144,7 +144,7 @@ mod tests {
             for len in [0, 5, 9, 11, 60, file.len() - 1, file.len()] {
                 same(npy::read(&file[..len]), npy::read_from(Pieces(&file[..len]), len as u64));
             }
-            // Shorter than its length was said to be: nobody's fault but the disk's.
+            // Shorter than its length was said to be, as by a failing disk.
             for len in [60, file.len() - 1] {
                 let read = npy::read_from(Pieces(&file[..len]), file.len() as u64);
                 assert!(matches!(read, Err(ReadError::Io(_))), "{read:?}");
@@ -185,7 +185,7 @@ mod tests {
         }
     }
 
-    /// Files that programs of others wrote.
+    /// Files that other programs wrote.
     #[test]
     fn measured_files_read_whole() {
         let root = std::env::var("RIGCAST_SHARED")

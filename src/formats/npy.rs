@@ -1,14 +1,14 @@
 //! NPY, the file of NumPy's `save`: `[samples, channels]`, or one channel as `[samples]`.
 //!
 //! The header is read here and not by the npyz crate: its parser descends into nested brackets
-//! without a limit and multiplies shapes unchecked, which a file from outside must not reach. npyz
-//! writes our headers, and the tests read our files with it.
+//! without a limit and multiplies shapes unchecked, which a file from outside must not reach. The tests read our
+//! files with npyz.
 
 mod header;
 
 use std::io::Read;
 
-use npyz::WriterBuilder;
+use realfft::num_complex::Complex64;
 
 use super::{ChannelAt, FormatError, ParsedRun, ReadError};
 
@@ -38,7 +38,7 @@ impl Dtype {
     }
 }
 
-/// Which index runs fastest in a file of `[samples, channels]`.
+/// The index that runs fastest in a file of `[samples, channels]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// The channel: all channels of sample 0 come first.
@@ -47,8 +47,7 @@ pub enum Order {
     Fortran,
 }
 
-/// Samples that are sorted into or out of channels at once: few enough to stay in the cache until the
-/// last channel has had its turn.
+/// Samples that are transposed at once: few enough to stay in the cache until the last channel is done.
 const SAMPLES_AT_ONCE: usize = 1024;
 
 /// Reads a file; names, units and sample rate are not part of the format.
@@ -60,10 +59,10 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
     numbers(&header, &file[header.data_offset..]).map_err(ReadError::of_bytes)
 }
 
-/// The same from a file of `len` bytes that is not in memory, of which no more than a piece is kept.
+/// [`read`] for a file of `len` bytes that is not in memory; only a piece of it is kept at a time.
 ///
 /// # Errors
-/// As [`read`]; what reading the file says.
+/// As [`read`]; errors of the file system.
 pub fn read_from(mut file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
     let mut start = Vec::new();
     (&mut file).take(header::START as u64).read_to_end(&mut start)?;
@@ -79,7 +78,7 @@ pub fn read_from(mut file: impl Read, len: u64) -> Result<ParsedRun, ReadError> 
     numbers(&header, rest.as_slice().chain(file))
 }
 
-/// Reads what follows a header.
+/// Reads the numbers after a header.
 fn numbers(header: &Header, data: impl Read) -> Result<ParsedRun, ReadError> {
     let channels = match (header.dtype, header.big_endian) {
         (Dtype::F4, false) => values(header, data, |b| f64::from(f32::from_le_bytes(b))),
@@ -100,9 +99,9 @@ fn values<const N: usize>(
     mut data: impl Read,
     number: impl Fn([u8; N]) -> f64,
 ) -> std::io::Result<Vec<Vec<f64>>> {
-    // The bytes that follow were held against these sizes.
+    // These sizes were compared with the number of bytes.
     let mut channels = vec![Vec::with_capacity(header.samples); header.channels];
-    // One channel after the other is as many files of one channel.
+    // Channels one after the other are read as files of one channel each.
     let files: Vec<&mut [Vec<f64>]> = match header.order {
         Order::C => vec![&mut channels],
         Order::Fortran => channels.chunks_mut(1).collect(),
@@ -127,11 +126,11 @@ fn values<const N: usize>(
 /// `[samples, channels]`.
 ///
 /// # Errors
-/// `run.*` codes where the channels make no run; `run.non_finite` too where a number does not fit
+/// `run.*` codes where the channels are not a run; `run.non_finite` too where a number does not fit
 /// into `<f4`.
 ///
 /// # Panics
-/// If `dtype` is an integer: our bug.
+/// If `dtype` is an integer, which is a defect of the caller.
 pub fn write(channels: &[Vec<f64>], dtype: Dtype, order: Order) -> Result<Vec<u8>, FormatError> {
     let samples = check_equal(channels)?;
     let mut file = npy_header(samples, channels.len(), dtype, order);
@@ -154,7 +153,7 @@ pub fn write(channels: &[Vec<f64>], dtype: Dtype, order: Order) -> Result<Vec<u8
     Ok(file)
 }
 
-/// Writes a `<f4` file of shape `[samples, channels]` in C order, stretch by stretch.
+/// Writes a `<f4` file of shape `[samples, channels]` in C order, piece by piece.
 #[derive(Debug)]
 pub struct Writer {
     file: Vec<u8>,
@@ -163,7 +162,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// A file of this size, empty yet.
+    /// A file of this size, without its samples.
     pub fn new(samples: usize, channels: usize) -> Self {
         let mut file = npy_header(samples, channels, Dtype::F4, Order::C);
         file.reserve_exact(samples * channels * Dtype::F4.size());
@@ -185,7 +184,7 @@ impl Writer {
     /// The file.
     ///
     /// # Panics
-    /// If not all samples have been written: our bug.
+    /// If not all samples have been written, which is a defect of the caller.
     pub fn finish(self) -> Vec<u8> {
         assert_eq!(self.written, self.samples, "a file has as many samples as its header says");
         self.file
@@ -209,7 +208,7 @@ fn put(file: &mut Vec<u8>, channels: &[Vec<f64>], dtype: Dtype, first: usize) ->
     Err(FormatError::NonFinite { channel, sample: first + sample, row: None, column: None })
 }
 
-/// Appends numbers of `N` bytes; answers whether all were finite.
+/// Appends numbers of `N` bytes; returns whether all were finite.
 fn put_as<const N: usize>(
     file: &mut Vec<u8>,
     channels: &[Vec<f64>],
@@ -244,23 +243,57 @@ fn check_equal(channels: &[Vec<f64>]) -> Result<usize, FormatError> {
     Ok(expected)
 }
 
+/// An array of any number of dimensions that goes out, in C order.
+#[derive(Debug)]
+pub enum Array<'a> {
+    /// `<f8`
+    Real(&'a [f64]),
+    /// `<c16`: real and imaginary part in turn
+    Complex(&'a [Complex64]),
+}
+
+/// Writes an array of shape `shape`.
+///
+/// # Panics
+/// If there are not as many numbers as the shape says: our bug.
+pub fn write_array(array: &Array<'_>, shape: &[usize]) -> Vec<u8> {
+    let (descr, len) = match array {
+        Array::Real(numbers) => ("<f8", numbers.len()),
+        Array::Complex(numbers) => ("<c16", numbers.len()),
+    };
+    assert_eq!(shape.iter().product::<usize>(), len, "an array has as many numbers as its shape says");
+    let mut file = header_of(descr, shape, Order::C);
+    file.reserve_exact(len * if descr == "<f8" { 8 } else { 16 });
+    match array {
+        Array::Real(numbers) => numbers.iter().for_each(|v| file.extend(v.to_le_bytes())),
+        Array::Complex(numbers) => {
+            numbers.iter().flat_map(|z| [z.re, z.im]).for_each(|v| file.extend(v.to_le_bytes()));
+        }
+    }
+    file
+}
+
 fn npy_header(samples: usize, channels: usize, dtype: Dtype, order: Order) -> Vec<u8> {
     let descr = match dtype {
         Dtype::F4 => "<f4",
         Dtype::F8 => "<f8",
         Dtype::I2 | Dtype::I4 => unreachable!("integers are only read: this is a bug"),
     };
-    let order = match order {
-        Order::C => npyz::Order::C,
-        Order::Fortran => npyz::Order::Fortran,
-    };
-    npyz::WriteOptions::new_header_only()
-        .dtype(npyz::DType::Plain(descr.parse().expect("a plain type of NumPy")))
-        .shape(&[samples as u64, channels as u64])
-        .order(order)
-        .writer(Vec::new())
-        .write_header_only()
-        .expect("a vector takes all that is written")
+    header_of(descr, &[samples, channels], order)
+}
+
+/// The header that NumPy writes: version 1.0, padded so that the numbers begin at a multiple of 64 bytes.
+fn header_of(descr: &str, shape: &[usize], order: Order) -> Vec<u8> {
+    let fortran = if order == Order::Fortran { "True" } else { "False" };
+    // A tuple of one has a comma too.
+    let one = if shape.len() == 1 { "," } else { "" };
+    let shape = shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let mut dict = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': ({shape}{one}), }}");
+    // Magic, version and length take ten bytes; a line feed ends the header.
+    dict.extend(std::iter::repeat_n(' ', 63 - (10 + dict.len()) % 64));
+    dict.push('\n');
+    let len = u16::try_from(dict.len()).expect("some numbers fit into 64 KiB");
+    [b"\x93NUMPY\x01\x00", &len.to_le_bytes()[..], dict.as_bytes()].concat()
 }
 
 #[cfg(test)]

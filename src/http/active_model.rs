@@ -1,4 +1,4 @@
-//! Which model version answers as `active`.
+//! The model version that answers as `active`.
 
 use axum::extract::State;
 use axum::http::HeaderMap;
@@ -19,7 +19,7 @@ use crate::storage::ActiveUpdate;
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wanted {
-    /// The version, or null for none; a missing field is no null.
+    /// The version, or null for none; the field must be there.
     #[serde(deserialize_with = "present")]
     version: Option<u32>,
 }

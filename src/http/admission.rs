@@ -1,10 +1,10 @@
-//! Who may come in now: each class of traffic has turns and a bounded queue of its own, so that no
-//! crowd in one keeps another waiting.
+//! Admission control: each class of traffic has permits and a bounded queue of its own, so that a crowd
+//! in one class does not keep another waiting.
 //!
-//! Predictions have their turns where they compute ([`crate::compute`]); here they are only spared the
-//! reading of a body for which no turn would be left. Other requests have a turn from the end of their
-//! body to the head of their answer, so that who sends slowly takes nobody's place; uploads, whose
-//! bodies go to disk as they come, have it from the beginning.
+//! Predictions get their permits where they compute ([`crate::compute`]); here a prediction is only
+//! refused before its body is read if no permit would be left for it. Other requests hold a permit from
+//! the end of their body to the head of their answer, so that a slow sender holds none while it sends.
+//! Uploads, whose bodies go to disk as they arrive, hold one from the beginning.
 
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -19,80 +19,80 @@ use bytes::Bytes;
 use futures::{StreamExt, stream};
 
 use super::Shared;
-use super::doors::Caller;
+use super::auth::Caller;
 use super::problem::Problem;
 use crate::compute::Class;
-use crate::compute::turns::{Refused, Turn, TurnSettings, Turns, Who};
+use crate::compute::fair_queue::{ClientId, FairQueue, Permit, QueueSettings, Refused};
 
 /// Classes of traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Traffic {
-    /// Health, metrics, cancelling, revoking: what is needed most when there is too much of the rest.
+    /// Health, metrics, cancelling, revoking: the requests that matter most under overload.
     Control,
-    /// What is registered: reads and small changes.
+    /// Reads and small changes of registered data.
     Registry,
     /// Answers that are computed.
     Predict,
     /// Files.
     Upload,
-    /// What makes jobs.
+    /// Requests that create jobs.
     Jobs,
 }
 
-/// Turns of each class but [`Traffic::Predict`].
+/// Permits of each class but [`Traffic::Predict`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdmissionSettings {
     /// [`Traffic::Control`].
-    pub control: TurnSettings,
+    pub control: QueueSettings,
     /// [`Traffic::Registry`].
-    pub registry: TurnSettings,
+    pub registry: QueueSettings,
     /// [`Traffic::Upload`].
-    pub upload: TurnSettings,
+    pub upload: QueueSettings,
     /// [`Traffic::Jobs`].
-    pub jobs: TurnSettings,
+    pub jobs: QueueSettings,
 }
 
 impl Default for AdmissionSettings {
-    /// Writers to the database queue for its one writer: sixteen before a cancelling request are some
-    /// tens of milliseconds. One token leaves a quarter of the uploads to others.
+    /// Writes queue for the one writer of the database: sixteen of them delay a cancelling request by
+    /// some tens of milliseconds. One token leaves a quarter of the uploads to others.
     fn default() -> Self {
-        let upload = TurnSettings::new(16, 64, Duration::from_secs(30));
+        let upload = QueueSettings::new(16, 64, Duration::from_secs(30));
         Self {
-            control: TurnSettings::new(64, 256, Duration::from_secs(5)),
-            registry: TurnSettings::new(16, 256, Duration::from_secs(5)),
-            upload: TurnSettings { per_token: 12, ..upload },
-            jobs: TurnSettings::new(4, 64, Duration::from_secs(5)),
+            control: QueueSettings::new(64, 256, Duration::from_secs(5)),
+            registry: QueueSettings::new(16, 256, Duration::from_secs(5)),
+            upload: QueueSettings { per_token: 12, ..upload },
+            jobs: QueueSettings::new(4, 64, Duration::from_secs(5)),
         }
     }
 }
 
-/// The turns themselves.
+/// The queues of the classes of traffic.
 #[derive(Debug)]
 pub struct Admission {
-    control: Arc<Turns>,
-    registry: Arc<Turns>,
-    upload: Arc<Turns>,
-    jobs: Arc<Turns>,
+    control: Arc<FairQueue>,
+    registry: Arc<FairQueue>,
+    upload: Arc<FairQueue>,
+    jobs: Arc<FairQueue>,
 }
 
 impl Admission {
-    /// Turns as the settings say.
+    /// Queues with these settings.
     pub fn new(settings: AdmissionSettings) -> Self {
         Self {
-            control: Turns::new("control", settings.control),
-            registry: Turns::new("registry", settings.registry),
-            upload: Turns::new("upload", settings.upload),
-            jobs: Turns::new("jobs", settings.jobs),
+            control: FairQueue::new("control", settings.control),
+            registry: FairQueue::new("registry", settings.registry),
+            upload: FairQueue::new("upload", settings.upload),
+            jobs: FairQueue::new("jobs", settings.jobs),
         }
     }
 
-    /// All turns, for those who look on.
-    pub fn all(&self) -> [&Turns; 4] {
+    /// All queues, for the health report.
+    pub fn all(&self) -> [&FairQueue; 4] {
         [&self.control, &self.registry, &self.upload, &self.jobs]
     }
 
-    /// None: predictions have theirs elsewhere.
-    fn of(&self, traffic: Traffic) -> Option<&Arc<Turns>> {
+    /// `None` for predictions, which have theirs elsewhere.
+    fn of(&self, traffic: Traffic) -> Option<&Arc<FairQueue>> {
         match traffic {
             Traffic::Control => Some(&self.control),
             Traffic::Registry => Some(&self.registry),
@@ -104,78 +104,83 @@ impl Admission {
 }
 
 tokio::task_local! {
-    /// Whose request the task answers.
-    static WHO: Who;
+    /// The client whose request this task answers.
+    static CLIENT: ClientId;
 }
 
-/// Whose request is being answered; nobody's outside of one.
-pub fn who() -> Who {
-    WHO.try_with(|who| *who).unwrap_or_default()
+/// The client whose request is being answered; `None` outside of a request.
+pub fn client_id() -> ClientId {
+    CLIENT.try_with(|client| *client).unwrap_or_default()
 }
 
-/// Lets a request in when its turn comes, or sends it away.
+/// Lets a request in when it gets a permit, or refuses it.
 pub async fn admit(
     State((http, traffic)): State<(Shared, Traffic)>,
     request: Request,
     next: Next,
 ) -> Response {
-    let who = request.extensions().get::<Caller>().and_then(Caller::token).map(|token| token.id);
-    let Some(turns) = http.admission.of(traffic) else {
+    let client = request.extensions().get::<Caller>().and_then(Caller::token).map(|token| token.id);
+    let Some(queue) = http.admission.of(traffic) else {
         let class = Class::of_bytes(declared(request.headers()).unwrap_or_default() as usize);
-        return match http.compute.turns(class).check(who) {
-            Ok(()) => WHO.scope(who, next.run(request)).await,
+        return match http.compute.queue(class).check(client) {
+            Ok(()) => CLIENT.scope(client, next.run(request)).await,
             Err(why) => send_away(request, why),
         };
     };
     if comes_first(traffic, &request) {
-        if let Err(why) = turns.check(who) {
+        if let Err(why) = queue.check(client) {
             return send_away(request, why);
         }
-        let (request, _turn) = turn_after_body(request, Arc::clone(turns), who);
-        return WHO.scope(who, next.run(request)).await;
+        let (request, _permit) = permit_after_body(request, Arc::clone(queue), client);
+        return CLIENT.scope(client, next.run(request)).await;
     }
-    match turns.take(who).await {
-        Ok(_turn) => WHO.scope(who, next.run(request)).await,
+    match queue.acquire(client).await {
+        Ok(_permit) => CLIENT.scope(client, next.run(request)).await,
         Err(why) => send_away(request, why),
     }
 }
 
-/// Whether the handler reads a body before it does anything that others could wait for.
+/// Whether the body comes before the work of the handler, so that the permit can wait for its end.
 fn comes_first(traffic: Traffic, request: &Request) -> bool {
     let has_body = matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH);
     let waits = matches!(traffic, Traffic::Registry | Traffic::Jobs);
     has_body && waits && !request.body().is_end_stream()
 }
 
-/// The request with a body at whose end the turn is waited for, and the place where it then is.
-fn turn_after_body(request: Request, turns: Arc<Turns>, who: Who) -> (Request, Arc<OnceLock<Turn>>) {
+/// The request with a body that ends once a permit was acquired, and the cell that then holds the permit.
+fn permit_after_body(
+    request: Request,
+    queue: Arc<FairQueue>,
+    client: ClientId,
+) -> (Request, Arc<OnceLock<Permit>>) {
     let held = Arc::new(OnceLock::new());
     let place = Arc::clone(&held);
     let wait = async move {
-        let turn = turns.take(who).await.map_err(axum::Error::new)?;
+        let permit = queue.acquire(client).await.map_err(axum::Error::new)?;
         // The body ends once.
-        let _ = place.set(turn);
+        let _ = place.set(permit);
         Ok::<_, axum::Error>(Bytes::new())
     };
     let request = request.map(|body| Body::from_stream(body.into_data_stream().chain(stream::once(wait))));
     (request, held)
 }
 
-/// The answer to who gets no turn, at once, whatever is still to come of the body.
+/// Refuses a request at once, before the rest of its body has come.
 fn send_away(request: Request, why: Refused) -> Response {
     let declared = declared(request.headers());
     let (parts, body) = request.into_parts();
-    // Who asks before it sends a body will not send it.
+    // A client that asked before sending its body will not send it now.
     if declared.is_some_and(|n| n <= MAX_DRAINED) && !parts.headers.contains_key(EXPECT) {
         tokio::spawn(tokio::time::timeout(MAX_DRAIN, drain(body)));
     }
     Problem::from(why).into_response()
 }
 
-/// Largest body that is read to its end for nothing: that keeps the connection for the next request.
+/// Largest body of a refused request that is read to its end, to keep the connection for the next
+/// request.
 const MAX_DRAINED: u64 = 1 << 20;
 
-/// How long that may take.
+/// How long that reading may take.
 const MAX_DRAIN: Duration = Duration::from_secs(5);
 
 async fn drain(body: Body) {

@@ -1,12 +1,13 @@
-//! Adopting an effect: the model that was diagnosed, with a hypothesis of the report added to it.
+//! Adopting an effect: a new version of the diagnosed model, with a hypothesis of the report added to
+//! it.
 
 use axum::extract::State;
 use bytes::Bytes;
 use serde::Deserialize;
 
 use super::diagnoses::find;
+use super::idempotency::{RequestKey, created};
 use super::json::Json;
-use super::once::{Key, created};
 use super::params::NoParams;
 use super::paths::{OfDiagnosis, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
@@ -14,20 +15,20 @@ use super::{Shared, codes, errors};
 use crate::compute::Class;
 use crate::domain::diagnosis::Findings;
 use crate::domain::fits::Activate;
-use crate::domain::{Adopted, Created, Model, Origin, Rig, RigId, Role, StoredDiagnosis};
+use crate::domain::{Adopted, Adoption, Created, Model, Origin, Rig, RigId, Role, StoredDiagnosis};
 use crate::engine::diagnosis::{HeldOut, VerdictKind};
 use crate::engine::model::{AddedEffect, from_safetensors, to_safetensors};
 use crate::engine::simd::Isa;
 use crate::storage::{Activation, NewModel};
 
-/// An adopted model must leave this much of the diagnosed one's held-out error or less to be better.
+/// An adopted model is better if it leaves at most this share of the diagnosed model's held-out error.
 const BETTER: f64 = 0.99;
 
 /// The body.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdoptRequest {
-    /// Place in the report's hypotheses; the best first.
+    /// Index in the report's hypotheses, best first.
     #[serde(default)]
     hypothesis: usize,
     /// When the new version becomes the active one.
@@ -44,7 +45,7 @@ pub async fn adopt(
     State(http): State<Shared>,
     OfDiagnosis(rig_id, id): OfDiagnosis,
     _: NoParams,
-    key: Key,
+    key: RequestKey,
     Json(request): Json<AdoptRequest>,
 ) -> Answer {
     let rig = http.store.rig(&rig_id).await?.ok_or_else(|| no_rig(rig_id.as_str()))?;
@@ -60,8 +61,8 @@ pub async fn adopt(
     let held_out = hypothesis(&findings, request.hypothesis)?.clone();
     let activation = activation(&http, &rig, &base, request.activate, &held_out).await?;
     let model = make(&http, &rig, &diagnosis, findings, base, request.hypothesis).await?;
-    let once = key.once().map(|once| (once, Created::adopted as fn(&Model) -> Created));
-    let inserted = http.store.insert_model(&rig_id, model, activation, once, http.now()).await?;
+    let key = key.stored().map(|key| (key, Created::adopted as fn(&Model) -> Created));
+    let inserted = http.store.insert_model(&rig_id, model, activation, key, http.now()).await?;
     created(Created::adopted(&inserted.ok_or_else(|| no_rig(rig_id.as_str()))?))
 }
 
@@ -69,23 +70,23 @@ pub async fn adopt(
 async fn diagnosed(http: &Shared, rig: &RigId, diagnosis: &StoredDiagnosis) -> Answer<Model> {
     let Some(named) = &diagnosis.summary.model else {
         let detail =
-            "The diagnosis is one of simulated runs that were sent; there is no model to add an effect to.";
+            "The diagnosis compared simulated runs that were uploaded; it has no model to add an effect to.";
         return Err(Problem::new(codes::DIAGNOSIS_NO_MODEL, detail));
     };
     let found = http.store.model(rig, named.version).await?;
     found.filter(|model| model.sha256 == named.sha256).ok_or_else(|| no_model(&named.version.to_string()))
 }
 
-/// Refuses verdicts that blame nothing that could be added.
+/// Refuses verdicts that name no effect to add.
 fn allowed(kind: VerdictKind) -> Answer<()> {
     if kind.blames() {
         return Ok(());
     }
-    let detail = "The verdict blames no effect of the rig that a model could have.";
+    let detail = "The verdict names no effect that could be added to a model.";
     Err(Problem::new(codes::DIAGNOSIS_NO_EFFECT, detail))
 }
 
-/// How far a hypothesis closes the gap, if it may be adopted.
+/// The held-out figures of a hypothesis, if it may be adopted.
 fn hypothesis(findings: &Findings, index: usize) -> Answer<&HeldOut> {
     let found = findings.report.hypotheses.get(index).filter(|_| index < findings.augmented.len());
     let Some(found) = found else {
@@ -106,9 +107,9 @@ fn hypothesis(findings: &Findings, index: usize) -> Answer<&HeldOut> {
     Ok(&found.held_out)
 }
 
-/// What happens to the rig's active model. `if_better`: the adopted one replaces none, or the model
-/// that was diagnosed if the held-out error of the report is at least 1 % lower; what it does beside
-/// any third model nobody has measured.
+/// The change of the rig's active model. With `if_better` the adopted model becomes active if none was,
+/// or if the diagnosed model is active and the report's held-out error is at least 1 % lower. A third
+/// model stays active, because the two were never compared.
 async fn activation(
     http: &Shared,
     rig: &Rig,
@@ -151,11 +152,16 @@ async fn make(
         })?;
         model.effects.push(effect);
         let weights = to_safetensors(&model);
-        // What is stored can be read; there is an end to how many effects a model takes.
-        from_safetensors(&weights).map_err(|error| errors::engine(&error, &[], "/hypothesis"))?;
-        Ok::<_, Problem>(weights)
+        // Stored weights can be read; the error left is too many effects in one model.
+        let model = from_safetensors(&weights).map_err(|error| errors::engine(&error, &[], "/hypothesis"))?;
+        Ok::<_, Problem>((weights, model))
     };
-    let weights = http.off_thread(Class::Predict, add).await??;
+    let (weights, model) = http.off_thread(Class::Predict, add).await??;
+    // Beneath a version with effects lies the one that they were first added to.
+    let (version, sha256) = match base.adoption {
+        Some(Adoption { base, .. }) => (base.version, base.sha256),
+        None => (Some(base.version), Some(base.sha256)),
+    };
     let mut lineage = base.lineage;
     lineage.diagnoses.push(Adopted {
         id: diagnosis.summary.id,
@@ -165,7 +171,8 @@ async fn make(
         select: findings.select,
     });
     Ok(NewModel {
-        kind: base.kind,
+        kind: model.kind,
+        adoption: Adoption::of(&model, version, sha256),
         inputs: base.inputs,
         outputs: base.outputs,
         sample_rate_hz: base.sample_rate_hz,
@@ -174,6 +181,7 @@ async fn make(
         job: Some(diagnosis.summary.job),
         request: None,
         report: None,
+        frf: model.frf_summary(),
         lineage,
         instruction_set: Isa::of_process().map_err(Problem::internal)?.name().into(),
     })

@@ -1,17 +1,17 @@
 //! Every problem code of the contract. `openapi.yaml` lists the same ones; a test compares.
 
-/// A kind of problem: what stays the same however often and wherever it happens.
+/// A kind of problem: name, status and title, which are the same each time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Code {
     /// Stable name, for programs.
     pub name: &'static str,
     /// HTTP status.
     pub status: u16,
-    /// The same for every problem of this kind, for people.
+    /// Title for people, the same for every problem of this kind.
     pub title: &'static str,
 }
 
-/// Defines the constants and the table of all of them in one go, so that neither lacks one.
+/// Defines the constants together with the table of all of them, so that neither lacks one.
 macro_rules! codes {
     ($($constant:ident = $name:literal, $status:literal, $title:literal;)*) => {
         $(
@@ -47,9 +47,9 @@ codes! {
     BODY_MISSING_FIELD = "body.missing_field", 422, "Missing field";
     BODY_INVALID_VALUE = "body.invalid_value", 422, "Invalid value";
     DIGEST_MALFORMED = "digest.malformed", 400, "Content-Digest cannot be read";
-    DIGEST_MISMATCH = "digest.mismatch", 400, "The body is not what its digest says";
+    DIGEST_MISMATCH = "digest.mismatch", 400, "The body does not match its digest";
 
-    // Who asks.
+    // Tokens and callers.
     TOKEN_MISSING = "token.missing", 401, "A token is needed";
     TOKEN_INVALID = "token.invalid", 401, "The token is not in force";
     TOKEN_ROLE = "token.role", 403, "The token's role is too low";
@@ -65,7 +65,7 @@ codes! {
     IF_MATCH_STALE = "if_match.stale", 412, "The resource has changed";
     IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
     IDEMPOTENCY_KEY_MALFORMED = "idempotency_key.malformed", 400, "Idempotency-Key cannot be read";
-    IDEMPOTENCY_KEY_IN_USE = "idempotency_key.in_use", 409, "A request under the same key is being done";
+    IDEMPOTENCY_KEY_IN_USE = "idempotency_key.in_use", 409, "A request under the same key is under way";
     IDEMPOTENCY_KEY_REUSED = "idempotency_key.reused", 422, "The key belongs to another request";
 
     // Rigs.
@@ -91,14 +91,14 @@ codes! {
 
     // Files.
     CSV_ENCODING = "csv.encoding", 400, "The text is not UTF-8";
-    CSV_HEADER = "csv.header", 422, "The header row cannot be one";
+    CSV_HEADER = "csv.header", 422, "The header row is not valid";
     CSV_NOT_A_NUMBER = "csv.not_a_number", 422, "A cell is not a number";
     CSV_RAGGED_ROW = "csv.ragged_row", 422, "Rows differ in their number of cells";
     CSV_UNEVEN_TIME = "csv.uneven_time", 422, "Time does not rise in even steps";
     CSV_TIME_COLUMN = "csv.time_column", 422, "The time column cannot be read";
     NPY_HEADER = "npy.header", 400, "The NPY header cannot be read";
-    NPY_DTYPE = "npy.dtype", 422, "An NPY dtype that is not read";
-    NPY_SHAPE = "npy.shape", 422, "An NPY shape that is not read";
+    NPY_DTYPE = "npy.dtype", 422, "An NPY dtype that is not supported";
+    NPY_SHAPE = "npy.shape", 422, "An NPY shape that is not supported";
     NPY_TRUNCATED = "npy.truncated", 400, "The NPY header declares more than the file has";
     NPY_TRAILING_BYTES = "npy.trailing_bytes", 400, "The NPY file has more than its header declares";
     JSON_INVALID = "json.invalid", 400, "The file is not JSON of the right form";
@@ -113,7 +113,7 @@ codes! {
     FIT_INVALID = "fit.invalid", 422, "The fit does not suit the rig";
     FIT_MISSING_CHANNEL = "fit.missing_channel", 422, "A run lacks a channel of the fit";
     FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
-    JOB_PANICKED = "job.panicked", 500, "The job failed by a defect";
+    JOB_PANICKED = "job.panicked", 500, "A defect ended the job";
     JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
     JOB_CRASHED = "job.crashed", 500, "The worker process died";
     JOB_MEMORY = "job.memory", 500, "The job took too much memory";
@@ -123,7 +123,7 @@ codes! {
     // Diagnoses.
     DIAGNOSIS_NOT_FOUND = "diagnosis.not_found", 404, "No such diagnosis";
     DIAGNOSIS_NO_RUNS = "diagnosis.no_runs", 409, "No run matches the selection of the diagnosis";
-    DIAGNOSIS_NO_EFFECT = "diagnosis.no_effect", 409, "The diagnosis blames no effect";
+    DIAGNOSIS_NO_EFFECT = "diagnosis.no_effect", 409, "The diagnosis names no effect";
     DIAGNOSIS_NO_MODEL = "diagnosis.no_model", 409, "The diagnosis has no model of the rig";
     DIAGNOSIS_UNSTABLE = "diagnosis.unstable", 409, "The effect is not stable over the envelope";
     DIAGNOSIS_INVALID = "diagnosis.invalid", 422, "The diagnosis does not suit the rig";
@@ -135,7 +135,9 @@ codes! {
     MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";
     MODEL_ACTIVE = "model.active", 409, "The model is active";
     MODEL_NONE_ACTIVE = "model.none_active", 409, "The rig has no active model";
-    MODEL_NOT_FORWARD = "model.not_forward", 422, "The model is no forward model of the rig";
+    MODEL_NO_FRF = "model.no_frf", 409, "The model has no FRF";
+    MODEL_NO_COHERENCE = "model.no_coherence", 409, "The model does not carry its coherence";
+    MODEL_NOT_FORWARD = "model.not_forward", 422, "The model does not map drives to responses";
     MODEL_UNKNOWN_CHANNEL = "model.unknown_channel", 422, "The rig has no such channel";
     MODEL_SAMPLE_RATE = "model.sample_rate", 422, "Another sample rate than the rig's";
     MODEL_DAMAGED = "model.damaged", 500, "The stored model cannot be read";
@@ -149,10 +151,10 @@ codes! {
     PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
     PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
     PREDICT_DEADLINE = "predict.deadline", 504, "The answer was not ready in time";
-    DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that was not sent";
+    DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that the request does not have";
     DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";
 
-    // What the engine finds.
+    // Errors of the engine.
     SIGNAL_EMPTY = "signal.empty", 422, "No samples";
     SIGNAL_UNEQUAL_LENGTHS = "signal.unequal_lengths", 422, "Channels differ in length";
     SIGNAL_CHANNEL_COUNT = "signal.channel_count", 422, "Another number of channels";

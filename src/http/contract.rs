@@ -1,4 +1,4 @@
-//! The contract and the pages to try it out, both compiled in: they work without internet.
+//! The contract and its documentation pages, compiled in so that they work without internet.
 
 use std::sync::LazyLock;
 
@@ -18,10 +18,10 @@ use super::problem::{self, Answer, Problem};
 /// The contract, as it is in the repository.
 pub const OPENAPI: &str = include_str!("../../openapi.yaml");
 
-/// Where the pages are.
+/// Path of the pages.
 const PAGES_AT: &str = "/docs";
 
-/// Largest page; what it loads is larger, and not looked into.
+/// Largest page that is searched for scripts; the files that a page loads are larger.
 const MAX_PAGE_BYTES: usize = 64 << 10;
 
 /// `GET /openapi.yaml`
@@ -29,7 +29,7 @@ pub async fn openapi(_: NoParams) -> Answer {
     Ok(([(CONTENT_TYPE, "application/yaml")], OPENAPI).into_response())
 }
 
-/// `GET /docs` and what its page needs below.
+/// `GET /docs` and the files that its page loads.
 pub async fn docs(_: NoParams, uri: Uri) -> Answer {
     static PAGES: LazyLock<Router> = LazyLock::new(|| {
         swagger_ui_dist::generate_routes(ApiDefinition {
@@ -39,7 +39,8 @@ pub async fn docs(_: NoParams, uri: Uri) -> Answer {
         })
     });
     let mut request = Request::new(Body::empty());
-    // The path alone: the page repeats its address, and a client may write anything in front of it.
+    // Only the path: the page repeats its own address, and a client may write anything in front of the
+    // path.
     *request.uri_mut() = uri.path().parse().map_err(Problem::internal)?;
     let response = PAGES.clone().oneshot(request).await.map_err(Problem::internal)?;
     if response.status() == StatusCode::NOT_FOUND {

@@ -1,20 +1,20 @@
-//! Damage and counts of signals that are sent: no rig, no model.
+//! Damage and counts of the signals in a request, without rig or model.
 
 use axum::extract::State;
 use serde::{Deserialize, Serialize};
 
-use super::arrays::HoldsSignals;
+use super::body::HoldsSignals;
+use super::body::signals::{Channels, Signals};
 use super::json::{self, SignalsJson};
 use super::params::NoParams;
 use super::problem::{Answer, FieldError, Problem};
-use super::signals::{Channels, Signals};
 use super::{Shared, codes, errors};
 use crate::compute::Class;
 use crate::engine::fatigue::{
     ClassSettings, CountsReport, DamageChannel, DamageGroup, DamageReport, DamageSettings, counts_report,
     damage_report,
 };
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Signal, rounded};
 
 /// The body.
 #[derive(Debug, Deserialize)]
@@ -77,7 +77,7 @@ fn report(request: DamageRequest) -> Answer<Vec<u8>> {
     let groups = places(&groups, &names)?;
     let groups: Vec<DamageGroup<'_>> =
         groups.iter().map(|(name, channels)| DamageGroup { name, channels: *channels }).collect();
-    // Both reports speak of predicted and target by the fields' names.
+    // Both reports name predicted and target as the fields do.
     let refuse = |error: EngineError| errors::engine(&error, &names, "");
     let answer = DamageAnswer {
         damage: damage_report(&channels, &groups, &damage).map_err(refuse)?,
@@ -104,8 +104,9 @@ fn targets(target: Signals, predicted: &[String], rate_hz: f64) -> Answer<Channe
         return Err(unknown(name, "/target/channels"));
     }
     if !Signal::same_rate(target.sample_rate_hz, rate_hz) {
-        let limit = format!("{rate_hz} Hz");
-        let detail = format!("The target has {} Hz, the prediction {limit}.", target.sample_rate_hz);
+        let limit = format!("{} Hz", rounded(rate_hz, 10));
+        let detail =
+            format!("The target has {} Hz, the prediction {limit}.", rounded(target.sample_rate_hz, 10));
         return Err(Problem::new(codes::DAMAGE_SAMPLE_RATE, detail)
             .with(FieldError::new("/target/sample_rate_hz", limit)));
     }
@@ -113,7 +114,7 @@ fn targets(target: Signals, predicted: &[String], rate_hz: f64) -> Answer<Channe
     Ok(Channels(names.into_iter().zip(samples).collect()))
 }
 
-/// Groups by the places of their channels.
+/// Groups by the indices of their channels.
 fn places(groups: &Groups, names: &[String]) -> Answer<Vec<(String, [usize; 3])>> {
     let mut places = Vec::with_capacity(groups.len());
     for (group, channels) in groups {

@@ -1,4 +1,4 @@
-//! Until when an answer is worth its work: the deadline of the settings, or until its caller goes away.
+//! The time at which work for an answer stops: at the deadline, or when the caller goes away.
 
 use std::sync::{Arc, Weak};
 use std::time::Instant;
@@ -8,16 +8,16 @@ use super::{Http, codes};
 use crate::compute::Class;
 use crate::telemetry::names;
 
-/// What long work looks at between its steps.
+/// Checked by long work between its steps.
 #[derive(Debug)]
 pub struct Deadline {
     at: Instant,
-    /// Lives as long as somebody waits for the answer.
+    /// Alive as long as the caller waits for the answer.
     caller: Weak<()>,
 }
 
 impl Deadline {
-    /// Ends work that nobody waits for any more.
+    /// Ends work past its deadline, or whose caller has gone away.
     ///
     /// # Errors
     /// `predict.deadline`.
@@ -26,16 +26,15 @@ impl Deadline {
     }
 }
 
-/// The refusal of what was not ready.
+/// The refusal of a request whose answer was not ready in time.
 pub fn over() -> Problem {
-    let detail =
-        "The answer was not ready before the deadline of the service; ask for a shorter signal, or later.";
+    let detail = "The answer was not ready before the deadline of the service; send a shorter signal, or try again later.";
     Problem::new(codes::PREDICT_DEADLINE, detail)
 }
 
 impl Http {
-    /// Does work for an answer that must be ready before the deadline, its wait for a turn included. Work
-    /// that has begun has the time until it next looks at the deadline, and keeps its turn so long.
+    /// Does work for an answer that must be ready before the deadline, the wait in the queue included.
+    /// Work that has begun goes on, and keeps its permit, until it next checks the deadline.
     pub(super) async fn in_time<T, F>(&self, class: Class, work: F) -> Answer<T>
     where
         T: Send + 'static,

@@ -10,10 +10,9 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use super::headers::SCRIPT_FREE_PAGE;
+use super::idempotency::{RequestKey, created};
 use super::json::{self, Json};
-use super::lists::page;
-use super::once::{Key, created};
-use super::params::{NoParams, Params};
+use super::params::{NoParams, Params, page};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
 use super::{Shared, negotiate};
@@ -28,7 +27,7 @@ use crate::ui::diagnosis::{self as ui, Heading, Simulation};
 /// Media type of the page for people.
 const HTML: &str = "text/html";
 
-/// A report with what the engine does not know of it.
+/// A report with the fields that the engine does not know: ids, times, names.
 #[derive(Debug, Serialize)]
 struct Shown<'a> {
     id: DiagnosisId,
@@ -47,11 +46,11 @@ pub async fn start(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     _: NoParams,
-    key: Key,
+    key: RequestKey,
     Json(request): Json<DiagnosisRequest>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let job = http.jobs.submit_diagnosis(&rig, &request, key.once().as_ref()).await?;
+    let job = http.jobs.submit_diagnosis(&rig, &request, key.stored().as_ref()).await?;
     created(Created::job(&job))
 }
 
@@ -115,7 +114,7 @@ async fn run_names(http: &Shared, rig: &RigId, report: &Report) -> Answer<BTreeM
     Ok(names)
 }
 
-/// What stands over the page.
+/// The heading of the page.
 async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) -> Answer<Heading> {
     let DiagnosisSummary { id, rig, created_at, model, verdict, .. } = &diagnosis.summary;
     let row = http.store.rig(rig).await?.ok_or_else(|| no_rig(rig.as_str()))?;
@@ -123,8 +122,8 @@ async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) ->
         None => Simulation::Outside,
         Some(model) => {
             let kept = http.store.model(rig, model.version).await?;
-            let kind = kept.map_or("deleted", |model| model.kind.as_str());
-            Simulation::Version { version: model.version.into(), kind: kind.into() }
+            let kind = kept.map_or_else(|| "deleted".to_owned(), |model| model.kind_in_words());
+            Simulation::Version { version: model.version.into(), kind }
         }
     };
     let best = report.hypotheses.first().is_some_and(|best| best.stable_over_envelope);

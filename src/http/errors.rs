@@ -1,10 +1,10 @@
-//! What the layers below refuse, as problems: the only place that knows both.
+//! Turns errors of the layers below into problems. Only this file knows both.
 
 use super::codes;
 use super::problem::{FieldError, Problem};
 use crate::compute::ComputeError;
-use crate::compute::turns::Refused;
-use crate::engine::EngineError;
+use crate::compute::fair_queue::Refused;
+use crate::engine::{EngineError, rounded};
 use crate::formats::FormatError;
 use crate::jobs::{DiagnosisProblem, FitProblem};
 use crate::models::ModelError;
@@ -23,7 +23,7 @@ impl From<StoreError> for Problem {
                     .because(error)
             }
             StoreError::Repeated => {
-                let detail = "A request under the same Idempotency-Key is being done; ask again.";
+                let detail = "A request under the same Idempotency-Key is under way; ask again later.";
                 Self::new(codes::IDEMPOTENCY_KEY_IN_USE, detail).retry_after(1)
             }
             error if error.is_unavailable() => {
@@ -50,10 +50,10 @@ impl From<Refused> for Problem {
         match why {
             Refused::Share => Self::new(
                 codes::TOKEN_BUSY,
-                "The service has much to do, and more than this token's share is under way or waits; try again.",
+                "The service is overloaded, and this token has or waits for more than its share; try again.",
             ),
             Refused::Full => Self::new(codes::BUSY, "Too much work is waiting already; try again."),
-            Refused::Late => Self::new(codes::BUSY, "The request's turn did not come in time; try again."),
+            Refused::Late => Self::new(codes::BUSY, "The request waited too long in the queue; try again."),
         }
         .retry_after(1)
     }
@@ -90,7 +90,7 @@ impl From<DiagnosisProblem> for Problem {
     }
 }
 
-/// What the engine refused about signals whose channels are `names`, sent at `pointer`.
+/// The problem of an engine error about signals with channels `names`, sent at `pointer`.
 pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
     let name = |index: usize| names.get(index).cloned().unwrap_or_else(|| index.to_string());
     let on = |index: usize| {
@@ -109,7 +109,7 @@ pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
             (codes::SIGNAL_NON_FINITE, FieldError { sample: Some(*sample as u64), ..on(*channel) })
         }
         EngineError::SampleRate { expected_hz, .. } => {
-            (codes::SIGNAL_SAMPLE_RATE, limit(format!("{expected_hz} Hz")))
+            (codes::SIGNAL_SAMPLE_RATE, limit(format!("{} Hz", rounded(*expected_hz, 10))))
         }
         EngineError::TooShort { needed, .. } => {
             (codes::SIGNAL_TOO_SHORT, limit(format!("at least {needed} samples")))
@@ -137,13 +137,14 @@ pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {
             codes::FRF_DEPENDENT_INPUTS,
             FieldError { limit: Some("independent inputs".into()), ..on(*channel) },
         ),
-        // Only the virtual rig, which no request reaches, limits values.
+        // `OutOfRange` comes only from the virtual rig, which no request reaches.
         EngineError::Cancelled | EngineError::OutOfRange { .. } => return Problem::internal(error),
     };
     Problem::new(code, named(error, &place)).with(place)
 }
 
-/// What a reader refused about a file whose columns would be `names`, did it not name them itself.
+/// The problem of a file that a reader refused. `names` are its columns if the file does not name them
+/// itself.
 pub fn format(error: &FormatError, names: &[String]) -> Problem {
     let code = codes::find(error.code()).unwrap_or(codes::RUN_INVALID);
     let named = error.channel().map(str::to_owned);
@@ -158,13 +159,13 @@ pub fn format(error: &FormatError, names: &[String]) -> Problem {
     Problem::new(code, format!("{error}.")).with(place)
 }
 
-/// Tells the metrics of a file that could not be read.
+/// Counts a file that could not be read.
 pub fn count_unreadable(format: &'static str, problem: &Problem) {
     let reason = problem.code().to_owned();
     metrics::counter!(names::PARSE_ERRORS, "format" => format, "reason" => reason).increment(1);
 }
 
-/// The engine's words, with the channel's name beside its number.
+/// The engine's message, with the channel's name added.
 fn named(error: &EngineError, place: &FieldError) -> String {
     match &place.channel {
         Some(channel) => format!("{error} (channel {channel:?})."),

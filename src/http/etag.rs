@@ -29,13 +29,13 @@ pub fn if_match(headers: &HeaderMap) -> Answer<Tags> {
     Ok(Tags(tags))
 }
 
-/// What `If-Match` said.
+/// The content of `If-Match`.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Tags(Vec<String>);
 
 impl Tags {
-    /// Checks the change against the current state; what the store must still find when it writes.
-    /// Weak tags match nothing: they do not promise the same bytes.
+    /// Checks the change against the current state, and returns the tag that the store must still find
+    /// when it writes. Weak tags match nothing, because they do not promise the same bytes.
     ///
     /// # Errors
     /// `if_match.stale` when the client has seen another state.

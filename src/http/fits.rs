@@ -3,8 +3,8 @@
 use axum::extract::State;
 
 use super::Shared;
+use super::idempotency::{RequestKey, created};
 use super::json::Json;
-use super::once::{Key, created};
 use super::params::NoParams;
 use super::paths::{OfRig, no_rig};
 use super::problem::Answer;
@@ -16,10 +16,10 @@ pub async fn start(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     _: NoParams,
-    key: Key,
+    key: RequestKey,
     Json(request): Json<FitRequest>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let job = http.jobs.submit_fit(&rig, &request, key.once().as_ref()).await?;
+    let job = http.jobs.submit_fit(&rig, &request, key.stored().as_ref()).await?;
     created(Created::job(&job))
 }

@@ -1,4 +1,4 @@
-//! Headers that keep browsers from doing with an answer what it is not meant for.
+//! Headers that restrict what browsers may do with an answer.
 
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
@@ -8,8 +8,8 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use sha2::{Digest, Sha256};
 
-/// On every answer, whatever the handler says: no guessing of types, no frames, no trace of where a
-/// link was followed, no use by other origins, and no copy in any cache, for answers are data of the lab.
+/// On every answer, whatever the handler says: no guessing of types, no frames, no referrer, no use by
+/// other origins, and no copy in any cache, because answers are data of the lab.
 const ALWAYS: [(HeaderName, &str); 5] = [
     (X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (X_FRAME_OPTIONS, "DENY"),
@@ -18,13 +18,13 @@ const ALWAYS: [(HeaderName, &str); 5] = [
     (CACHE_CONTROL, "no-store"),
 ];
 
-/// For what is no page: should a browser take it for one, it loads nothing.
+/// For answers that are no pages: a browser that takes one for a page loads nothing.
 const NO_PAGE: &str = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// For pages without scripts, which carry their styles in themselves.
+/// For pages without scripts and with styles of their own.
 pub const SCRIPT_FREE_PAGE: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Puts them on an answer; a handler's own policy for its page stays.
+/// Adds these headers to an answer; a handler's own policy for its page stays.
 pub fn protect(headers: &mut HeaderMap) {
     for (name, value) in ALWAYS {
         headers.insert(name, HeaderValue::from_static(value));
@@ -32,13 +32,21 @@ pub fn protect(headers: &mut HeaderMap) {
     headers.entry(CONTENT_SECURITY_POLICY).or_insert(HeaderValue::from_static(NO_PAGE));
 }
 
-/// For a page that runs our own scripts: those it loads from here, and the one that stands in it.
+/// For a page that runs scripts of the service: those that it loads from here, and the one inside it.
 pub fn page_with_script(html: &str) -> String {
     let script = html.split_once("<script>").and_then(|(_, rest)| Some(rest.split_once("</script>")?.0));
     let script = STANDARD.encode(Sha256::digest(script.unwrap_or_default()));
     format!(
         "default-src 'none'; script-src 'self' 'sha256-{script}'; style-src 'self' 'unsafe-inline'; \
          img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+}
+
+/// For a page without scripts and with this one inline style.
+pub fn page_with_style(style: &str) -> String {
+    let style = STANDARD.encode(Sha256::digest(style));
+    format!(
+        "default-src 'none'; style-src 'sha256-{style}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
 }
 

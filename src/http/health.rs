@@ -1,10 +1,10 @@
-//! Whether the process lives, and whether it should be sent requests.
+//! Liveness, and readiness for requests.
 
 use axum::extract::State;
 use serde::Serialize;
 use serde_json::json;
 
-use super::doors::Caller;
+use super::auth::Caller;
 use super::params::{NoParams, Params};
 use super::problem::{Answer, Problem};
 use super::{Shared, codes, json};
@@ -20,12 +20,12 @@ struct Ready {
     checks: Option<serde_json::Value>,
 }
 
-/// `GET /livez`: the event loop turns, and that is all it says.
+/// `GET /livez`: says only that the process answers.
 pub async fn live(_: NoParams) -> Answer {
     json::answer(&json!({"status": "ok"}))
 }
 
-/// `GET /readyz`. Rigs are named to those who may see them.
+/// `GET /readyz`. It names only rigs that the caller may see.
 pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut params: Params) -> Answer {
     let verbose = params.flag("verbose")?;
     params.finish()?;
@@ -51,7 +51,7 @@ async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
         .map(|(state, n)| (state.as_str().to_owned(), n.into()))
         .collect();
     let store = if room { "ok" } else { "full" };
-    let compute = [Class::Predict, Class::Long].map(|class| http.compute.turns(class));
+    let compute = [Class::Predict, Class::Long].map(|class| http.compute.queue(class));
     let queues: serde_json::Map<_, _> = http
         .admission
         .all()

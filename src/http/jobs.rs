@@ -10,9 +10,9 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use futures::StreamExt;
 use serde::de::DeserializeOwned;
 
-use super::doors::Caller;
-use super::lists::page;
-use super::params::{NoParams, Params, invalid};
+use super::auth::Caller;
+use super::observe::note_rig;
+use super::params::{NoParams, Params, invalid, page};
 use super::paths::{OfJob, no_job};
 use super::problem::Answer;
 use super::{Shared, json, negotiate};
@@ -37,10 +37,12 @@ pub async fn show(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, 
     json::answer(&find(&http, &caller, id).await?)
 }
 
-/// The job of this id, if the caller may see its rig; else there is none.
+/// The job of this id; to a caller that may not see its rig, there is none.
 async fn find(http: &Shared, caller: &Caller, id: JobId) -> Answer<Job> {
     let job = http.store.job(id).await?.filter(|job| caller.reaches(&job.rig));
-    job.ok_or_else(|| no_job(&id.to_string()))
+    let job = job.ok_or_else(|| no_job(&id.to_string()))?;
+    note_rig(&tracing::Span::current(), &job.rig);
+    Ok(job)
 }
 
 /// `GET /v1/jobs/{job}/events`
@@ -53,11 +55,11 @@ pub async fn events(
 ) -> Answer {
     find(&http, &caller, id).await?;
     negotiate::choose(&headers, &["text/event-stream"])?;
-    // A Last-Event-ID that we did not give is as good as none: the stream starts with the present.
+    // An unknown Last-Event-ID is ignored: the stream starts with the present state.
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()?.parse().ok());
     let jobs = http.jobs.subscribe(id, seen).await?.ok_or_else(|| no_job(&id.to_string()))?;
-    // The stream ends when the door shuts through which its reader came.
-    let jobs = jobs.take_until(async move { http.doors.shut(&caller, http.clock).await });
+    // The stream ends when its reader's token is revoked or expires.
+    let jobs = jobs.take_until(async move { http.auth.until_revoked(&caller, http.clock).await });
     Ok(Sse::new(jobs.map(|job| Ok::<_, Infallible>(event(&job))))
         .keep_alive(KeepAlive::default())
         .into_response())
@@ -80,7 +82,7 @@ pub async fn cancel(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob
     }
 }
 
-/// Takes a parameter that is one of an enumeration's words.
+/// Takes a parameter whose value is a word of an enumeration.
 pub fn word<T: DeserializeOwned>(params: &mut Params, name: &str, limit: &str) -> Answer<Option<T>> {
     let Some(text) = params.one(name)? else { return Ok(None) };
     let word = serde_json::from_value(serde_json::Value::String(text.clone()));

@@ -1,50 +1,43 @@
 //! The HTTP contract: routes, problem documents, one file a resource.
 //!
-//! Handlers parse, call and map. What needs the processor goes through [`crate::compute`]; what
-//! is wrong becomes a problem (`problem`), whose document the outermost layer (`observe`)
-//! writes. The routes are one table ([`routes`]), which `openapi.yaml` must equal; each stands behind
-//! a door ([`Doors`]) that asks for the right that the table gives it, and waits for a turn of the class
-//! of traffic ([`Traffic`]) that it has there.
+//! Handlers parse, call and map. Work for the processor goes through [`crate::compute`]. An error
+//! becomes a problem (`problem`), whose document the outermost layer (`observe`) writes. The routes are
+//! one table ([`routes`]), which a test compares with `openapi.yaml`. For each route the table gives the
+//! right, which [`Auth`] checks, and the class of traffic ([`Traffic`]), whose permit a request waits
+//! for.
 
 mod active_model;
 mod admission;
 mod adopt;
-mod arrays;
+mod auth;
 mod body;
 pub mod codes;
 mod contract;
 mod damage;
 mod deadline;
 mod diagnoses;
-mod doors;
 mod errors;
 mod etag;
 mod fits;
+mod frf;
 mod headers;
 mod health;
+mod idempotency;
 mod jobs;
-mod json;
-mod lists;
 mod metrics;
 mod models;
 mod negotiate;
 mod observe;
-mod once;
 mod params;
 mod paths;
 mod predict;
 mod problem;
-mod rights;
+mod refusals;
 mod rigs;
 pub mod routes;
-mod run_data;
-mod run_file;
 mod runs;
-mod signals;
-mod strict;
+mod start;
 mod tokens;
-mod unreadable;
-mod upload;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -61,15 +54,17 @@ use crate::domain::{self, Clock};
 use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::Store;
+use body::json;
 use problem::Answer;
 
 pub use admission::{Admission, AdmissionSettings, Traffic};
+pub use auth::{Auth, Right};
 pub use body::Pace;
-pub use doors::Doors;
-pub use rights::Right;
-pub use unreadable::{Connection, too_many_connections};
+pub use metrics::begin as begin_metrics;
+pub use observe::ClientAddress;
+pub use refusals::{too_many_connections, unreadable_request};
 
-/// Largest bodies that are read, and the longest that is waited for them and for answers.
+/// Largest bodies, and longest times for a body and for an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// JSON bodies, bytes.
@@ -80,7 +75,7 @@ pub struct Limits {
     pub upload_bytes: u64,
     /// Slowest bodies.
     pub pace: Pace,
-    /// Longest work for an answer once its request was read, the wait for a turn included.
+    /// Longest time for an answer once its request was read, the wait in the queue included.
     pub deadline: Duration,
 }
 
@@ -103,19 +98,19 @@ pub struct Http {
     pub store: Store,
     /// Jobs.
     pub jobs: Jobs,
-    /// Who comes in.
-    pub doors: Doors,
+    /// Tokens and rights.
+    pub auth: Auth,
     /// Loaded models.
     pub models: Models,
-    /// The door to the processor.
+    /// Work for the processor.
     pub compute: Compute,
-    /// Turns of requests.
+    /// Permits for requests.
     pub admission: Admission,
     /// Largest and slowest bodies.
     pub limits: Limits,
     /// The time.
     pub clock: Clock,
-    /// True from the wish to stop on.
+    /// True once the service was told to stop.
     pub draining: watch::Receiver<bool>,
     /// Renders the process' metrics.
     pub metrics: PrometheusHandle,
@@ -133,26 +128,26 @@ impl Http {
         domain::new_id(self.now())
     }
 
-    /// Does work that takes longer than a millisecond where it holds up nobody else.
+    /// Does work that takes longer than a millisecond off the async threads.
     async fn off_thread<T, F>(&self, class: Class, work: F) -> Answer<T>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        self.compute.run(class, admission::who(), work).await.map_err(Into::into)
+        self.compute.run(class, admission::client_id(), work).await.map_err(Into::into)
     }
 }
 
-/// The service, ready to be served: every route of the table behind its door.
+/// The router: every route of the table, behind the checks of its right and its class of traffic.
 pub fn router(http: Shared) -> Router {
     routes::ROUTES
         .iter()
         .fold(Router::new(), |router, route| {
-            let guard = from_fn_with_state((http.clone(), route.right), doors::guard);
-            // Inside the guard: an answer is given again to whom it was given before.
-            let once = from_fn_with_state(http.clone(), once::once);
+            let guard = from_fn_with_state((http.clone(), route.right), auth::guard);
+            // Inside the guard, so that a repeated answer goes only to the caller that got it first.
+            let idempotent = from_fn_with_state(http.clone(), idempotency::answer_once);
             let admit = from_fn_with_state((http.clone(), route.traffic), admission::admit);
-            let handler = (route.handler)().route_layer(once).route_layer(admit).route_layer(guard);
+            let handler = (route.handler)().route_layer(idempotent).route_layer(admit).route_layer(guard);
             router.route(route.path, handler)
         })
         .fallback(problem::no_route)

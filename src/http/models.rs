@@ -1,4 +1,4 @@
-//! Model versions: lists, weights out, weights in.
+//! Model versions: lists, export and import of weights.
 
 use axum::body::Body;
 use axum::extract::State;
@@ -10,21 +10,21 @@ use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
-use super::lists::page;
-use super::once::{Key, created};
-use super::params::{NoParams, Params};
+use super::idempotency::{RequestKey, created};
+use super::params::{NoParams, Params, page};
 use super::paths::{OfModel, OfRig, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
-use super::{Shared, body, codes, errors, json, upload};
+use super::runs::upload;
+use super::{Shared, body, codes, errors, json};
 use crate::compute::Class;
-use crate::domain::{Created, Lineage, Model, Origin, Rig};
-use crate::engine::Signal;
+use crate::domain::{Adoption, Created, Lineage, Model, Origin, Rig};
 use crate::engine::model::{RigModel, from_safetensors};
+use crate::engine::{Signal, rounded};
 use crate::storage::{Activation, ModelDelete, NewModel};
 
 /// Media type of weight files.
 const SAFETENSORS: &str = "application/x-safetensors";
-/// What an import may call itself.
+/// Media types of an import.
 const IMPORT_TYPES: &[&str] = &["application/octet-stream", SAFETENSORS];
 
 /// `GET /v1/rigs/{rig}/models`
@@ -77,7 +77,7 @@ pub async fn import(
     State(http): State<Shared>,
     OfRig(id): OfRig,
     _: NoParams,
-    key: Key,
+    key: RequestKey,
     headers: HeaderMap,
     request: Body,
 ) -> Answer {
@@ -90,13 +90,13 @@ pub async fn import(
     let class = Class::of_bytes(upload.size());
     let new =
         http.off_thread(class, move || read(&rig, &upload.read().map_err(Problem::internal)?)).await??;
-    let once = key.once().map(|once| (once, Created::model as fn(&Model) -> Created));
-    let inserted = http.store.insert_model(&id, new, Activation::Leave, once, http.now()).await?;
+    let key = key.stored().map(|key| (key, Created::model as fn(&Model) -> Created));
+    let inserted = http.store.insert_model(&id, new, Activation::Leave, key, http.now()).await?;
     created(Created::model(&inserted.ok_or_else(|| no_rig(id.as_str()))?))
 }
 
-/// Reads a weight file and holds it against the rig. What is stored is our own form of it, so
-/// that every stored file reads the same way.
+/// Reads a weight file and checks it against the rig. It is stored in the service's own form, so that
+/// every stored file reads the same way.
 fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
     let model = from_safetensors(bytes).map_err(|error| {
         let problem = errors::engine(&error, &[], "");
@@ -106,7 +106,9 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
     suits(rig, &model)?;
     let weights = Bytes::from(crate::engine::model::to_safetensors(&model));
     Ok(NewModel {
+        frf: model.frf_summary(),
         kind: model.kind,
+        adoption: Adoption::of(&model, None, None),
         inputs: model.inputs,
         outputs: model.outputs,
         sample_rate_hz: model.sample_rate_hz,
@@ -116,7 +118,7 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
         request: None,
         report: None,
         lineage: Lineage::default(),
-        // It was computed elsewhere.
+        // Weights made elsewhere do not say.
         instruction_set: "unknown".into(),
     })
 }
@@ -124,14 +126,15 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
 fn suits(rig: &Rig, model: &RigModel) -> Answer<()> {
     for name in model.inputs.iter().chain(&model.outputs) {
         if rig.channel(name).is_none() {
-            let detail = format!("The model has a channel {name:?}, which the rig has not.");
+            let detail = format!("The model has a channel {name:?}, which the rig does not have.");
             return Err(Problem::new(codes::MODEL_UNKNOWN_CHANNEL, detail)
                 .with(FieldError::new("", "a channel of the rig").on_channel(name)));
         }
     }
     if !Signal::same_rate(model.sample_rate_hz, rig.sample_rate_hz) {
-        let limit = format!("{} Hz", rig.sample_rate_hz);
-        let detail = format!("The model is one of {} Hz, the rig runs at {limit}.", model.sample_rate_hz);
+        let limit = format!("{} Hz", rounded(rig.sample_rate_hz, 10));
+        let found = rounded(model.sample_rate_hz, 10);
+        let detail = format!("The model has a sample rate of {found} Hz, the rig has {limit}.");
         return Err(Problem::new(codes::MODEL_SAMPLE_RATE, detail).with(FieldError::new("", limit)));
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! Which of the representations on offer the client wants (RFC 9110, section 12.5.1).
+//! Content negotiation: the offered representation that the client prefers (RFC 9110, section 12.5.1).
 
 use axum::http::HeaderMap;
 use axum::http::header::ACCEPT;
@@ -6,10 +6,10 @@ use axum::http::header::ACCEPT;
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
 
-/// The offer that `Accept` likes best; without `Accept`, and among equals, the first.
+/// The offer with the highest quality in `Accept`; without `Accept`, and among equals, the first.
 ///
 /// # Errors
-/// `accept.not_acceptable` when it takes none of them.
+/// `accept.not_acceptable` if `Accept` allows none of them.
 pub fn choose(headers: &HeaderMap, offers: &[&'static str]) -> Answer<&'static str> {
     let accept: Vec<&str> = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).collect();
     if accept.iter().all(|v| v.trim().is_empty()) {
@@ -25,7 +25,7 @@ pub fn choose(headers: &HeaderMap, offers: &[&'static str]) -> Answer<&'static s
     }
     best.map(|(offer, _)| offer).ok_or_else(|| {
         let offered = offers.join(", ");
-        let detail = format!("Accept takes none of the representations there are: {offered}.");
+        let detail = format!("Accept allows none of the representations on offer: {offered}.");
         Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", offered))
     })
 }
@@ -45,7 +45,7 @@ impl Range {
         Some(Self { kind: kind.to_ascii_lowercase(), subtype: subtype.to_ascii_lowercase(), quality })
     }
 
-    /// How closely it names a media type: 2 wholly, 1 by its first half, 0 as anything.
+    /// Specificity of the range: 2 for a whole media type, 1 for `type/*`, 0 for `*/*`.
     fn specificity(&self, offer: &str) -> Option<u8> {
         let (kind, subtype) = offer.split_once('/')?;
         match (self.kind.as_str(), self.subtype.as_str()) {
@@ -57,7 +57,7 @@ impl Range {
     }
 }
 
-/// The quality that the most specific range gives an offer; 0 when none names it.
+/// Quality of an offer by the most specific range that covers it; 0 if none does.
 fn quality(ranges: &[Range], offer: &str) -> f32 {
     ranges
         .iter()

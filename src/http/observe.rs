@@ -1,11 +1,13 @@
 //! The outermost layer: request id, log line, metrics, and the body of every problem document.
 
+use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -15,15 +17,23 @@ use tracing::Instrument;
 use super::Shared;
 use super::headers::protect;
 use super::problem::{self, Problem};
+use crate::domain::RigId;
 use crate::telemetry::names;
 
-/// Names a request in logs and answers.
+/// Header with the id of a request, in logs and answers.
 pub static X_REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
-/// Longest request id that is taken from a client.
+/// Longest request id that a client may set.
 const MAX_ID_LEN: usize = 128;
 
-/// Wraps one request: nothing leaves the service without passing here.
+/// Address of the connection that a request came by: the client's, or that of a proxy in front of the service.
+#[derive(Debug, Clone, Copy)]
+pub struct ClientAddress(pub IpAddr);
+
+/// Routes that monitors ask all the time: their successes are logged at `debug`.
+const PROBES: [&str; 3] = ["/livez", "/readyz", "/metrics"];
+
+/// Wraps each request; every answer passes here.
 pub async fn observe(
     State(http): State<Shared>,
     matched: Option<MatchedPath>,
@@ -33,17 +43,29 @@ pub async fn observe(
     let started = Instant::now();
     let id = client_id(request.headers()).unwrap_or_else(|| http.new_id().to_string());
     let method = method_label(request.method());
-    // A path nobody asked us to have must not become a label: clients could make any number of them.
+    // An unknown path must not become a label: clients could make any number of labels.
     let route = matched.as_ref().map_or("unmatched", MatchedPath::as_str).to_owned();
     let span = tracing::info_span!(
         "request",
         http.method = method,
         http.route = route,
         request.id = id,
+        client.address = tracing::field::Empty,
+        rig.id = tracing::field::Empty,
         token.id = tracing::field::Empty,
+        token.name = tracing::field::Empty,
+        problem.code = tracing::field::Empty,
         http.status = tracing::field::Empty,
         duration_ms = tracing::field::Empty,
     );
+    if let Some(ClientAddress(address)) = request.extensions().get() {
+        span.record("client.address", tracing::field::display(address));
+    }
+    let (mut parts, body) = request.into_parts();
+    if let Some(rig) = rig_of(&mut parts).await {
+        note_rig(&span, &rig);
+    }
+    let request = Request::from_parts(parts, body);
     let response =
         AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await.unwrap_or_else(
             |panic| Problem::internal(format!("panic: {}", panic_text(&*panic))).into_response(),
@@ -52,17 +74,29 @@ pub async fn observe(
 
     let status = response.status();
     let elapsed = started.elapsed();
+    let probe = PROBES.contains(&route.as_str()) && status.is_success();
     metrics::counter!(names::REQUESTS, "route" => route.clone(), "method" => method, "status" => status.as_str().to_owned())
         .increment(1);
     metrics::histogram!(names::REQUEST_SECONDS, "route" => route, "method" => method)
         .record(elapsed.as_secs_f64());
     span.record("http.status", status.as_u16());
     span.record("duration_ms", elapsed.as_secs_f64() * 1e3);
-    span.in_scope(|| tracing::info!("answered"));
+    span.in_scope(|| if probe { tracing::debug!("answered") } else { tracing::info!("answered") });
     response
 }
 
-/// Puts id and protective headers on an answer and, if it is a problem, writes its document.
+/// The rig in the path. Only a valid id counts, so that clients cannot write other text into the log.
+async fn rig_of(parts: &mut Parts) -> Option<RigId> {
+    let params = RawPathParams::from_request_parts(parts, &()).await.ok()?;
+    params.iter().find(|(name, _)| *name == "rig").and_then(|(_, rig)| rig.parse().ok())
+}
+
+/// Adds the rig of a request to its log line where the path does not name it.
+pub fn note_rig(span: &tracing::Span, rig: &RigId) {
+    span.record("rig.id", tracing::field::display(rig));
+}
+
+/// Adds request id and protective headers to an answer and, if it is a problem, writes its document.
 fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
     let status = response.status();
     let mut problem = response.extensions_mut().remove::<Problem>();
@@ -70,11 +104,12 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
         problem = Some(Problem::of_status(status));
     }
     if let Some(problem) = problem {
+        span.record("problem.code", problem.code());
         if status.is_server_error() {
             let cause = problem.cause().unwrap_or("none given");
-            span.in_scope(|| tracing::error!(problem.code = problem.code(), cause, "request failed"));
+            span.in_scope(|| tracing::error!(cause, "request failed"));
         } else {
-            span.in_scope(|| tracing::debug!(problem.code = problem.code(), "request refused"));
+            span.in_scope(|| tracing::debug!("request refused"));
         }
         *response.body_mut() = Body::from(problem.document(id));
         response.headers_mut().remove(CONTENT_LENGTH);
@@ -86,7 +121,7 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
     response
 }
 
-/// The client's own id, if it can be logged and sent back as it is.
+/// The client's own request id, if it can be logged and sent back as it is.
 fn client_id(headers: &HeaderMap) -> Option<String> {
     let id = headers.get(&X_REQUEST_ID)?.to_str().ok()?;
     let sane = (1..=MAX_ID_LEN).contains(&id.len())
@@ -94,7 +129,8 @@ fn client_id(headers: &HeaderMap) -> Option<String> {
     sane.then(|| id.to_owned())
 }
 
-fn method_label(method: &Method) -> &'static str {
+/// A method as a label; unknown methods share one label, because clients may invent them.
+pub fn method_label(method: &Method) -> &'static str {
     match *method {
         Method::GET => "GET",
         Method::HEAD => "HEAD",

@@ -1,4 +1,4 @@
-//! Query parameters: each is taken by name, and whatever is left over is refused.
+//! Query parameters: each is taken by name; parameters that are left over are refused.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -8,8 +8,10 @@ use axum::http::request::Parts;
 
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
+use crate::domain::page::{DEFAULT_LIMIT, MAX_LIMIT};
+use crate::domain::{Cursor, PageRequest};
 
-/// The parameters of a request that nobody has taken yet.
+/// The parameters of a request that were not taken yet.
 #[derive(Debug)]
 pub struct Params(Vec<(String, String)>);
 
@@ -35,7 +37,7 @@ impl Params {
         }
     }
 
-    /// Takes and parses a parameter; `limit` says in words what is allowed.
+    /// Takes and parses a parameter; `limit` names the allowed values in words.
     ///
     /// # Errors
     /// `query.invalid` when it is repeated or is no `T`.
@@ -57,7 +59,7 @@ impl Params {
         }
     }
 
-    /// Takes a parameter that is `true` or `false`; given without a value it is true.
+    /// Takes a parameter that is `true` or `false`; without a value it is true.
     ///
     /// # Errors
     /// `query.invalid` for anything else.
@@ -69,7 +71,7 @@ impl Params {
         }
     }
 
-    /// Ends the taking.
+    /// Refuses the parameters that were not taken.
     ///
     /// # Errors
     /// `query.unknown_parameter` naming the first that is left.
@@ -84,6 +86,26 @@ impl Params {
             }
         }
     }
+}
+
+/// Takes `limit` and `cursor`, the parameters of every list.
+///
+/// # Errors
+/// `query.invalid` for a limit out of range or a cursor that the service did not make.
+pub fn page(params: &mut Params) -> Answer<PageRequest> {
+    let range = format!("a number from 1 to {MAX_LIMIT}");
+    let limit = params.parse::<u32>("limit", &range)?.unwrap_or(DEFAULT_LIMIT);
+    if !(1..=MAX_LIMIT).contains(&limit) {
+        return Err(invalid("limit", format!("is {limit}"), &range));
+    }
+    let cursor = params
+        .one("cursor")?
+        .map(|text| {
+            Cursor::parse(&text)
+                .map_err(|_| invalid("cursor", "is none", "the `next` of a page of this list"))
+        })
+        .transpose()?;
+    Ok(PageRequest { limit, cursor })
 }
 
 /// The refusal of a parameter's value.

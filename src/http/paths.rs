@@ -1,4 +1,4 @@
-//! Ids in paths. One that cannot be an id names nothing, so it is not found like any other.
+//! Ids in paths. Text that cannot be an id is not found, like an id of nothing.
 
 use axum::extract::{FromRequestParts, RawPathParams};
 use axum::http::request::Parts;
@@ -56,8 +56,8 @@ pub fn no_job(id: &str) -> Problem {
     Problem::new(codes::JOB_NOT_FOUND, format!("There is no job {id:?}."))
 }
 
-/// The refusal of a token that is not there. It does not repeat what was asked for, which may be a
-/// secret that somebody took for an id.
+/// The refusal of a token that is not there. It does not repeat the id, which may be a secret sent by
+/// mistake.
 pub fn no_token() -> Problem {
     Problem::new(codes::TOKEN_NOT_FOUND, "There is no token of this id.")
 }

@@ -1,7 +1,7 @@
-//! Problem documents (RFC 9457): the one shape of every answer that is not a success.
+//! Problem documents (RFC 9457): the form of every answer that is not a success.
 //!
-//! A [`Problem`] becomes a response whose body is still empty; the outermost layer
-//! ([`super::observe`]) writes the document, because only there the request id is known.
+//! A [`Problem`] becomes a response whose body is still empty; the outermost layer ([`super::observe`])
+//! writes the document, because only that layer knows the request id.
 
 use std::borrow::Cow;
 
@@ -17,17 +17,17 @@ pub use crate::domain::FieldError;
 /// Media type of problem documents.
 pub const MEDIA_TYPE: &str = "application/problem+json";
 
-/// Longest text of a problem, characters: it may quote what was sent, which has no such limit.
+/// Longest text of a problem, characters. The text may quote the request, which can be longer.
 const MAX_TEXT: usize = 2000;
 
 /// Most places that a problem names.
 const MAX_ERRORS: usize = 20;
 
-/// Why a request was not answered as asked.
+/// Why a request was refused or failed.
 #[derive(Debug, Clone)]
 pub struct Problem(Box<Parts>);
 
-/// Boxed, so that answers which succeed do not carry the room for it around.
+/// Boxed, to keep the `Result` of successful answers small.
 #[derive(Debug, Clone)]
 struct Parts {
     what: domain::Problem,
@@ -52,21 +52,23 @@ pub(super) struct Document<'a> {
 pub type Answer<T = Response> = Result<T, Problem>;
 
 impl Problem {
-    /// A problem of a documented kind; `detail` says what is wrong with this request.
+    /// A problem of a documented kind; `detail` describes the error of this request.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let detail = cut(detail.into());
         domain::Problem::new(code.status, code.name, code.title, detail).into()
     }
 
-    /// Our fault: the client learns nothing but the request id, the log has the cause.
+    /// A defect of the service: the client learns only the request id; the log has the cause.
     pub fn internal(cause: impl std::fmt::Display) -> Self {
-        let mut problem =
-            Self::new(codes::INTERNAL, "The request failed on our side; the log has the cause.");
+        let mut problem = Self::new(
+            codes::INTERNAL,
+            "The request failed by a defect of the service; its log has the cause.",
+        );
         problem.0.cause = Some(cause.to_string());
         problem
     }
 
-    /// Keeps what a 5xx must not tell the client for the log.
+    /// Adds a cause for the log, which a 5xx must not tell the client.
     pub fn because(mut self, cause: impl std::fmt::Display) -> Self {
         self.0.cause = Some(cause.to_string());
         self
@@ -77,7 +79,7 @@ impl Problem {
         self.with_all([error])
     }
 
-    /// Adds places, as many as an answer has room for.
+    /// Adds places, up to the number that an answer may name.
     pub fn with_all(mut self, errors: impl IntoIterator<Item = FieldError>) -> Self {
         let room = MAX_ERRORS.saturating_sub(self.0.what.errors.len());
         self.0.what.errors.extend(errors.into_iter().take(room).map(|error| FieldError {
@@ -89,12 +91,12 @@ impl Problem {
         self
     }
 
-    /// Says in how many seconds another try makes sense.
+    /// Sets `Retry-After`, in seconds.
     pub fn retry_after(self, seconds: u32) -> Self {
         self.with_header(RETRY_AFTER, seconds.into())
     }
 
-    /// Gives the answer a header, in place of one that it was given before.
+    /// Sets the one additional header of the answer.
     pub fn with_header(mut self, name: HeaderName, value: HeaderValue) -> Self {
         self.0.header = Some((name, value));
         self
@@ -110,12 +112,12 @@ impl Problem {
         StatusCode::from_u16(self.0.what.status).expect("a code's status is a valid one")
     }
 
-    /// The header that its answer has.
+    /// The additional header of the answer.
     pub(super) fn header(&self) -> Option<(HeaderName, HeaderValue)> {
         self.0.header.clone()
     }
 
-    /// What only the log may say.
+    /// The cause, for the log only.
     pub(super) fn cause(&self) -> Option<&str> {
         self.0.cause.as_deref()
     }
@@ -148,7 +150,7 @@ impl Problem {
     }
 }
 
-/// A text, without what lies beyond so many characters.
+/// The first `most` characters of a text.
 pub fn shortened(text: &str, most: usize) -> Cow<'_, str> {
     match text.char_indices().nth(most) {
         None => Cow::Borrowed(text),

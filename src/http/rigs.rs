@@ -7,19 +7,19 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 use serde_json::Value;
 
-use super::doors::Caller;
+use super::auth::Caller;
 use super::etag::{self, if_match};
+use super::idempotency::{RequestKey, created};
 use super::json::{self, Json};
-use super::lists::page;
-use super::once::{Key, created};
-use super::params::{NoParams, Params};
+use super::observe::note_rig;
+use super::params::{NoParams, Params, page};
 use super::paths::{OfRig, no_rig};
 use super::problem::{Answer, FieldError, Problem};
 use super::{Shared, codes};
 use crate::domain::{Created, Rig, RigDraft};
 use crate::storage::RigUpdate;
 
-/// Media types of a merge patch: its own, and the one that everybody sends.
+/// Media types of a merge patch: its own, and plain JSON, which most clients send.
 pub const PATCH_TYPES: &[&str] = &["application/merge-patch+json", json::MEDIA_TYPE];
 
 /// `GET /v1/rigs`
@@ -34,16 +34,17 @@ pub async fn create(
     State(http): State<Shared>,
     caller: Caller,
     _: NoParams,
-    key: Key,
+    key: RequestKey,
     Json(draft): Json<RigDraft>,
 ) -> Answer {
+    note_rig(&tracing::Span::current(), &draft.id);
     if !caller.reaches(&draft.id) {
         let limit = "a rig that the token is for";
         return Err(Problem::new(codes::TOKEN_SCOPE, format!("/id must be {limit}."))
             .with(FieldError::new("/id", limit)));
     }
     draft.check().map_err(invalid)?;
-    let Some(rig) = http.store.insert_rig(&draft, key.once().as_ref(), http.now()).await? else {
+    let Some(rig) = http.store.insert_rig(&draft, key.stored().as_ref(), http.now()).await? else {
         let detail = format!("There is a rig {:?} already.", draft.id.as_str());
         return Err(Problem::new(codes::RIG_EXISTS, detail).with(FieldError::new("/id", "an id of its own")));
     };

@@ -1,14 +1,14 @@
-//! The table of all operations, the right to each and its class of traffic: it builds the router, so that
-//! there is no route without either, and `openapi.yaml` must list the same ones.
+//! The table of all operations, with the right and the class of traffic of each. The router is built
+//! from it, so that every route has both. A test compares it with `openapi.yaml`.
 
 use axum::http::Method;
 use axum::routing::{MethodRouter, delete, get, patch, post, put};
 
 use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
-use super::rights::Right::{self, AllRigs, Public, Role};
+use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
-    Shared, active_model, adopt, contract, damage, diagnoses, fits, health, jobs, metrics, models, predict,
-    rigs, run_data, runs, tokens,
+    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, jobs, metrics, models,
+    predict, rigs, runs, start, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -18,11 +18,11 @@ pub struct Route {
     pub method: Method,
     /// Path, with its parameters in braces.
     pub path: &'static str,
-    /// What it asks of whoever calls it.
+    /// The right that the caller needs.
     pub right: Right,
-    /// Whose turns it waits for.
+    /// Class of traffic, whose permit a request waits for.
     pub traffic: Traffic,
-    /// What answers.
+    /// The handler.
     pub handler: fn() -> MethodRouter<Shared>,
 }
 
@@ -48,7 +48,7 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/runs/{run}", Role(Reader), Registry, || get(runs::show)),
     route(Method::PATCH, "/v1/rigs/{rig}/runs/{run}", Role(Operator), Registry, || patch(runs::change)),
     route(Method::DELETE, "/v1/rigs/{rig}/runs/{run}", Role(Admin), Registry, || delete(runs::remove)),
-    route(Method::GET, "/v1/rigs/{rig}/runs/{run}/data", Role(Reader), Predict, || get(run_data::show)),
+    route(Method::GET, "/v1/rigs/{rig}/runs/{run}/data", Role(Reader), Predict, || get(runs::data::show)),
     route(Method::POST, "/v1/rigs/{rig}/fits", Role(Operator), Jobs, || post(fits::start)),
     route(Method::GET, "/v1/rigs/{rig}/diagnoses", Role(Reader), Registry, || get(diagnoses::list)),
     route(Method::POST, "/v1/rigs/{rig}/diagnoses", Role(Operator), Jobs, || post(diagnoses::start)),
@@ -71,6 +71,7 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/models/{version}/weights", Role(Operator), Registry, || {
         get(models::weights)
     }),
+    route(Method::GET, "/v1/rigs/{rig}/models/{version}/frf", Role(Reader), Predict, || get(frf::show)),
     route(Method::GET, "/v1/rigs/{rig}/active-model", Role(Reader), Registry, || get(active_model::show)),
     route(Method::PUT, "/v1/rigs/{rig}/active-model", Role(Operator), Registry, || put(active_model::change)),
     route(Method::POST, "/v1/rigs/{rig}/predict", Role(Reader), Predict, || post(predict::predict)),
@@ -78,6 +79,7 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/tokens", AllRigs(Admin), Control, || get(tokens::list)),
     route(Method::POST, "/v1/tokens", AllRigs(Admin), Control, || post(tokens::create)),
     route(Method::DELETE, "/v1/tokens/{token}", AllRigs(Admin), Control, || delete(tokens::remove)),
+    route(Method::GET, "/", Public, Registry, || get(start::show)),
     route(Method::GET, "/livez", Public, Control, || get(health::live)),
     route(Method::GET, "/readyz", Public, Control, || get(health::ready)),
     route(Method::GET, "/metrics", AllRigs(Reader), Control, || get(metrics::show)),

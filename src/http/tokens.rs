@@ -1,4 +1,4 @@
-//! Tokens: made, listed, revoked. A secret leaves once, in the answer that makes it.
+//! Creating, listing and revoking tokens. Only the answer to the creating request has the secret.
 
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -6,15 +6,14 @@ use axum::response::IntoResponse;
 use serde::Serialize;
 
 use super::json::{self, Json};
-use super::lists::page;
-use super::params::{NoParams, Params};
+use super::params::{NoParams, Params, page};
 use super::paths::{OfToken, no_token};
 use super::problem::{Answer, Problem};
 use super::{Shared, codes, errors};
 use crate::domain::{Secret, Token, TokenDraft};
 use crate::storage::TokenInsert;
 
-/// A new token with what only its first answer has.
+/// A new token with its secret.
 #[derive(Serialize)]
 struct NewToken<'a> {
     #[serde(flatten)]
@@ -38,7 +37,7 @@ pub async fn create(State(http): State<Shared>, _: NoParams, Json(draft): Json<T
     let secret = Secret::draw().map_err(Problem::internal)?;
     match http.store.insert_token(&draft, secret.digest(), http.now()).await? {
         TokenInsert::Inserted(token) => {
-            http.doors.changed();
+            http.auth.changed();
             let answer = json::answer(&NewToken { token: &token, secret: secret.reveal() })?;
             Ok((StatusCode::CREATED, answer).into_response())
         }
@@ -55,6 +54,6 @@ pub async fn remove(State(http): State<Shared>, OfToken(id): OfToken, _: NoParam
     if !http.store.revoke_token(id, http.now()).await? {
         return Err(no_token());
     }
-    http.doors.changed();
+    http.auth.changed();
     Ok(StatusCode::NO_CONTENT.into_response())
 }

@@ -1,29 +1,39 @@
 //! Whether a model that was just fitted becomes the active one.
 //!
-//! `if_better` compares on data that neither model was trained on, and asks for one percent: less
-//! is within what another seed would do.
+//! `if_better` compares on data that neither model was trained or stopped on. It requires an improvement of
+//! one percent, because another seed may change the error by less than that. A model that was fitted again on
+//! all runs is compared by the scores that it had before, when it had not seen the data.
 
 use std::sync::Arc;
 
 use crate::compute::Class;
 use crate::domain::fits::Activate;
-use crate::domain::{FitChannels, Lineage, Model, Rig, Span};
-use crate::engine::model::{Pair, RigModel, from_safetensors};
+use crate::domain::{Lineage, Model, Origin, Rig, Run, Span};
+use crate::engine::model::{
+    FitReport, Pair, Preprocess, RigModel, SectionScore, Squares, from_safetensors, with_context,
+};
 use crate::engine::{EngineError, Progress};
-use crate::storage::{Activation, StoreError};
+use crate::storage::Activation;
 
 use super::control::Control;
 use super::fit::{FitPlan, is_forward, pair};
 use super::problem::{JobError, of_engine};
-use super::workbench::Workbench;
+use super::work_context::WorkContext;
 
-/// A new model must have this much of the active one's error or less.
+/// A new model must have at most this share of the active one's mean error.
 const BETTER: f64 = 0.99;
 
-/// Samples before a scored stretch that both models see, so that neither is scored on its start.
-const CONTEXT_SAMPLES: u64 = 8192;
+/// On no output may the new model have more than this many times the active one's error.
+const WORST: f64 = 1.05;
 
-/// What to do with the pointer, and why, in an engineer's words.
+/// A fitted model, its report and the data behind it.
+pub(super) struct Candidate<'a> {
+    pub(super) model: &'a Arc<RigModel>,
+    pub(super) report: &'a FitReport,
+    pub(super) lineage: &'a Lineage,
+}
+
+/// The decision about the active model, and its reason in an engineer's words.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Decision {
     pub(super) activation: Activation,
@@ -44,10 +54,10 @@ pub(super) fn last_words(version: u32, active: bool, why: &str) -> String {
 
 /// Decides about a fitted model before it has a number.
 pub(super) async fn decide(
-    bench: &Workbench,
+    context: &WorkContext,
     rig: &Rig,
     plan: &FitPlan,
-    fitted: &Arc<RigModel>,
+    fitted: Candidate<'_>,
     control: &Arc<Control>,
 ) -> Result<Decision, JobError> {
     if plan.request.activate == Activate::Never {
@@ -59,167 +69,245 @@ pub(super) async fn decide(
     if plan.request.activate == Activate::Always {
         return Ok(Decision { activation: Activation::Always, why: "the fit was told to activate".into() });
     }
-    let active = bench.store.active_model(&rig.id).await?.and_then(|active| active.version);
+    let active = context.store.active_model(&rig.id).await?.and_then(|active| active.version);
     let Some(version) = active else {
         return Ok(Decision { activation: Activation::IfStill(None), why: "no model was active".into() });
     };
-    let Some(row) = bench.store.model(&rig.id, version).await? else {
+    let Some(row) = context.store.model(&rig.id, version).await? else {
         return Ok(Decision::leave("the active model changed meanwhile"));
     };
-    compare(bench, plan, fitted, &row, control).await
+    compare(context, plan, &fitted, &row, control).await
 }
 
 async fn compare(
-    bench: &Workbench,
+    context: &WorkContext,
     plan: &FitPlan,
-    fitted: &Arc<RigModel>,
-    active: &Model,
+    fitted: &Candidate<'_>,
+    row: &Model,
     control: &Arc<Control>,
 ) -> Result<Decision, JobError> {
-    let version = active.version;
-    let stretches = stretches(bench, plan, active).await?;
-    if stretches.is_empty() {
+    let version = row.version;
+    let unreadable = || Ok(Decision::leave(format!("active model {version} cannot be compared with")));
+    let active = match from_safetensors(&context.store.weights(row).await?) {
+        Ok(model) => model,
+        Err(_) => return unreadable(),
+    };
+    let channels = plan.channels();
+    let same_filter = fitted.model.preprocess == active.preprocess;
+    let new = Side::of_fit(fitted, &channels.outputs, same_filter);
+    let Some(old) = Side::of_row(row, &channels.outputs, same_filter) else { return unreadable() };
+    let common = common(&new, &old);
+    let runs = context.store.all_runs(&row.rig).await?;
+    let filter = if same_filter { active.preprocess } else { Preprocess::default() };
+    let active = Arc::new(active);
+    let mut sums: Vec<(Squares, Squares)> = vec![Default::default(); channels.outputs.len()];
+    let mut seconds = 0.0;
+    for Common { span, new, old } in common {
+        let measured = if new.is_none() || old.is_none() {
+            let Some(run) = run_of(&runs, &span, plan) else { continue };
+            let signal = context.store.load_signal(run).await?;
+            Some(ScoredSegment::cut(pair(run, signal, &channels.inputs, &channels.outputs)?, &span))
+        } else {
+            None
+        };
+        seconds += (span.to_sample - span.from_sample) as f64 / fitted.model.sample_rate_hz;
+        let work = Work { measured, plan: (channels.inputs.clone(), channels.outputs.clone()), filter };
+        let (fitted, active, watched) = (Arc::clone(fitted.model), Arc::clone(&active), Arc::clone(control));
+        let scored = context
+            .compute
+            .run(Class::Fit, None, move || {
+                Ok((work.score(new, &fitted, &watched)?, work.score(old, &active, &watched)?))
+            })
+            .await?;
+        let (new, old) = match scored {
+            Ok(scores) => scores,
+            Err(EngineError::Cancelled) => return Err(JobError::Stopped),
+            // The new model has predicted its own data in the fit, so the active one is at fault.
+            Err(
+                EngineError::Weights(_)
+                | EngineError::TensorShape { .. }
+                | EngineError::NonFiniteResult { .. },
+            ) => return unreadable(),
+            Err(error) => return Err(of_engine(&error, &channels)),
+        };
+        for (sum, (new, old)) in sums.iter_mut().zip(new.into_iter().zip(old)) {
+            *sum = (sum.0.plus(new), sum.1.plus(old));
+        }
+    }
+    if seconds == 0.0 {
         return Ok(Decision::leave(format!(
-            "there are no validation data that neither it nor active model {version} was trained on"
+            "there are no data that neither it nor active model {version} was trained or stopped on"
         )));
     }
-    let weights = bench.store.weights(active).await?;
-    let (fitted, watched) = (Arc::clone(fitted), Arc::clone(control));
-    let seconds: f64 = stretches.iter().map(Stretch::scored_s).sum();
-    let scored = bench
-        .compute
-        .run(Class::Fit, None, move || {
-            let active = from_safetensors(&weights)?;
-            let stretches = reference(stretches, &fitted, &active)?;
-            let new = mean_rms(&fitted, &stretches, &watched)?;
-            Ok((new, mean_rms(&active, &stretches, &watched)?))
-        })
-        .await?;
-    match scored {
-        Ok((Some(new), Some(old))) => Ok(verdict(version, new, old, seconds)),
-        Ok(_) => Ok(Decision::leave("the responses of the common validation data are zero")),
-        Err(EngineError::Cancelled) => Err(JobError::Stopped),
-        // The new model predicted its own validation data in the fit: this is about the active one.
-        Err(
-            EngineError::Weights(_) | EngineError::TensorShape { .. } | EngineError::NonFiniteResult { .. },
-        ) => Ok(Decision::leave(format!("active model {version} cannot be compared with"))),
-        Err(error) => Err(of_engine(&error, &plan.channels())),
-    }
+    Ok(verdict(version, &channels.outputs, &sums, seconds))
 }
 
-fn verdict(version: u32, new: f64, old: f64, seconds: f64) -> Decision {
+/// `sums`: of the new and the active model, per output.
+fn verdict(version: u32, outputs: &[String], sums: &[(Squares, Squares)], seconds: f64) -> Decision {
+    let errors: Vec<(&String, f64, f64)> = outputs
+        .iter()
+        .zip(sums)
+        .filter_map(|(name, (new, old))| Some((name, new.rms()?, old.rms()?)))
+        .collect();
+    if errors.is_empty() {
+        return Decision::leave("the responses of the common data are zero");
+    }
+    let n = errors.len() as f64;
+    let new = errors.iter().map(|(_, new, _)| new).sum::<f64>() / n;
+    let old = errors.iter().map(|(_, _, old)| old).sum::<f64>() / n;
     let figures = format!(
-        "RMS error {new:.4} against {old:.4} of model {version} on {seconds:.1} s that neither was trained on"
+        "RMS error {new:.4} against {old:.4} of model {version} on {seconds:.1} s that neither was trained or stopped on"
     );
-    // Written so that NaN, which no error is, would not activate either.
-    if new <= BETTER * old {
-        Decision { activation: Activation::IfStill(Some(version)), why: figures }
-    } else {
-        Decision::leave(format!("{figures}; one percent less is asked for"))
+    // Written so that NaN would not activate a model.
+    let better = new <= BETTER * old;
+    let worst = errors.iter().find(|(_, new, old)| *new > WORST * old || new.is_nan());
+    match worst {
+        _ if !better => Decision::leave(format!("{figures}; one percent less is asked for")),
+        Some((name, new, old)) => {
+            Decision::leave(format!("{figures}, but {new:.4} against {old:.4} on output {name}"))
+        }
+        None => Decision { activation: Activation::IfStill(Some(version)), why: figures },
     }
 }
 
-/// A stretch of a run that both models are scored on.
-struct Stretch {
-    /// Context, then the scored part, in the fit's order of channels.
-    pair: Pair,
-    channels: FitChannels,
-    score_from: usize,
+/// One of the models that are compared.
+struct Side<'a> {
+    lineage: &'a Lineage,
+    /// Its scores on each span of its lineage's validation data, in the fit's order of outputs; empty if the
+    /// report has none.
+    noted: Vec<Vec<Squares>>,
 }
 
-impl Stretch {
-    fn scored_s(&self) -> f64 {
-        (self.pair.x.n_samples() - self.score_from) as f64 / self.pair.x.sample_rate_hz()
+impl<'a> Side<'a> {
+    fn of_fit(fitted: &Candidate<'a>, outputs: &[String], same_filter: bool) -> Self {
+        let order: Vec<usize> = (0..outputs.len()).collect();
+        Self { lineage: fitted.lineage, noted: noted(fitted.report, &order, same_filter) }
+    }
+
+    /// `None` where the model has other outputs than its rig.
+    fn of_row(row: &'a Model, outputs: &[String], same_filter: bool) -> Option<Self> {
+        let order: Vec<usize> = places(&row.outputs, outputs)?;
+        let report = row.report.as_ref().filter(|_| row.origin == Origin::Fit);
+        let noted = report.map(|report| noted(report, &order, same_filter)).unwrap_or_default();
+        Some(Self { lineage: &row.lineage, noted })
+    }
+
+    /// Its score on a span: noted, or still to be computed. `None` if it has seen the span.
+    fn score(&self, span: &Span) -> Option<Option<Vec<Squares>>> {
+        let place = self.lineage.validation.iter().position(|own| same_data(own, span));
+        if let Some(noted) = place.and_then(|place| self.noted.get(place)) {
+            return Some(Some(noted.clone()));
+        }
+        (!self.lineage.has_seen(span)).then_some(None)
     }
 }
 
-/// Validation spans of either model that shaped the weights of neither, each measurement once.
-fn common_spans(new: &Lineage, old: &Lineage) -> Vec<Span> {
-    let mut common: Vec<Span> = Vec::new();
-    for span in new.validation.iter().chain(&old.validation) {
-        let fair = !new.was_trained_on(span) && !old.was_trained_on(span);
-        if fair && !common.iter().any(|other| other.overlaps(span)) {
-            common.push(span.clone());
+/// Scores of a report against the filtered responses, or, where the other model has another filter,
+/// against those recorded.
+fn noted(report: &FitReport, order: &[usize], same_filter: bool) -> Vec<Vec<Squares>> {
+    let of = |score: &SectionScore| -> Option<Vec<Squares>> {
+        let recorded = score.recorded.as_ref().filter(|_| !same_filter);
+        let squares = recorded.unwrap_or(&score.outputs);
+        order.iter().map(|&k| squares.get(k).copied()).collect()
+    };
+    let scores = report.comparison.iter().flat_map(|comparison| &comparison.scores);
+    scores.map(of).collect::<Option<_>>().unwrap_or_default()
+}
+
+/// Place of each wanted name.
+fn places(names: &[String], wanted: &[String]) -> Option<Vec<usize>> {
+    wanted.iter().map(|name| names.iter().position(|n| n == name)).collect()
+}
+
+fn same_data(a: &Span, b: &Span) -> bool {
+    a.sha256 == b.sha256 && (a.from_sample, a.to_sample) == (b.from_sample, b.to_sample)
+}
+
+/// A span that both models are scored on: by what was noted, or anew.
+#[derive(Debug, PartialEq)]
+struct Common {
+    span: Span,
+    new: Option<Vec<Squares>>,
+    old: Option<Vec<Squares>>,
+}
+
+/// Spans of either model's validation data that both can be scored on, each measurement once.
+fn common(new: &Side<'_>, old: &Side<'_>) -> Vec<Common> {
+    let mut common: Vec<Common> = Vec::new();
+    for span in new.lineage.validation.iter().chain(&old.lineage.validation) {
+        if common.iter().any(|other| other.span.overlaps(span)) {
+            continue;
+        }
+        if let (Some(new), Some(old)) = (new.score(span), old.score(span)) {
+            common.push(Common { span: span.clone(), new, old });
         }
     }
     common
 }
 
-async fn stretches(bench: &Workbench, plan: &FitPlan, active: &Model) -> Result<Vec<Stretch>, StoreError> {
-    let channels = plan.channels();
-    let runs = bench.store.all_runs(&active.rig).await?;
-    let mut stretches = Vec::new();
-    for span in common_spans(&plan.lineage(), &active.lineage) {
-        // A deleted run may have left a duplicate.
-        let by_id = runs.iter().find(|run| run.id == span.run);
-        let Some(run) = by_id.or_else(|| runs.iter().find(|run| run.sha256 == span.sha256)) else { continue };
-        let mut needed = channels.inputs.iter().chain(&channels.outputs);
-        if span.to_sample > run.samples || !needed.all(|name| run.channels.contains(name)) {
-            continue;
-        }
-        let signal = bench.store.load_signal(run).await?;
-        let whole = pair(run, signal, &channels.inputs, &channels.outputs)?;
+/// The run of a span, if it is there and holds every channel of the fit. A deleted run may have left a
+/// duplicate.
+fn run_of<'a>(runs: &'a [Run], span: &Span, plan: &FitPlan) -> Option<&'a Run> {
+    let by_id = runs.iter().find(|run| run.id == span.run);
+    let run = by_id.or_else(|| runs.iter().find(|run| run.sha256 == span.sha256))?;
+    let mut needed = plan.inputs.iter().chain(&plan.outputs);
+    (span.to_sample <= run.samples && needed.all(|name| run.channels.contains(name))).then_some(run)
+}
+
+/// Samples of a span, in the fit's order of channels, with real context before them.
+struct ScoredSegment {
+    pair: Pair,
+    score_from: usize,
+}
+
+impl ScoredSegment {
+    fn cut(whole: Pair, span: &Span) -> Self {
         let index = |sample: u64| usize::try_from(sample).unwrap_or(usize::MAX).min(whole.x.n_samples());
-        let first = index(span.from_sample.saturating_sub(CONTEXT_SAMPLES));
-        let range = first..index(span.to_sample);
-        stretches.push(Stretch {
-            pair: Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) },
-            channels: channels.clone(),
-            score_from: index(span.from_sample) - first,
-        });
+        let scored = index(span.from_sample)..index(span.to_sample);
+        let known = with_context(&scored);
+        let score_from = scored.start - known.start;
+        Self { pair: Pair { x: whole.x.slice(known.clone()), y: whole.y.slice(known) }, score_from }
     }
-    Ok(stretches)
 }
 
-/// What both models are measured against: the responses as recorded, or, where both models have
-/// the same filter, behind that filter, as in their fits.
-fn reference(
-    mut stretches: Vec<Stretch>,
-    new: &RigModel,
-    active: &RigModel,
-) -> Result<Vec<Stretch>, EngineError> {
-    if new.preprocess == active.preprocess {
-        for stretch in &mut stretches {
-            stretch.pair.y = new.preprocess.apply(&stretch.pair.y)?;
-        }
-    }
-    Ok(stretches)
+/// The data from which a span's scores are computed.
+struct Work {
+    measured: Option<ScoredSegment>,
+    /// The fit's inputs and outputs.
+    plan: (Vec<String>, Vec<String>),
+    /// Filter of the responses: that of both models, or none where they differ.
+    filter: Preprocess,
 }
 
-/// Mean over the outputs of `sqrt(sum (y - y*)^2 / sum y*^2)` (Heindel et al., section 4), each
-/// over all stretches together; `None` when every output is zero throughout.
-fn mean_rms(model: &RigModel, stretches: &[Stretch], control: &Control) -> Result<Option<f64>, EngineError> {
-    let mut sums: Vec<(f64, f64)> = Vec::new();
-    for stretch in stretches {
+impl Work {
+    /// The noted scores, or else the sums over the span.
+    fn score(
+        &self,
+        noted: Option<Vec<Squares>>,
+        model: &RigModel,
+        control: &Control,
+    ) -> Result<Vec<Squares>, EngineError> {
+        let (None, Some(segment)) = (&noted, &self.measured) else { return Ok(noted.unwrap_or_default()) };
         let progress = Progress { stage: "comparing with the active model", fraction: 1.0 };
         if control.watch(progress).is_break() {
             return Err(EngineError::Cancelled);
         }
-        let order = |names: &[String], wanted: &[String]| -> Option<Vec<usize>> {
-            wanted.iter().map(|name| names.iter().position(|n| n == name)).collect()
-        };
-        let (Some(inputs), Some(outputs)) = (
-            order(&stretch.channels.inputs, &model.inputs),
-            order(&stretch.channels.outputs, &model.outputs),
-        ) else {
+        let (inputs, outputs) = &self.plan;
+        let (Some(inputs), Some(outputs)) = (places(inputs, &model.inputs), places(&model.outputs, outputs))
+        else {
             return Err(EngineError::Weights("the model has other channels than its row says".into()));
         };
-        let predicted = model.predict(&stretch.pair.x.select(&inputs))?;
-        let measured = stretch.pair.y.select(&outputs);
-        sums.resize(outputs.len(), (0.0, 0.0));
-        for (k, (error, power)) in sums.iter_mut().enumerate() {
-            let both = predicted.channel(k).iter().zip(measured.channel(k)).skip(stretch.score_from);
-            for (predicted, measured) in both {
-                *error += (predicted - measured).powi(2);
-                *power += measured * measured;
-            }
-        }
+        let predicted = model.predict(&segment.pair.x.select(&inputs))?;
+        let measured = self.filter.apply(&segment.pair.y)?;
+        Ok(outputs
+            .iter()
+            .enumerate()
+            .map(|(k, &output)| {
+                let from = segment.score_from;
+                Squares::of(&predicted.channel(output)[from..], &measured.channel(k)[from..])
+            })
+            .collect())
     }
-    let errors: Vec<f64> = sums.iter().filter(|(_, p)| *p > 0.0).map(|(e, p)| (e / p).sqrt()).collect();
-    if errors.is_empty() {
-        return Ok(None);
-    }
-    Ok(Some(errors.iter().sum::<f64>() / errors.len() as f64))
 }
 
 #[cfg(test)]
@@ -231,36 +319,90 @@ mod tests {
         Span { run: RunId::from_u128(run), sha256: format!("{run}"), from_sample, to_sample }
     }
 
+    fn squares(error: f64) -> Vec<Squares> {
+        vec![Squares { error, measured: 100.0 }]
+    }
+
+    fn spans(common: &[Common]) -> Vec<Span> {
+        common.iter().map(|c| c.span.clone()).collect()
+    }
+
     #[test]
-    fn only_data_that_neither_model_was_trained_on_is_common() {
+    fn only_data_that_neither_model_was_trained_or_stopped_on_is_common() {
         let old = Lineage {
-            training: vec![span(1, 0, 900), span(2, 0, 900)],
-            frf: vec![],
+            training: vec![span(1, 0, 800), span(2, 0, 800)],
+            stopping: Some(vec![span(1, 800, 900), span(2, 800, 900)]),
             validation: vec![span(1, 900, 1000), span(2, 900, 1000), span(5, 0, 1000)],
-            diagnoses: vec![],
+            ..Lineage::default()
         };
         let new = Lineage {
-            training: vec![span(1, 0, 900), span(5, 0, 900)],
+            training: vec![span(1, 0, 800), span(5, 0, 900)],
             frf: vec![span(2, 0, 1000)],
+            stopping: Some(vec![span(7, 0, 500)]),
             validation: vec![span(1, 900, 1000), span(5, 900, 1000), span(6, 0, 1000)],
-            diagnoses: vec![],
+            ..Lineage::default()
         };
+        let side = |lineage| Side { lineage, noted: Vec::new() };
         // Run 1: held out by both. Run 2: the new FRF saw it. Run 5: the old model's span reaches
         // into the new one's training, the new one's does not. Run 6: unknown to the old model.
-        assert_eq!(common_spans(&new, &old), [span(1, 900, 1000), span(5, 900, 1000), span(6, 0, 1000)]);
-        let seen = Lineage { training: vec![span(1, 0, 1000), span(6, 0, 1000)], ..Lineage::default() };
-        assert_eq!(common_spans(&new, &seen), [span(5, 900, 1000)]);
+        let found = spans(&common(&side(&new), &side(&old)));
+        assert_eq!(found, [span(1, 900, 1000), span(5, 900, 1000), span(6, 0, 1000)]);
+        let stopped =
+            Lineage { stopping: Some(vec![span(1, 0, 1000), span(6, 0, 1000)]), ..Lineage::default() };
+        assert_eq!(spans(&common(&side(&stopped), &side(&old))), [span(2, 900, 1000), span(5, 0, 1000)]);
+        let before = Lineage { stopping: None, ..old.clone() };
+        let found = spans(&common(&side(&new), &side(&before)));
+        assert_eq!(found, [span(6, 0, 1000)], "what stopped a model of before is not known apart");
+    }
+
+    #[test]
+    fn a_model_fitted_again_on_all_runs_is_scored_as_it_was_before() {
+        let left_out = |run| Lineage {
+            training: vec![span(1, 0, 1000), span(2, 0, 1000)],
+            stopping: Some(vec![]),
+            validation: vec![span(run, 0, 1000)],
+            ..Lineage::default()
+        };
+        let (a, b) = (left_out(2), left_out(1));
+        let side = |lineage, error| Side { lineage, noted: vec![squares(error)] };
+        let found = common(&side(&a, 1.0), &side(&a, 2.0));
+        assert_eq!(
+            found,
+            [Common { span: span(2, 0, 1000), new: Some(squares(1.0)), old: Some(squares(2.0)) }]
+        );
+        assert_eq!(common(&side(&a, 1.0), &side(&b, 2.0)), [], "each has seen what the other left out");
+        // A run from after the active model's fit is new to it as it is.
+        let newer = Lineage { training: vec![span(3, 0, 1000)], ..left_out(3) };
+        let found = common(&side(&newer, 1.0), &side(&a, 2.0));
+        assert_eq!(found[0], Common { span: span(3, 0, 1000), new: Some(squares(1.0)), old: None });
     }
 
     #[test]
     fn one_percent_less_error_activates_and_less_than_that_does_not() {
-        assert_eq!(verdict(2, 0.0989, 0.1, 3.0).activation, Activation::IfStill(Some(2)));
-        assert_eq!(verdict(2, 0.0995, 0.1, 3.0).activation, Activation::Leave);
-        assert_eq!(verdict(2, f64::NAN, 0.1, 3.0).activation, Activation::Leave);
-        let words = last_words(3, false, &verdict(2, 0.2, 0.1, 3.0).why);
+        let of = |new: f64, old: f64| {
+            let squares = |rms: f64| Squares { error: rms * rms, measured: 1.0 };
+            verdict(2, &["y".into()], &[(squares(new), squares(old))], 3.0)
+        };
+        assert_eq!(of(0.0989, 0.1).activation, Activation::IfStill(Some(2)));
+        assert_eq!(of(0.0995, 0.1).activation, Activation::Leave);
+        assert_eq!(of(f64::NAN, 0.1).activation, Activation::Leave);
+        let words = last_words(3, false, &of(0.2, 0.1).why);
         assert!(
             words.starts_with("model 3, not active: RMS error 0.2000 against 0.1000 of model 2"),
             "{words}"
         );
+    }
+
+    #[test]
+    fn no_output_may_be_more_than_five_percent_worse() {
+        let squares = |rms: f64| Squares { error: rms * rms, measured: 1.0 };
+        let of = |second: f64| {
+            let sums = [(squares(0.1), squares(0.3)), (squares(second), squares(0.1))];
+            verdict(2, &["a".into(), "b".into()], &sums, 3.0)
+        };
+        assert_eq!(of(0.1049).activation, Activation::IfStill(Some(2)));
+        let refused = of(0.1051);
+        assert_eq!(refused.activation, Activation::Leave);
+        assert!(refused.why.ends_with("but 0.1051 against 0.1000 on output b"), "{}", refused.why);
     }
 }

@@ -1,5 +1,5 @@
-//! The thread between a job's worker and its work: progress and checkpoints one way, the wish to stop
-//! the other.
+//! The link between a job's worker and its work: progress and checkpoints go one way, the request to
+//! stop goes the other.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -21,37 +21,37 @@ pub(super) enum Stop {
     Lost = 3,
 }
 
-/// Shared by the worker, its work, and whoever cancels.
+/// Shared by the worker, its work, and the request that cancels.
 #[derive(Debug, Default)]
 pub(super) struct Control {
     /// 0, or the first [`Stop`].
     stop: AtomicU8,
     progress: Mutex<(String, f64)>,
-    /// Checkpoints that nobody has taken yet, the latest of each part.
+    /// Checkpoints that were not stored yet, the latest of each part.
     kept: Mutex<BTreeMap<String, Checkpoint>>,
 }
 
 impl Control {
-    /// Asks the work to stop; the first reason stays.
+    /// Asks the work to stop; the first reason counts.
     pub(super) fn stop(&self, why: Stop) {
-        // Failing means that a reason is there already.
+        // A failure means that there is a reason already.
         let _ = self.stop.compare_exchange(0, why as u8, Ordering::Relaxed, Ordering::Relaxed);
     }
 
-    /// Why the work is to stop, if it is.
+    /// The reason to stop, if there is one.
     pub(super) fn stopped(&self) -> Option<Stop> {
         [Stop::Cancelled, Stop::Shutdown, Stop::Lost]
             .into_iter()
             .find(|why| *why as u8 == self.stop.load(Ordering::Relaxed))
     }
 
-    /// The engine's callback: notes the progress, breaks when the work is to stop.
+    /// The engine's callback: records the progress, and breaks when the work is to stop.
     pub(super) fn watch(&self, progress: Progress<'_>) -> ControlFlow<()> {
         self.report(progress.stage, progress.fraction);
         if self.stopped().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Notes the progress.
+    /// Records the progress.
     pub(super) fn report(&self, stage: &str, fraction: f64) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         if progress.0 != stage {
@@ -60,7 +60,7 @@ impl Control {
         progress.1 = fraction;
     }
 
-    /// Hands a checkpoint over to whoever stores it.
+    /// Hands over a checkpoint to be stored.
     pub(super) fn keep(&self, checkpoint: Checkpoint) {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         kept.insert(checkpoint.part.clone(), checkpoint);

@@ -1,7 +1,7 @@
 //! Snapshots of jobs as they change.
 //!
-//! Changes are announced by id and read from the store: whoever is slow sees the latest state and
-//! never a queue of old ones. A look now and then finds what another process changed.
+//! Changes are announced by id, and subscribers read the job from the store: a slow subscriber sees the
+//! latest state, never a queue of old ones. A periodic look finds changes by other processes.
 
 use std::time::Duration;
 
@@ -11,13 +11,13 @@ use tokio::sync::{broadcast, watch};
 use crate::domain::{Job, JobId};
 use crate::storage::{Store, StoreError};
 
-/// How often a subscriber looks without being told.
+/// How often a subscriber reads the job without an announcement.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
 
-/// Announcements kept for slow subscribers; one that misses some looks at the store once.
+/// Announcements kept for slow subscribers; a subscriber that misses some reads the store once.
 const BACKLOG: usize = 256;
 
-/// Where changes are announced.
+/// Announces changes of jobs.
 #[derive(Debug)]
 pub(super) struct Hub {
     changes: broadcast::Sender<JobId>,
@@ -31,7 +31,7 @@ impl Hub {
 
     /// Announces that a job has changed.
     pub(super) fn changed(&self, id: JobId) {
-        // Nobody listening is fine.
+        // An error means that nobody listens.
         let _ = self.changes.send(id);
     }
 
@@ -42,11 +42,11 @@ impl Hub {
         id: JobId,
         last_event: Option<u64>,
     ) -> Result<Option<impl Stream<Item = Job> + Send + 'static + use<>>, StoreError> {
-        // Listening begins before the first look, so that no change falls in between.
+        // Listening begins before the first read, so that no change is missed.
         let changes = self.changes.subscribe();
         let stopping = self.stopping.subscribe();
         let Some(job) = store.job(id).await? else { return Ok(None) };
-        // An event that we have not given yet was given by somebody else.
+        // An event number that does not exist yet is not from this service.
         let seen = last_event.filter(|seen| *seen <= job.event).unwrap_or(0);
         let follower = Follower { store, id, seen, changes, stopping, ended: false };
         Ok(Some(futures::stream::unfold(follower, Follower::next)))
@@ -84,13 +84,13 @@ impl Follower {
         None
     }
 
-    /// Until the job may have changed, or the service stops.
+    /// Returns when the job may have changed, or the service stops.
     async fn wait(&mut self) {
         let told = async {
             loop {
                 match self.changes.recv().await {
                     Ok(id) if id != self.id => {}
-                    // The job's own change, or so many that some were missed.
+                    // A change of this job, or so many changes that some were missed.
                     Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => return,
                     Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
                 }

@@ -1,7 +1,5 @@
 //! The fit job: runs in, a model version out.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -9,26 +7,26 @@ use bytes::Bytes;
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Origin, Rig, Run};
-use crate::engine::checkpoint::Keeper;
+use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
-    FitData, FitReport, FitSettings, Fitted, Pair, RigModel, Validation, to_safetensors,
+    FitData, FitReport, FitSettings, Fitted, Pair, RigModel, SplitRule, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
 use crate::storage::{Digest, NewModel, StoreError};
 
 use super::activate;
+use super::checkpoints::JobCheckpoints;
 use super::control::Control;
-use super::order::{MadeModel, Order};
 use super::problem::{JobError, of_engine};
-use super::shelf::Shelf;
-use super::workbench::Workbench;
+use super::spec::{JobSpec, ModelOutput};
+use super::work_context::WorkContext;
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
 
-/// The engine's fit; tests of the runner put others in its place.
+/// The engine's fit; tests of the runner replace it.
 pub(super) type FitFunction =
-    fn(&FitData, &FitSettings, &dyn Keeper, Watch<'_>) -> Result<Fitted, EngineError>;
+    fn(&FitData, &FitSettings, &dyn CheckpointStore, Watch<'_>) -> Result<Fitted, EngineError>;
 
 impl From<FitProblem> for JobError {
     fn from(problem: FitProblem) -> Self {
@@ -39,68 +37,83 @@ impl From<FitProblem> for JobError {
     }
 }
 
-/// Fits, from the request to a model that is ready to be published.
+/// Does a fit, from the request to a model that is ready to be published.
 pub(super) async fn make(
-    bench: &Workbench,
-    order: &Order,
+    context: &WorkContext,
+    spec: &JobSpec,
     control: &Arc<Control>,
-) -> Result<MadeModel, JobError> {
-    let request: FitRequest = order.request()?;
-    let rig = bench.store.rig(&order.rig).await?.ok_or(FitProblem::RigGone)?;
-    // Again, because runs came and went since it was queued.
-    let plan = check(&bench.store, &rig, &request).await?;
+) -> Result<ModelOutput, JobError> {
+    let request: FitRequest = spec.request()?;
+    let rig = context.store.rig(&spec.rig).await?.ok_or(FitProblem::RigGone)?;
+    // Checked again, because runs may have come and gone since the job was queued.
+    let plan = check(&context.store, &rig, &request).await?;
     control.report("loading runs", 0.0);
-    let data = load(bench, &plan, control).await?;
+    let data = load(context, &plan, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
-    let (store, every) = (&bench.store, bench.checkpoint_every);
-    let shelf = Shelf::open(store, order.job, fingerprint(&plan, isa), every, control).await?;
-    let (model, report, weights) = fit(bench, &plan, data, shelf, control).await?;
+    let (store, every) = (&context.store, context.checkpoint_every);
+    let checkpoints = JobCheckpoints::open(store, spec.job, fingerprint(&plan, isa), every, control).await?;
+    let (model, mut report, weights) = fit(context, &plan, data, checkpoints, control).await?;
+    tell_of_split(&plan, &mut report);
+    let lineage = plan.lineage(report.comparison.as_ref().is_some_and(|c| c.refitted));
     let model = Arc::new(model);
     control.report("comparing with the active model", 1.0);
-    let activate::Decision { activation, why } =
-        activate::decide(bench, &rig, &plan, &model, control).await?;
+    let activate::Decision { activation, why } = activate::decide(
+        context,
+        &rig,
+        &plan,
+        activate::Candidate { model: &model, report: &report, lineage: &lineage },
+        control,
+    )
+    .await?;
     let model = NewModel {
         kind: model.kind,
+        adoption: None,
         inputs: model.inputs.clone(),
         outputs: model.outputs.clone(),
         sample_rate_hz: model.sample_rate_hz,
         weights,
         origin: Origin::Fit,
-        job: Some(order.job),
+        job: Some(spec.job),
         request: Some(plan.request.clone()),
         report: Some(report),
-        lineage: plan.lineage(),
+        frf: model.frf_summary(),
+        lineage,
         instruction_set: isa.name().into(),
     };
-    Ok(MadeModel { model, activation, why })
+    Ok(ModelOutput { model, activation, why })
+}
+
+/// Notes the reason if the data were divided in an unusual way.
+fn tell_of_split(plan: &FitPlan, report: &mut FitReport) {
+    let (Some(why), Some(comparison)) = (&plan.split_reason, &mut report.comparison) else { return };
+    comparison.reason = Some(why.clone());
+    if comparison.rule == SplitRule::LastTenths {
+        report.warnings.push(format!(
+            "no whole run was left out to compare models: {why}; the last tenth of each run compares them"
+        ));
+    }
 }
 
 /// Loads every run once and cuts it to the fit's channels.
-async fn load(bench: &Workbench, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
-    // Each run with the number of its uses.
-    let mut pairs: HashMap<_, (Pair, usize)> = HashMap::new();
-    let runs = plan.training.iter().chain(plan.frf.iter().flatten()).chain(&plan.validation);
-    for run in runs {
-        if control.stopped().is_some() {
-            return Err(JobError::Stopped);
-        }
-        match pairs.entry(run.id) {
-            Entry::Vacant(place) => {
-                let signal = bench.store.load_signal(run).await?;
-                place.insert((pair(run, signal, &plan.inputs, &plan.outputs)?, 1));
+async fn load(context: &WorkContext, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
+    let load = async |runs: Vec<&Run>| -> Result<Vec<Pair>, JobError> {
+        let mut pairs = Vec::new();
+        for run in runs {
+            if control.stopped().is_some() {
+                return Err(JobError::Stopped);
             }
-            Entry::Occupied(mut place) => place.get_mut().1 += 1,
+            let signal = context.store.load_signal(run).await?;
+            pairs.push(pair(run, signal, &plan.inputs, &plan.outputs)?);
         }
-    }
-    // Only a run that is used twice is copied: all together they may be gigabytes.
-    Ok(assemble(plan, |run| match pairs.entry(run.id) {
-        Entry::Occupied(mut place) if place.get().1 > 1 => {
-            place.get_mut().1 -= 1;
-            place.get().0.clone()
-        }
-        Entry::Occupied(place) => place.remove().0,
-        Entry::Vacant(_) => unreachable!("every run was loaded as often as it is used"),
-    }))
+        Ok(pairs)
+    };
+    Ok(FitData {
+        training: load(plan.training.iter().collect()).await?,
+        validation: load(plan.validation.iter().collect()).await?,
+        frf_only: load(plan.frf_only().collect()).await?,
+        frf: plan.frf_places(),
+        split: plan.split.clone(),
+    })
 }
 
 /// A run as inputs and outputs, in the order of `inputs` and `outputs`.
@@ -124,7 +137,7 @@ pub(super) fn pair(
         key: run.id.to_string(),
         what: error.to_string(),
     };
-    // Samples are moved, not copied: hours of runs fill memory as it is.
+    // Samples are moved, not copied, because hours of runs take much memory.
     let rate = signal.sample_rate_hz();
     let mut channels = signal.into_channels();
     let mut select = |places: &[usize], later: &[usize]| {
@@ -137,67 +150,41 @@ pub(super) fn pair(
     Ok(Pair { x: select(&inputs, &outputs)?, y: select(&outputs, &[])? })
 }
 
-/// Splits the runs as the plan's lineage says.
-fn assemble(plan: &FitPlan, mut load: impl FnMut(&Run) -> Pair) -> FitData {
-    let mut validation: Vec<Validation> =
-        plan.validation.iter().map(|run| Validation { pair: load(run), score_from: 0 }).collect();
-    let mut training = Vec::with_capacity(plan.training.len());
-    for run in &plan.training {
-        let whole = load(run);
-        if plan.validation.is_empty() {
-            let (kept, held_out) = whole.hold_out();
-            training.push(kept);
-            // A run of less than ten samples has nothing to hold out.
-            if held_out.score_from < held_out.pair.x.n_samples() {
-                validation.push(held_out);
-            }
-        } else {
-            training.push(whole);
-        }
-    }
-    let until = |run: &Run| usize::try_from(plan.frf_until(run)).unwrap_or(usize::MAX);
-    let cut = |run: &Run| {
-        let (end, whole) = (until(run), load(run));
-        Pair { x: whole.x.truncated(end), y: whole.y.truncated(end) }
-    };
-    let frf = plan.frf.as_ref().map(|runs| runs.iter().map(cut).collect());
-    FitData { training, frf, validation }
-}
-
 fn settings(plan: &FitPlan) -> FitSettings {
     FitSettings {
         kind: plan.request.kind,
+        task: plan.task,
         inputs: plan.inputs.clone(),
         outputs: plan.outputs.clone(),
         preprocess: plan.request.preprocess,
-        frf: plan.request.frf.settings(),
+        frf: plan.request.frf.settings(plan.request.preset),
         lstm: plan.request.lstm.clone(),
         preset: plan.request.preset,
     }
 }
 
-/// Digest of all that a fit's course depends on: of another program, other settings or other data
-/// no checkpoint is of use.
+/// Digest of all that a fit depends on. Checkpoints of another program, other settings or other data are
+/// of no use.
 fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
-    let all = (env!("CARGO_PKG_VERSION"), isa.name(), &plan.request, plan.lineage());
+    let all = (crate::VERSION, isa.name(), &plan.request, plan.lineage(false));
     let json = serde_json::to_vec(&all).expect("a request and a lineage always serialise");
     Digest::of(&json).as_str().to_owned()
 }
 
 /// Fits on the threads for fits, and writes the weights there too.
 async fn fit(
-    bench: &Workbench,
+    context: &WorkContext,
     plan: &FitPlan,
     data: FitData,
-    shelf: Shelf,
+    checkpoints: JobCheckpoints,
     control: &Arc<Control>,
 ) -> Result<(RigModel, FitReport, Bytes), JobError> {
-    let (settings, watched, function) = (settings(plan), Arc::clone(control), bench.fit);
+    let (settings, watched, function) = (settings(plan), Arc::clone(control), context.fit);
     let started = std::time::Instant::now();
-    let fitted = bench
+    let fitted = context
         .compute
         .run(Class::Fit, None, move || {
-            let fitted = function(&data, &settings, &shelf, &|progress| watched.watch(progress))?;
+            let fitted = function(&data, &settings, &checkpoints, &|progress| watched.watch(progress))?;
             let weights = Bytes::from(to_safetensors(&fitted.model));
             Ok((fitted.model, fitted.report, weights))
         })
@@ -217,18 +204,7 @@ pub(super) fn is_forward(rig: &Rig, plan: &FitPlan) -> bool {
 mod tests {
     use super::*;
     use crate::domain::{RunKind, Split};
-    use crate::jobs::fit_plan::testing::{plan_of, run};
-
-    /// A run whose samples count up, so that a cut shows.
-    fn ramp(run: &Run) -> Pair {
-        let n = u32::try_from(run.samples).unwrap();
-        let ramp = Signal::new(100.0, vec![(0..n).map(f64::from).collect()]).unwrap();
-        Pair { x: ramp.clone(), y: ramp }
-    }
-
-    fn last(pair: &Pair) -> f64 {
-        *pair.x.channel(0).last().unwrap()
-    }
+    use crate::jobs::fit_plan::testing::run;
 
     #[test]
     fn a_run_is_cut_to_its_channels_in_their_order_even_if_one_is_on_both_sides() {
@@ -240,53 +216,5 @@ mod tests {
         let found = pair(&run, signal.clone(), &names(&["c", "a"]), &names(&["b", "a"])).unwrap();
         assert_eq!(found, Pair { x: signal.select(&[2, 0]), y: signal.select(&[1, 0]) });
         assert!(pair(&run, signal, &names(&["d"]), &names(&["a"])).is_err());
-    }
-
-    #[test]
-    fn without_validation_runs_each_training_run_gives_its_last_tenth() {
-        let runs =
-            [run(1, RunKind::Noise, Split::Training, 1000), run(2, RunKind::Noise, Split::Training, 9)];
-        let plan = plan_of(&runs, r#"{"kind": "frf"}"#).unwrap();
-        let data = assemble(&plan, ramp);
-        assert_eq!(data.training.iter().map(last).collect::<Vec<_>>(), [899.0, 8.0]);
-        assert_eq!(data.validation.len(), 1, "nine samples have no tenth");
-        let held_out = &data.validation[0];
-        assert_eq!(held_out.pair.x.channel(0)[held_out.score_from], 900.0);
-        assert_eq!(last(&held_out.pair), 999.0);
-    }
-
-    #[test]
-    fn frf_runs_that_are_held_out_are_cut_at_the_same_sample() {
-        let mut linear = run(2, RunKind::Noise, Split::Training, 500);
-        linear.tags = vec!["linear".into()];
-        let runs = [run(1, RunKind::Noise, Split::Training, 1000), linear];
-        let plan = plan_of(&runs, r#"{"kind": "hybrid2", "frf": {"runs": {"tags": ["linear"]}}}"#).unwrap();
-        let data = assemble(&plan, ramp);
-        assert_eq!(data.frf.unwrap().iter().map(last).collect::<Vec<_>>(), [449.0]);
-        // Trained on other runs only, they are whole.
-        let request = format!(
-            r#"{{"kind": "hybrid2", "runs": ["{}"], "frf": {{"runs": {{"tags": ["linear"]}}}}}}"#,
-            runs[0].id
-        );
-        let plan = plan_of(&runs, &request).unwrap();
-        assert_eq!(assemble(&plan, ramp).frf.unwrap().iter().map(last).collect::<Vec<_>>(), [499.0]);
-    }
-
-    #[test]
-    fn what_is_loaded_is_what_the_lineage_says() {
-        let mut linear = run(2, RunKind::Noise, Split::Training, 500);
-        linear.tags = vec!["linear".into()];
-        let runs = [run(1, RunKind::Noise, Split::Training, 1000), linear];
-        let plan = plan_of(&runs, r#"{"kind": "hybrid1", "frf": {"runs": {"tags": ["linear"]}}}"#).unwrap();
-        let (data, lineage) = (assemble(&plan, ramp), plan.lineage());
-        let ends = |pairs: &[Pair]| pairs.iter().map(|p| p.x.n_samples() as u64).collect::<Vec<_>>();
-        let spans = |spans: &[crate::domain::Span]| {
-            spans.iter().map(|span| span.to_sample - span.from_sample).collect::<Vec<_>>()
-        };
-        assert_eq!(ends(&data.training), spans(&lineage.training));
-        assert_eq!(ends(&data.frf.unwrap()), spans(&lineage.frf));
-        let scored = |v: &Validation| (v.pair.x.n_samples() - v.score_from) as u64;
-        assert_eq!(data.validation.iter().map(scored).collect::<Vec<_>>(), spans(&lineage.validation));
-        assert!(!lineage.validation.iter().any(|span| lineage.was_trained_on(span)));
     }
 }

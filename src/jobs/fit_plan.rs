@@ -1,12 +1,14 @@
-//! What a fit will do, resolved without loading a sample: channels by name, runs by row.
+//! The plan of a fit, resolved without loading a sample: channels by name, runs by row.
+
+mod left_out;
 
 use std::collections::{HashMap, HashSet};
 
 use crate::domain::fits::{Activate, FitRequest, RunFilter, RunSelection};
 use crate::domain::{
-    FieldError, FitChannels, Lineage, Problem, Rig, Run, RunId, RunKind, Span, Split, model,
+    FieldError, FitChannels, Lineage, Problem, Rig, Run, RunId, RunKind, Span, Split, model, task,
 };
-use crate::engine::model::{ModelKind, hold_out_from};
+use crate::engine::model::{FitSplit, ModelKind, Preset, RunLengths, Section, Sections, Task};
 use crate::storage::{Store, StoreError};
 
 use super::problem::{codes, sentence};
@@ -15,18 +17,24 @@ use super::selection::{by_id, matching};
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitPlan {
-    /// The request with channels and runs filled in; what the model stores.
+    /// The request with channels and runs filled in, as the model stores it.
     pub request: FitRequest,
     /// Input channels.
     pub inputs: Vec<String>,
     /// Output channels.
     pub outputs: Vec<String>,
+    /// What the model is for.
+    pub task: Task,
     /// Training runs.
     pub training: Vec<Run>,
-    /// Runs of the FRF part, where they are others.
+    /// Runs of the FRF part, if they differ.
     pub frf: Option<Vec<Run>>,
-    /// Validation runs; empty: the last 10 % of each training run.
+    /// Validation runs.
     pub validation: Vec<Run>,
+    /// How the samples are divided.
+    pub split: FitSplit,
+    /// Why they are divided so, where whole runs are usually left out.
+    pub split_reason: Option<String>,
 }
 
 /// Why a fit cannot be done.
@@ -66,7 +74,7 @@ pub enum FitProblem {
 }
 
 impl FitProblem {
-    /// As a problem document; of the store's failure only that it happened.
+    /// As a problem document, which does not repeat a message of the store.
     pub fn problem(&self) -> Problem {
         let named = |code, title: &str, errors: &[FieldError]| {
             let detail = errors.iter().map(sentence).collect::<Vec<_>>().join("; ");
@@ -84,7 +92,7 @@ impl FitProblem {
             Self::TestRun(errors) => named(codes::FIT_TEST_RUN, "A test run never enters a fit", errors),
             Self::NotForward => {
                 let place = FieldError::new("/activate", "if_better or never for such a model");
-                named(codes::MODEL_NOT_FORWARD, "The model is no forward model of the rig", &[place])
+                named(codes::MODEL_NOT_FORWARD, "The model does not map drives to responses", &[place])
             }
             Self::NoRuns { pointer } => {
                 let title = "No run matches the selection";
@@ -111,17 +119,18 @@ pub async fn check(store: &Store, rig: &Rig, request: &FitRequest) -> Result<Fit
     if request.activate == Activate::Always && !model::is_forward(rig, &channels.inputs, &channels.outputs) {
         return Err(FitProblem::NotForward);
     }
-    plan(&store.all_runs(&rig.id).await?, request, channels)
+    let task = task(&rig.channels, &channels.inputs, &channels.outputs);
+    plan(&store.all_runs(&rig.id).await?, request, channels, task)
 }
 
-fn plan(all: &[Run], request: &FitRequest, channels: FitChannels) -> Result<FitPlan, FitProblem> {
+fn plan(all: &[Run], request: &FitRequest, channels: FitChannels, task: Task) -> Result<FitPlan, FitProblem> {
     let noise = Some(RunKind::Noise);
     let select = |selection: Option<&RunSelection>, pointer| {
         let found = selected(all, selection, noise, Split::Training, pointer)?;
         if found.is_empty() { Err(FitProblem::NoRuns { pointer }) } else { Ok(found) }
     };
     let frf_runs = request.frf.runs.as_ref();
-    // A model that is an FRF and nothing else is fitted on the runs of its FRF part.
+    // A plain FRF is fitted on the runs of its FRF part.
     let (training, training_at) = match frf_runs {
         Some(own) if request.kind == ModelKind::Frf => (select(Some(own), "/frf/runs")?, "/frf/runs"),
         _ => (select(request.runs.as_ref(), "/runs")?, "/runs"),
@@ -146,10 +155,43 @@ fn plan(all: &[Run], request: &FitRequest, channels: FitChannels) -> Result<FitP
     request.runs = Some(ids(&training));
     request.frf.runs = frf.as_deref().map(ids);
     request.validation_runs = if validation.is_empty() { None } else { Some(ids(&validation)) };
+    let (split, split_reason) = divide((&request, task), &channels, &training, frf.as_deref(), &validation);
     let FitChannels { inputs, outputs } = channels;
-    let plan = FitPlan { request, inputs, outputs, training, frf, validation };
+    let plan = FitPlan { request, inputs, outputs, task, training, frf, validation, split, split_reason };
     plan.long_enough()?;
     Ok(plan)
+}
+
+/// How a fit's samples are divided (design, section 3, "What stops a training").
+fn divide(
+    (request, task): (&FitRequest, Task),
+    channels: &FitChannels,
+    training: &[Run],
+    frf: Option<&[Run]>,
+    validation: &[Run],
+) -> (FitSplit, Option<String>) {
+    if !validation.is_empty() {
+        let split = match request.preset {
+            Preset::Default => FitSplit::ValidationHalves,
+            Preset::Paper => FitSplit::ValidationStops,
+        };
+        return (split, None);
+    }
+    if training.len() < 2 {
+        return (FitSplit::LastTenths, None);
+    }
+    let names: Vec<&str> = channels.inputs.iter().chain(&channels.outputs).map(String::as_str).collect();
+    let of_frf = |run: &Run| frf.unwrap_or_default().iter().any(|other| other.sha256 == run.sha256);
+    let shortest = 2 * window_len(request, task) as u64;
+    match left_out::choose(training, &names, of_frf, shortest) {
+        Ok(split) => (split, None),
+        Err(why) => (FitSplit::LastTenths, Some(why)),
+    }
+}
+
+/// Window of the fit's network; settings outside their limits are refused elsewhere.
+fn window_len(request: &FitRequest, task: Task) -> usize {
+    request.lstm.resolve(request.preset, request.kind, task, &[]).map_or(0, |lstm| lstm.window_len)
 }
 
 /// Runs of a selection, each measurement once, by id. `kind` and `split` stand for what the
@@ -193,8 +235,8 @@ fn no_test_data(all: &[Run], runs: &[Run], pointer: &str) -> Result<(), FitProbl
     if errors.is_empty() { Ok(()) } else { Err(FitProblem::TestRun(errors)) }
 }
 
-/// Validation runs. What nobody asked for by name gives way to training; without any, the caller
-/// holds out a part of each training run.
+/// Validation runs. A run that was not named by id is used for training if both lists have it. Without
+/// validation runs the caller holds out a part of each training run.
 fn validation(
     all: &[Run],
     request: &FitRequest,
@@ -206,7 +248,7 @@ fn validation(
     let mut runs = selected(all, asked, None, Split::Validation, pointer)?;
     let trained: HashSet<&str> =
         training.iter().chain(frf.unwrap_or_default()).map(|run| run.sha256.as_str()).collect();
-    // The contract's default may be spelled out.
+    // The request may spell out the contract's default.
     let is_default = asked.is_none_or(|asked| match asked {
         RunSelection::Ids(_) => false,
         RunSelection::Match(filter) => {
@@ -243,7 +285,7 @@ fn holds_channels(pointer: &str, runs: &[Run], channels: &FitChannels) -> Result
     if errors.is_empty() { Ok(()) } else { Err(FitProblem::MissingChannel(errors)) }
 }
 
-/// Refuses channels that are constant in every run: nothing can be fitted from or to them.
+/// Refuses channels that are constant in every run, because nothing can be fitted with them.
 fn moves(pointer: &str, runs: &[Run], channels: &FitChannels) -> Result<(), FitProblem> {
     if runs.is_empty() {
         return Ok(());
@@ -264,73 +306,123 @@ impl FitPlan {
         FitChannels { inputs: self.inputs.clone(), outputs: self.outputs.clone() }
     }
 
-    /// Refuses runs that leave no window, no segment or nothing to validate on.
+    /// Refuses runs that leave no window, no segment or nothing to compare on.
     fn long_enough(&self) -> Result<(), FitProblem> {
         let refuse =
             |pointer: &str, limit: String| Err(FitProblem::TooShort(vec![FieldError::new(pointer, limit)]));
-        let lineage = self.lineage();
-        if lineage.validation.is_empty() {
+        let request = &self.request;
+        let sections = self.sections();
+        if sections.comparison.is_empty() && sections.stopping.is_empty() {
             return refuse("/runs", "a run of at least 10 samples, a tenth of which is held out".into());
         }
-        let request = &self.request;
+        let stops = request.kind != ModelKind::Frf;
+        if stops && sections.stopping.is_empty() {
+            return refuse(
+                "/runs",
+                "a run of at least 10 samples, a tenth of which stops the training".into(),
+            );
+        }
+        if stops
+            && let lstm = window_len(request, self.task)
+            && let Some(shortest) = sections.training.iter().min_by_key(|section| section.samples.len())
+            && shortest.samples.len() < lstm
+        {
+            let (run, samples) = (self.training[shortest.run].id, shortest.samples.len());
+            let limit = format!("at most {samples}, the samples that run {run} gives to training");
+            return refuse("/lstm/window_len", limit);
+        }
         if request.kind != ModelKind::Lstm
             && let Some(segment_len) = request.frf.segment_len
         {
-            let used = if self.frf.is_some() { &lineage.frf } else { &lineage.training };
-            let longest = used.iter().map(|span| span.to_sample).max().unwrap_or(0);
+            let longest =
+                self.frf_sections(&sections.training).iter().map(|s| s.to_sample).max().unwrap_or(0);
             if longest < segment_len as u64 {
                 return refuse(
                     "/frf/segment_len",
-                    format!("at most {longest}, the samples of the longest run"),
+                    format!("at most {longest}, the samples of the longest run that the FRF is estimated on"),
                 );
             }
-        }
-        if request.kind != ModelKind::Frf
-            && let Ok(lstm) = request.lstm.resolve(request.preset, request.kind, &[])
-            && let Some(shortest) = lineage.training.iter().min_by_key(|span| span.to_sample)
-            && shortest.to_sample < lstm.window_len as u64
-        {
-            let Span { run, to_sample, .. } = shortest;
-            let limit = format!("at most {to_sample}, the samples that run {run} gives to training");
-            return refuse("/lstm/window_len", limit);
         }
         Ok(())
     }
 
-    /// Sample of a training run from which on it is held out for validation; its length when there
-    /// are validation runs.
-    pub(super) fn training_until(&self, run: &Run) -> u64 {
-        if self.validation.is_empty() {
-            // A run that was accepted fits into memory, and so does its length into a usize.
-            usize::try_from(run.samples).map_or(run.samples, |samples| hold_out_from(samples) as u64)
-        } else {
-            run.samples
-        }
-    }
-
-    /// Sample at which an FRF run ends: where it is held out, if it is trained on too.
-    pub(super) fn frf_until(&self, run: &Run) -> u64 {
-        let trained = self.training.iter().any(|trained| trained.sha256 == run.sha256);
-        if trained { self.training_until(run) } else { run.samples }
-    }
-
-    /// The spans of data that will shape the model.
-    pub fn lineage(&self) -> Lineage {
-        let span = |run: &Run, from_sample, to_sample| Span {
-            run: run.id,
-            sha256: run.sha256.clone(),
-            from_sample,
-            to_sample,
+    /// The split carried out; runs by their place among the training runs, then the validation runs.
+    fn sections(&self) -> Sections {
+        // A run that was accepted fits into memory, and so does its length into a usize.
+        let lengths = |runs: &[Run]| -> Vec<usize> {
+            runs.iter().map(|run| usize::try_from(run.samples).unwrap_or(usize::MAX)).collect()
         };
-        let held_out = self.training.iter().map(|run| span(run, self.training_until(run), run.samples));
-        let validation = self.validation.iter().map(|run| span(run, 0, run.samples));
+        let (training, validation) = (lengths(&self.training), lengths(&self.validation));
+        let lengths = RunLengths { training: &training, validation: &validation };
+        Sections::of(&self.split, self.request.kind, lengths, window_len(&self.request, self.task))
+    }
+
+    /// Place of each run of the FRF part, where it has its own: among the training runs, the validation runs
+    /// and `frf_only`.
+    pub(super) fn frf_places(&self) -> Option<Vec<usize>> {
+        let place = |run: &Run| {
+            let known =
+                self.training.iter().chain(&self.validation).position(|other| other.sha256 == run.sha256);
+            let only = || self.frf_only().position(|other| other.id == run.id);
+            known.or_else(|| Some(self.training.len() + self.validation.len() + only()?))
+        };
+        self.frf.as_ref().map(|runs| runs.iter().filter_map(place).collect())
+    }
+
+    /// Runs of the FRF part that are neither training nor validation runs.
+    pub(super) fn frf_only(&self) -> impl Iterator<Item = &Run> {
+        let known = |run: &&Run| self.training.iter().chain(&self.validation).any(|o| o.sha256 == run.sha256);
+        self.frf.iter().flatten().filter(move |run| !known(run))
+    }
+
+    /// Spans that the FRF part is estimated on when `training` is trained on.
+    fn frf_sections(&self, training: &[Section]) -> Vec<Span> {
+        let Some(own) = &self.frf else {
+            return training.iter().map(|section| self.span(section)).collect();
+        };
+        let mut spans = Vec::new();
+        for run in own {
+            match self.training.iter().position(|other| other.sha256 == run.sha256) {
+                Some(place) => {
+                    spans
+                        .extend(training.iter().filter(|s| s.run == place).map(|section| self.span(section)));
+                }
+                None => spans.push(span(run, 0, run.samples)),
+            }
+        }
+        spans
+    }
+
+    fn span(&self, section: &Section) -> Span {
+        let run = self.training.iter().chain(&self.validation).nth(section.run);
+        let run = run.expect("a section names a run of the plan");
+        span(run, section.samples.start as u64, section.samples.end as u64)
+    }
+
+    /// The spans of data behind the model. `refitted`: the model was fitted again on all training runs after
+    /// the comparison.
+    pub fn lineage(&self, refitted: bool) -> Lineage {
+        let Sections { training, stopping, comparison, .. } = self.sections();
+        let spans = |sections: &[Section]| sections.iter().map(|section| self.span(section)).collect();
+        let own_frf = self.frf.is_some();
+        let all: Vec<Span> = self.training.iter().map(|run| span(run, 0, run.samples)).collect();
+        let whole_frf = || self.frf.iter().flatten().map(|run| span(run, 0, run.samples)).collect();
         Lineage {
-            training: self.training.iter().map(|run| span(run, 0, self.training_until(run))).collect(),
-            frf: self.frf.iter().flatten().map(|run| span(run, 0, self.frf_until(run))).collect(),
-            validation: validation.chain(held_out).filter(|span| span.from_sample < span.to_sample).collect(),
+            training: if refitted { all } else { spans(&training) },
+            frf: match (own_frf, refitted) {
+                (false, _) => Vec::new(),
+                (true, true) => whole_frf(),
+                (true, false) => self.frf_sections(&training),
+            },
+            stopping: Some(if refitted { Vec::new() } else { spans(&stopping) }),
+            validation: spans(&comparison),
             diagnoses: Vec::new(),
         }
     }
+}
+
+fn span(run: &Run, from_sample: u64, to_sample: u64) -> Span {
+    Span { run: run.id, sha256: run.sha256.clone(), from_sample, to_sample }
 }
 
 #[cfg(test)]

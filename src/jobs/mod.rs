@@ -1,22 +1,22 @@
 //! Long work: claim, heartbeat, finish; one file a kind of job.
 //!
-//! A job is claimed in one short transaction, done outside of any, and published in one more that
-//! holds only while the lease does.
+//! A job is claimed in one short transaction, worked on outside of any, and published in another, which
+//! succeeds only while the lease is held.
 
 mod activate;
+mod checkpoints;
 mod control;
 mod diagnosis;
 mod events;
 pub mod fit;
 mod fit_plan;
-mod order;
 pub mod problem;
 mod process;
 mod publish;
 mod runner;
 mod selection;
-mod shelf;
-mod workbench;
+mod spec;
+mod work_context;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -28,18 +28,18 @@ use tokio::task::JoinHandle;
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
 use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig};
-use crate::storage::{CancelOutcome, Once, Store, StoreError};
+use crate::storage::{CancelOutcome, IdempotencyKey, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
-use runner::{Place, Runner};
-use workbench::Workbench;
+use runner::{Executor, Runner};
+use work_context::WorkContext;
 
 pub use diagnosis::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
 pub use process::{WorkError, WorkerProgram, work};
 
-/// How the runner behaves.
+/// Settings of the runner.
 #[derive(Debug, Clone)]
 pub struct JobSettings {
     /// Jobs at once in this process.
@@ -48,11 +48,11 @@ pub struct JobSettings {
     pub lease: Duration,
     /// Most time between two heartbeats.
     pub heartbeat: Duration,
-    /// How often jobs whose lease has ended, and queued ones that nobody was told of, are looked for.
+    /// How often the runner looks for expired leases, and for queued jobs that were not announced.
     pub sweep: Duration,
     /// Most time between two checkpoints of a fit.
     pub checkpoint_every: Duration,
-    /// How jobs get processes of their own; none: they are done on threads of this one.
+    /// How jobs get processes of their own; with `None` they run on threads of this process.
     pub program: Option<WorkerProgram>,
     /// Least time between two progress writes of a job.
     pub progress_every: Duration,
@@ -72,7 +72,7 @@ impl Default for JobSettings {
     }
 }
 
-/// The runner of jobs, and the way to them. Clones share it.
+/// The runner of jobs. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Jobs {
     runner: Arc<Runner>,
@@ -80,7 +80,7 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Puts jobs that a former process left running back into the queue, and starts the workers.
+    /// Puts jobs that a previous process left running back into the queue, and starts the workers.
     ///
     /// # Errors
     /// The store's failures.
@@ -100,19 +100,19 @@ impl Jobs {
         settings: JobSettings,
         fit: FitFunction,
     ) -> Result<Self, StoreError> {
-        // The data directory is locked: whoever had these jobs is gone.
+        // The data directory is locked, so the process that had these jobs is gone.
         for id in store.requeue_expired(Timestamp::MAX, &[], clock()).await? {
             tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
         }
         let count = settings.workers;
-        let place = match settings.program.clone() {
-            Some(program) => Place::Process(program),
+        let executor = match settings.program.clone() {
+            Some(program) => Executor::Subprocess(program),
             None => {
                 let (store, checkpoint_every) = (store.clone(), settings.checkpoint_every);
-                Place::Here(Workbench { store, compute, fit, checkpoint_every })
+                Executor::InProcess(WorkContext { store, compute, fit, checkpoint_every })
             }
         };
-        let runner = Arc::new(Runner::new(store, clock, settings, place));
+        let runner = Arc::new(Runner::new(store, clock, settings, executor));
         let mut workers: Vec<_> =
             (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
         workers.push(tokio::spawn(Arc::clone(&runner).sweep()));
@@ -122,16 +122,16 @@ impl Jobs {
     /// Checks a fit and queues it.
     ///
     /// # Errors
-    /// [`FitProblem`]: what is wrong with it, or the store's failure.
+    /// [`FitProblem`]: an error of the request, or the store's failure.
     pub async fn submit_fit(
         &self,
         rig: &Rig,
         request: &FitRequest,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
     ) -> Result<Job, FitProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         fit::check(store, rig, request).await?;
-        let job = store.insert_fit_job(&rig.id, request, once, clock()).await?;
+        let job = store.insert_fit_job(&rig.id, request, key, clock()).await?;
         let job = job.ok_or(FitProblem::RigGone)?;
         self.wake();
         Ok(job)
@@ -140,21 +140,21 @@ impl Jobs {
     /// Checks a diagnosis and queues it, its model and runs resolved.
     ///
     /// # Errors
-    /// [`DiagnosisProblem`]: what is wrong with it, or the store's failure.
+    /// [`DiagnosisProblem`]: an error of the request, or the store's failure.
     pub async fn submit_diagnosis(
         &self,
         rig: &Rig,
         request: &DiagnosisRequest,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
     ) -> Result<Job, DiagnosisProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = diagnosis::check(store, rig, request).await?;
-        let job = store.insert_diagnosis_job(&rig.id, &plan.request, once, clock()).await?;
+        let job = store.insert_diagnosis_job(&rig.id, &plan.request, key, clock()).await?;
         self.wake();
         job.ok_or(DiagnosisProblem::RigGone)
     }
 
-    /// Notes the wish to cancel and stops the work if it is done here. Idempotent.
+    /// Records the request to cancel, and stops the work if it runs here. Idempotent.
     ///
     /// # Errors
     /// The store's failures.

@@ -1,13 +1,13 @@
-//! Why a job did not succeed: as a problem that its row keeps, and whether to try again.
+//! Why a job did not succeed: the problem that its row stores, and whether to try again.
 
 use serde::{Deserialize, Serialize};
 
 use crate::compute::ComputeError;
 use crate::domain::{FieldError, FitChannels, Problem};
-use crate::engine::EngineError;
+use crate::engine::{EngineError, rounded};
 use crate::storage::StoreError;
 
-/// Codes that only jobs have; those of the engine's errors are the contract's for every request.
+/// Codes of jobs. Those of engine errors are the same as for requests.
 pub mod codes {
     /// The fit's channels, runs or settings do not suit the rig (422).
     pub const FIT_INVALID: &str = "fit.invalid";
@@ -35,7 +35,7 @@ pub mod codes {
     pub const RIG_NOT_FOUND: &str = "rig.not_found";
     /// The fit's model cannot be activated (422).
     pub const MODEL_NOT_FORWARD: &str = "model.not_forward";
-    /// A defect of ours ended the job (500).
+    /// A panic ended the job (500).
     pub const JOB_PANICKED: &str = "job.panicked";
     /// The job's worker died too often (500).
     pub const JOB_INTERRUPTED: &str = "job.interrupted";
@@ -51,7 +51,7 @@ pub mod codes {
     pub const STORE_DAMAGED: &str = "store.damaged";
     /// The store is out of reach (503).
     pub const STORE_UNAVAILABLE: &str = "store.unavailable";
-    /// There were no threads or processes for the job (503).
+    /// The system gave no threads or processes for the job (503).
     pub const BUSY: &str = "busy";
     /// The disk is full (507).
     pub const STORE_FULL: &str = "store.full";
@@ -81,10 +81,10 @@ impl JobError {
 impl From<StoreError> for JobError {
     fn from(error: StoreError) -> Self {
         tracing::error!(%error, "the store failed a job");
-        // What the store says names paths and rows: it is for the log.
+        // Messages of the store name paths and rows, so they go to the log only.
         match error {
             StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. } | StoreError::Row { .. } => {
-                let detail = "Data that the job needs are damaged; they are not used.";
+                let detail = "Data that the job needs are damaged and were not used.";
                 Self::failed(Problem::new(500, codes::STORE_DAMAGED, "Stored data are damaged", detail))
             }
             error if error.is_disk_full() => {
@@ -111,14 +111,14 @@ impl From<ComputeError> for JobError {
     }
 }
 
-/// A panic: our defect, in the log in full and in the row by name.
+/// A panic: the log has its message, the row only its code.
 pub(super) fn panicked(message: &str) -> JobError {
     tracing::error!(panic = message, "a job panicked: this is a bug");
-    let detail = "A defect of the program ended the job; its log says more.";
-    JobError::failed(Problem::new(500, codes::JOB_PANICKED, "The job failed by a defect", detail))
+    let detail = "A defect of the program ended the job; the log has the details.";
+    JobError::failed(Problem::new(500, codes::JOB_PANICKED, "A defect ended the job", detail))
 }
 
-/// A place and what is allowed there, in words.
+/// A place and its limit, in words.
 pub(super) fn sentence(error: &FieldError) -> String {
     let place = match &error.channel {
         Some(channel) => format!("{} (channel {channel:?})", error.pointer),
@@ -127,7 +127,7 @@ pub(super) fn sentence(error: &FieldError) -> String {
     format!("{place}: {}", error.limit.as_deref().unwrap_or("not valid"))
 }
 
-/// What the engine refused about a fit, its channel numbers turned into names.
+/// An engine error about a fit, with channel names in place of numbers.
 pub(super) fn of_engine(error: &EngineError, channels: &FitChannels) -> JobError {
     if *error == EngineError::Cancelled {
         return JobError::Stopped;
@@ -140,7 +140,7 @@ pub(super) fn of_engine(error: &EngineError, channels: &FitChannels) -> JobError
     JobError::failed(Problem::new(422, code, title, detail).with(vec![place]))
 }
 
-/// Code, title and place: the same as where a request meets the error.
+/// Code, title and place, as for a request with the same error.
 fn describe(error: &EngineError, channels: &FitChannels) -> (&'static str, &'static str, FieldError) {
     let on = |what: &str, index: usize| {
         let outputs = what.contains("output") || what.contains("response");
@@ -165,7 +165,7 @@ fn describe(error: &EngineError, channels: &FitChannels) -> (&'static str, &'sta
             FieldError { sample: Some(*sample as u64), ..on(what, *channel) },
         ),
         EngineError::SampleRate { expected_hz, .. } => {
-            ("signal.sample_rate", "Another sample rate", runs(format!("{expected_hz} Hz")))
+            ("signal.sample_rate", "Another sample rate", runs(format!("{} Hz", rounded(*expected_hz, 10))))
         }
         EngineError::TooShort { needed, .. } => {
             ("signal.too_short", "Too few samples", runs(format!("at least {needed} samples")))
@@ -193,7 +193,7 @@ fn describe(error: &EngineError, channels: &FitChannels) -> (&'static str, &'sta
             "The result is not finite",
             FieldError { sample: Some(*sample as u64), ..on("output", *channel) },
         ),
-        // Of what a fit calls only these are left; the message says which.
+        // The other errors of a fit; the message names them.
         other => ("fit.invalid", "The fit does not suit the rig", runs(other.to_string())),
     }
 }

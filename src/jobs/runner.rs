@@ -1,4 +1,4 @@
-//! The workers: tasks that claim jobs and see them through.
+//! The workers: tasks that claim jobs and run them to their end.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,30 +17,30 @@ use crate::telemetry::names;
 use super::JobSettings;
 use super::control::{Control, Stop};
 use super::events::Hub;
-use super::order::{Made, Order};
 use super::problem::{JobError, codes, panicked};
 use super::process::{Begin, WorkerProgram};
 use super::publish::publish;
-use super::workbench::Workbench;
+use super::spec::{JobOutput, JobSpec};
+use super::work_context::WorkContext;
 
-/// Where work is done.
+/// Where the work of a job runs.
 #[derive(Debug)]
-pub(super) enum Place {
+pub(super) enum Executor {
     /// On this process' threads.
-    Here(Workbench),
+    InProcess(WorkContext),
     /// In a process of its own for each job.
-    Process(WorkerProgram),
+    Subprocess(WorkerProgram),
 }
 
-/// What all workers of a process share.
+/// Shared by all workers of a process.
 #[derive(Debug)]
 pub(super) struct Runner {
     pub(super) store: Store,
     pub(super) clock: Clock,
-    place: Place,
+    executor: Executor,
     pub(super) settings: JobSettings,
     pub(super) hub: Hub,
-    /// Rings when a job was queued.
+    /// Notified when a job was queued.
     pub(super) queued: Notify,
     pub(super) stopping: watch::Sender<bool>,
     /// Jobs at work in this process.
@@ -48,14 +48,14 @@ pub(super) struct Runner {
 }
 
 impl Runner {
-    pub(super) fn new(store: Store, clock: Clock, settings: JobSettings, place: Place) -> Self {
+    pub(super) fn new(store: Store, clock: Clock, settings: JobSettings, executor: Executor) -> Self {
         let stopping = watch::Sender::new(false);
         let hub = Hub::new(stopping.clone());
         let (queued, at_work) = (Notify::new(), Mutex::default());
-        Self { store, clock, place, settings, hub, queued, stopping, at_work }
+        Self { store, clock, executor, settings, hub, queued, stopping, at_work }
     }
 
-    /// Asks a job that is at work here to stop; whether it is.
+    /// Asks a job to stop if it runs in this process; tells whether it does.
     pub(super) fn stop(&self, id: JobId, why: Stop) -> bool {
         let at_work = self.at_work();
         let found = at_work.get(&id);
@@ -85,13 +85,13 @@ impl Runner {
     pub(super) async fn work(self: Arc<Self>, name: String) {
         let mut stopping = self.stopping.subscribe();
         while !*stopping.borrow() {
-            // Before the look at the queue, so that no ring falls in between.
+            // Created before the queue is read, so that no notification is missed.
             let queued = self.queued.notified();
             match self.claim(&name).await {
                 Ok(Some(claim)) => {
-                    // Others may find more.
+                    // Other workers may find more jobs.
                     self.queued.notify_one();
-                    Arc::clone(&self).see_through(claim).await;
+                    Arc::clone(&self).run_claimed(claim).await;
                     continue;
                 }
                 Ok(None) => {}
@@ -108,8 +108,8 @@ impl Runner {
         }
     }
 
-    /// Takes jobs from workers that were not heard of, until the service stops. Jobs that are at
-    /// work here are heard of, whatever a clock that jumped says of their leases.
+    /// Takes jobs from silent workers, until the service stops. Jobs that run in this process are never
+    /// taken, even if a clock jump has ended their leases.
     pub(super) async fn sweep(self: Arc<Self>) {
         let mut stopping = self.stopping.subscribe();
         let mut ticks = tokio::time::interval(self.settings.sweep);
@@ -130,7 +130,7 @@ impl Runner {
                         self.queued.notify_one();
                     }
                 }
-                // One row that cannot be read must not keep the others waiting.
+                // One unreadable row must not hold up the others.
                 Err(error) => {
                     error.count();
                     tracing::error!(%error, "jobs of lost workers could not be queued again");
@@ -144,8 +144,8 @@ impl Runner {
         self.store.claim_job(name, self.lease_until(now), now).await
     }
 
-    /// Does a job, keeps its lease meanwhile, and writes its end.
-    async fn see_through(self: Arc<Self>, claim: Claim) {
+    /// Does a job, renews its lease meanwhile, and records its end.
+    async fn run_claimed(self: Arc<Self>, claim: Claim) {
         let id = claim.job.id;
         let span = tracing::info_span!(
             "job", job.id = %id, job.kind = claim.job.kind.as_str(), rig.id = %claim.job.rig,
@@ -153,22 +153,22 @@ impl Runner {
         );
         let control = Arc::new(Control::default());
         self.at_work().insert(id, Arc::clone(&control));
-        // The stop may have come between the claim and the line above.
+        // The service may have begun to stop between the claim and the line above.
         if *self.stopping.borrow() {
             control.stop(Stop::Shutdown);
         }
         self.hub.changed(id);
         async {
             tracing::info!("a job starts");
-            // A task of its own: heartbeats must go on while the work waits for the store, and the
-            // work while a heartbeat does.
+            // A task of its own: heartbeats go on while the work waits for the store, and the work goes
+            // on while a heartbeat waits.
             let work = Arc::clone(&self).perform(claim.clone(), Arc::clone(&control));
             let started = Instant::now();
-            let end = self.accompany(&claim, &control, tokio::spawn(work.in_current_span())).await;
+            let end = self.heartbeat_until_done(&claim, &control, tokio::spawn(work.in_current_span())).await;
             note_end(claim.job.kind, &end, control.stopped(), started.elapsed());
             if let Err(error) = self.finish(&claim, &control, end).await {
                 error.count();
-                // Its lease runs out, and then somebody takes it up again.
+                // Its lease will expire, and another attempt will follow.
                 tracing::error!(%error, "the end of a job could not be written");
             }
         }
@@ -187,21 +187,21 @@ impl Runner {
         publish(&self, &claim, made).await
     }
 
-    async fn make(&self, claim: &Claim, control: &Arc<Control>) -> Result<Made, JobError> {
-        let order = Order::from(claim);
-        match &self.place {
-            Place::Here(bench) => bench.make(&order, control).await,
-            Place::Process(program) => {
+    async fn make(&self, claim: &Claim, control: &Arc<Control>) -> Result<JobOutput, JobError> {
+        let spec = JobSpec::from(claim);
+        match &self.executor {
+            Executor::InProcess(context) => context.make(&spec, control).await,
+            Executor::Subprocess(program) => {
                 let (data_dir, checkpoint_every) =
                     (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
-                let begin = Begin { data_dir, order, checkpoint_every };
+                let begin = Begin { data_dir, spec, checkpoint_every };
                 program.make(begin, self.settings.lease, control).await
             }
         }
     }
 
-    /// Heartbeats until the work ends.
-    async fn accompany(
+    /// Sends heartbeats until the work ends.
+    async fn heartbeat_until_done(
         &self,
         claim: &Claim,
         control: &Control,
@@ -215,14 +215,14 @@ impl Runner {
             tokio::select! {
                 biased;
                 end = &mut work => {
-                    self.put_by(claim, control).await;
+                    self.store_checkpoints(claim, control).await;
                     return match end {
                         Ok(end) => end,
                         Err(error) => Err(panicked(&error.to_string())),
                     };
                 }
                 _ = ticks.tick() => {
-                    self.put_by(claim, control).await;
+                    self.store_checkpoints(claim, control).await;
                     let progress = control.progress();
                     if progress != written || at.elapsed() >= self.settings.heartbeat {
                         self.beat(claim, control, &progress).await;
@@ -234,13 +234,13 @@ impl Runner {
     }
 
     /// Stores the checkpoints that the work has handed over.
-    async fn put_by(&self, claim: &Claim, control: &Control) {
+    async fn store_checkpoints(&self, claim: &Claim, control: &Control) {
         for checkpoint in control.take_kept() {
             match self.store.keep_checkpoint(&claim.lease, &checkpoint, (self.clock)()).await {
                 Ok(true) => tracing::debug!(part = checkpoint.part, "put a checkpoint by"),
-                // It was cancelled, or is another's: the next heartbeat says so.
+                // The job was cancelled or has another worker; the next heartbeat will tell.
                 Ok(false) => {}
-                // The former one is still there, and the work goes on.
+                // The previous checkpoint is still there, and the work goes on.
                 Err(error) => {
                     error.count();
                     tracing::warn!(%error, "a checkpoint could not be stored");
@@ -256,7 +256,7 @@ impl Runner {
             Ok(Beat::Held) => {}
             Ok(Beat::CancelRequested) => control.stop(Stop::Cancelled),
             Ok(Beat::Lost) => control.stop(Stop::Lost),
-            // The lease outlasts a few of these; if it does not, the next beat says so.
+            // The lease outlasts a few failures. If it does not, the next heartbeat will tell.
             Err(error) => {
                 error.count();
                 tracing::warn!(%error, "a heartbeat could not be written");
@@ -272,17 +272,17 @@ impl Runner {
         end: Result<(), JobError>,
     ) -> Result<(), StoreError> {
         let outcome = match end {
-            // Published, and the job ended with it.
+            // Publishing has ended the job.
             Ok(()) => return Ok(()),
             Err(JobError::Failed(problem)) => {
                 if problem.code == codes::STORE_DAMAGED {
-                    // What a worker process has read is not known here.
+                    // The server does not know which objects the worker process has read.
                     self.store.verify_rig(&claim.job.rig).await?;
                 }
                 Outcome::Failed(*problem)
             }
             Err(JobError::Retry(problem)) => {
-                // What is short now, memory or disk, may not be in a moment.
+                // Memory or disk may be free again in a moment.
                 let mut stopping = self.stopping.subscribe();
                 let _ = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
                 Outcome::Retry(*problem)
@@ -304,12 +304,12 @@ impl Runner {
     }
 }
 
-/// Counts a lease whose job is another worker's by now, or gone.
+/// Counts a lost lease: the job has another worker, or is gone.
 fn lost() {
     metrics::counter!(names::LEASES_LOST).increment(1);
 }
 
-/// Tells the metrics how an attempt ended, and how long it ran if it was a fit's.
+/// Records in the metrics how an attempt ended and, for a fit, how long it ran.
 fn note_end(kind: JobKind, end: &Result<(), JobError>, stopped: Option<Stop>, elapsed: Duration) {
     let outcome = match end {
         Ok(()) => "succeeded",
@@ -321,6 +321,7 @@ fn note_end(kind: JobKind, end: &Result<(), JobError>, stopped: Option<Stop>, el
             Some(Stop::Lost) | None => "lost",
         },
     };
+    debug_assert!(names::OUTCOMES.contains(&outcome), "{outcome} is not in the table");
     metrics::counter!(names::ATTEMPTS, "kind" => kind.as_str(), "outcome" => outcome).increment(1);
     if kind == JobKind::Fit {
         metrics::histogram!(names::FIT_SECONDS, "outcome" => outcome).record(elapsed.as_secs_f64());
@@ -328,19 +329,18 @@ fn note_end(kind: JobKind, end: &Result<(), JobError>, stopped: Option<Stop>, el
     if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = end
         && let Some(kind) = problem.code.strip_prefix("store.")
     {
-        // Ours are few: full, unavailable, damaged.
+        // The kinds are few: full, unavailable, damaged.
         metrics::counter!(names::STORE_ERRORS, "kind" => kind.to_owned()).increment(1);
     }
 }
 
-/// Before a job that failed for a reason that may pass goes back into the queue.
+/// Pause before a job that failed for a passing reason goes back into the queue.
 const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// A name for a worker that a person finds again in the process table.
+/// Name of a worker, with the process id.
 pub(super) fn worker_name(index: usize) -> String {
     format!("{}-{index}", std::process::id())
 }
 
-/// How long [`super::Jobs::shutdown`] waits for work to notice; the engine looks several times a
-/// second.
+/// How long [`super::Jobs::shutdown`] waits for work to stop; the engine checks several times a second.
 pub(super) const SHUTDOWN_PATIENCE: Duration = Duration::from_secs(25);

@@ -1,4 +1,4 @@
-//! Runs that a request names, by id or by what they are.
+//! Runs that a request names, by id or by a selection.
 
 use std::collections::HashMap;
 
@@ -8,7 +8,7 @@ use crate::domain::{FieldError, Run, RunId, RunKind, Split};
 /// Runs by id, in the order of the ids.
 ///
 /// # Errors
-/// Each id of no run of the rig, under `pointer`.
+/// The ids that are no run of the rig, under `pointer`.
 pub(super) fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, Vec<FieldError>> {
     let rows: HashMap<RunId, &Run> = all.iter().map(|run| (run.id, run)).collect();
     let mut errors = Vec::new();
@@ -24,7 +24,7 @@ pub(super) fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run
     if errors.is_empty() { Ok(runs) } else { Err(errors) }
 }
 
-/// Runs that match, each measurement once; `kind` and `split` stand for what the filter leaves open.
+/// Runs that match, each measurement once; `kind` and `split` are the defaults of the filter.
 pub(super) fn matching(all: &[Run], filter: &RunFilter, kind: Option<RunKind>, split: Split) -> Vec<Run> {
     let split = filter.split.as_deref().unwrap_or(split.as_str());
     let kind_fits = |run: &Run| match &filter.kinds {

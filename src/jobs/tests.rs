@@ -1,4 +1,4 @@
-//! The runner on a real store, with fits that do what a test needs.
+//! The runner on a real store, with fits made for tests.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use super::*;
 use crate::compute::ComputeSettings;
 use crate::domain::fits::Activate;
 use crate::domain::{JobState, Model};
-use crate::engine::checkpoint::Keeper;
+use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::frf::Frf;
 use crate::engine::model::{FitData, FitSettings, Fitted, ModelKind, RigModel};
 use crate::engine::progress::report;
@@ -50,7 +50,7 @@ impl Bench {
         }
     }
 
-    /// A fit of an FRF that is just a gain, seen to its end.
+    /// Fits an FRF that is a plain gain, and waits for its end.
     async fn fit_gain(&self, gain: f64, activate: Activate) -> (Job, Model) {
         let request = serde_json::json!({"kind": "frf", "frf": {"ridge": gain / 10.0}, "activate": activate});
         let job = self.end_of(self.fit(request).await).await;
@@ -71,7 +71,7 @@ async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
     Jobs::start_with((**store).clone(), compute, now, settings, fit).await.unwrap()
 }
 
-/// Samples that look random and are the same every time (a 32-bit linear congruence).
+/// Pseudo-random samples, the same every time (a 32-bit linear congruential generator).
 fn noise(seed: u32, n: usize) -> Vec<f64> {
     let mut state = seed;
     (0..n)
@@ -86,7 +86,7 @@ fn noise(seed: u32, n: usize) -> Vec<f64> {
 fn gain(
     data: &FitData,
     settings: &FitSettings,
-    _: &dyn Keeper,
+    _: &dyn CheckpointStore,
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
     report(watch, "FRF", 0.5)?;
@@ -107,6 +107,7 @@ fn gain(
         sample_rate_hz: data.training[0].x.sample_rate_hz(),
         preprocess: settings.preprocess,
         frf: Some(frf),
+        frf_quality: None,
         lstm: None,
         range: Vec::new(),
         effects: Vec::new(),
@@ -117,16 +118,26 @@ fn gain(
     Ok(Fitted { model, report: serde_json::from_value(report).unwrap() })
 }
 
-fn fails(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn fails(_: &FitData, _: &FitSettings, _: &dyn CheckpointStore, _: Watch<'_>) -> Result<Fitted, EngineError> {
     Err(EngineError::DeadChannel { what: "training outputs", channel: 0 })
 }
 
-fn panics(_: &FitData, _: &FitSettings, _: &dyn Keeper, _: Watch<'_>) -> Result<Fitted, EngineError> {
+fn panics(
+    _: &FitData,
+    _: &FitSettings,
+    _: &dyn CheckpointStore,
+    _: Watch<'_>,
+) -> Result<Fitted, EngineError> {
     panic!("a defect")
 }
 
-/// Goes on until it is told to stop.
-fn endless(_: &FitData, _: &FitSettings, _: &dyn Keeper, watch: Watch<'_>) -> Result<Fitted, EngineError> {
+/// A fit that goes on until it is told to stop.
+fn endless(
+    _: &FitData,
+    _: &FitSettings,
+    _: &dyn CheckpointStore,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
     for i in 0.. {
         report(watch, "LSTM", 1.0 - 0.9_f64.powi(i))?;
         std::thread::sleep(Duration::from_millis(1));
@@ -287,7 +298,7 @@ async fn the_first_model_becomes_active_and_a_better_one_takes_its_place() {
     let (job, first) = bench.fit_gain(1.5, Activate::IfBetter).await;
     assert_eq!((job.state, job.progress, active().await), (JobState::Succeeded, 1.0, Some(1)));
     assert_eq!(job.stage.as_deref(), Some("model 1, active: no model was active"));
-    assert_eq!((first.job, first.code_version.as_str()), (Some(job.id), env!("CARGO_PKG_VERSION")));
+    assert_eq!((first.job, first.code_version.as_str()), (Some(job.id), crate::VERSION));
     assert_eq!((first.lineage.training[0].to_sample, first.lineage.validation[0].from_sample), (1800, 1800));
     assert!(first.request.unwrap().runs.is_some());
     // The truth is 2: a gain of 1.8 is better, 1.6 is worse than that.
@@ -298,7 +309,7 @@ async fn the_first_model_becomes_active_and_a_better_one_takes_its_place() {
     let (job, _) = bench.fit_gain(1.6, Activate::IfBetter).await;
     assert_eq!(active().await, Some(2));
     assert!(job.stage.unwrap().starts_with("model 3, not active: RMS error 0.2000"));
-    // As good is not better.
+    // An equal error is not better.
     bench.fit_gain(1.8005, Activate::IfBetter).await;
     assert_eq!(active().await, Some(2));
     bench.fit_gain(2.0, Activate::Never).await;
@@ -320,9 +331,9 @@ async fn without_fair_data_a_model_stays_inactive_and_the_job_says_why() {
     };
     let one = bench.end_of(bench.fit(request(first.id, run.id)).await).await;
     assert_eq!(one.stage.as_deref(), Some("model 1, active: no model was active"));
-    // The active model was trained on all that the next one is validated on.
+    // The active model was trained on all validation data of the next one.
     let other = bench.end_of(bench.fit(request(run.id, first.id)).await).await;
-    assert!(other.stage.unwrap().contains("no validation data that neither"));
+    assert!(other.stage.unwrap().contains("there are no data that neither it nor active model 1"));
     assert_eq!(bench.store.active_model(&bench.rig.id).await.unwrap().unwrap().version, Some(1));
     let sensor =
         serde_json::json!({"kind": "frf", "frf": {"ridge": 0.05}, "inputs": ["y"], "outputs": ["u"]});
@@ -344,24 +355,25 @@ async fn a_policy_fits_after_uploads_with_all_their_runs() {
     let job = bench.end_of(inserted.jobs[0]).await;
     assert_eq!(job.state, JobState::Succeeded, "{job:?}");
     let model = bench.store.model(&bench.rig.id, 1).await.unwrap().unwrap();
-    assert_eq!(model.lineage.training.len(), 2);
+    let runs: std::collections::BTreeSet<_> = model.lineage.spans().map(|span| span.run).collect();
+    assert_eq!(runs.len(), 2, "one is trained on, the other compares");
     let states: BTreeMap<_, _> =
         bench.store.count_jobs().await.unwrap().into_iter().map(|(s, n)| (s.as_str(), n)).collect();
     assert_eq!((states["succeeded"], states["queued"], states["running"]), (1, 0, 0));
 }
 
-/// The engine's fit, which takes a while after each progress.
+/// The engine's fit, with a pause after each progress report.
 fn slow(
     data: &FitData,
     settings: &FitSettings,
-    keeper: &dyn Keeper,
+    checkpoints: &dyn CheckpointStore,
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
     let slowly = |progress: crate::engine::Progress<'_>| {
         std::thread::sleep(Duration::from_millis(2));
         watch(progress)
     };
-    crate::engine::model::fit_resumable(data, settings, keeper, &slowly)
+    crate::engine::model::fit_resumable(data, settings, checkpoints, &slowly)
 }
 
 #[tokio::test]

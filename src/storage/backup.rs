@@ -1,7 +1,8 @@
-//! Backup and restore of a data directory, also of one that is in use.
+//! Backup and restore of a data directory, which may be in use.
 //!
-//! A backup is a directory of the same form: a copy of the database as of one moment, every object
-//! that it refers to, verified, and a manifest, which is written last: without it a backup is none.
+//! A backup is a directory of the same form: a copy of the database as of one moment, every object that
+//! it refers to, verified, and a manifest. The manifest is written last, so that a backup without it is
+//! incomplete.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,15 +15,15 @@ use sqlx::{Connection, SqliteConnection};
 
 use super::objects::{Objects, REFERENCED, off_thread};
 use super::store::{BUSY_TIMEOUT, check_integrity};
-use super::{Digest, StoreError};
+use super::{Digest, Store, StoreError};
 
 const DATABASE: &str = "rigcast.db";
 const MANIFEST: &str = "backup.json";
 
-/// How often the database is copied anew because objects of the last copy were removed meanwhile.
+/// How often the database is copied again because objects of the last copy were removed meanwhile.
 const SNAPSHOTS: usize = 5;
 
-/// What a backup holds.
+/// The manifest of a backup.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
     /// When its database was copied.
@@ -41,9 +42,13 @@ pub struct Manifest {
 /// it.
 ///
 /// # Errors
-/// No or a damaged database; a missing or damaged object, by name; a target that is not empty; the
-/// file system's refusals.
+/// A missing or damaged database; a missing or damaged object, by name; a target that is not empty; the
+/// file system's errors.
 pub async fn backup(data_dir: &Path, target: &Path, now: Timestamp) -> Result<Manifest, StoreError> {
+    if !Store::exists(data_dir) {
+        let what = format!("it has no {DATABASE}; name the one that `rigcast serve` uses with --data-dir");
+        return Err(something_else(data_dir, "data directory", what));
+    }
     empty(target)?;
     let objects = target.join("objects");
     std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
@@ -53,14 +58,14 @@ pub async fn backup(data_dir: &Path, target: &Path, now: Timestamp) -> Result<Ma
         snapshot(&data_dir.join(DATABASE), &copy).await?;
         let wanted = referenced(&copy).await?;
         match copy_objects(&from, &to, &wanted).await {
-            // A run or model was deleted after the copy was made: a new copy does not name it.
+            // A run or model was deleted after the copy; a new copy does not name it.
             Err(StoreError::ObjectMissing { .. }) if attempt < SNAPSHOTS => {}
             Err(error) => return Err(error),
             Ok(bytes) => {
                 to.retain(&wanted)?;
                 let manifest = Manifest {
                     created_at: now,
-                    code_version: env!("CARGO_PKG_VERSION").into(),
+                    code_version: crate::VERSION.into(),
                     database_sha256: digest(&copy).await?,
                     objects: wanted.len() as u64,
                     bytes,
@@ -74,16 +79,13 @@ pub async fn backup(data_dir: &Path, target: &Path, now: Timestamp) -> Result<Ma
     unreachable!("the last attempt answers")
 }
 
-/// Makes a data directory, which must be empty or missing, from a backup. The database comes last:
-/// a restore that was cut short leaves nothing that a service would start on.
+/// Makes a data directory, which must be empty or missing, from a backup. The database comes last, so
+/// that no service starts on an interrupted restore.
 ///
 /// # Errors
-/// No backup, or a damaged one; a data directory that is not empty; the file system's refusals.
+/// A missing or damaged backup; a data directory that is not empty; the file system's errors.
 pub async fn restore(source: &Path, data_dir: &Path) -> Result<Manifest, StoreError> {
-    let manifest = source.join(MANIFEST);
-    let json = std::fs::read(&manifest).map_err(failed(&manifest))?;
-    let manifest: Manifest = serde_json::from_slice(&json)
-        .map_err(|error| damaged(&manifest, format!("it is no manifest: {error}")))?;
+    let manifest = manifest_of(source)?;
     let database = source.join(DATABASE);
     if digest(&database).await? != manifest.database_sha256 {
         return Err(damaged(&database, "its bytes are not those that were backed up".into()));
@@ -92,7 +94,7 @@ pub async fn restore(source: &Path, data_dir: &Path) -> Result<Manifest, StoreEr
     let objects = data_dir.join("objects");
     std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
     let (from, to) = (Objects::open(&source.join("objects"))?, Objects::open(&objects)?);
-    // Opening a database may write beside it; the backup stays as it is.
+    // Opening a database may write files beside it, and the backup must stay as it is.
     let copy = data_dir.join("rigcast.db.restoring");
     let bytes = std::fs::read(&database).map_err(failed(&database))?;
     write(&copy, &bytes)?;
@@ -103,7 +105,35 @@ pub async fn restore(source: &Path, data_dir: &Path) -> Result<Manifest, StoreEr
     Ok(manifest)
 }
 
-/// Copies a database as of one moment, whoever writes to it meanwhile.
+/// Reads the manifest of a backup. For anything else the error says what it is.
+fn manifest_of(source: &Path) -> Result<Manifest, StoreError> {
+    let no_backup = |what: String| something_else(source, "backup", what);
+    if !source.exists() {
+        return Err(no_backup("there is nothing of that name".into()));
+    }
+    if !source.is_dir() {
+        return Err(no_backup("it is a file; a backup is the directory that `rigcast backup` made".into()));
+    }
+    let path = source.join(MANIFEST);
+    let json = match std::fs::read(&path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            let data_dir = Store::exists(source) && source.join("lock").exists();
+            return Err(no_backup(match (data_dir, Store::exists(source)) {
+                (true, _) => "it is a data directory; `rigcast backup` makes a backup of it".into(),
+                (_, true) => format!("it has no {MANIFEST}: the backup was cut short"),
+                _ => format!("it has no {MANIFEST}"),
+            }));
+        }
+        read => read.map_err(failed(&path))?,
+    };
+    serde_json::from_slice(&json).map_err(|error| damaged(&path, format!("it is no manifest: {error}")))
+}
+
+fn something_else(path: &Path, wanted: &'static str, what: String) -> StoreError {
+    StoreError::SomethingElse { path: path.to_owned(), wanted, what }
+}
+
+/// Copies a database as of one moment, even while others write to it.
 async fn snapshot(database: &Path, copy: &Path) -> Result<(), StoreError> {
     match std::fs::remove_file(copy) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(copy)(error)),
@@ -127,7 +157,8 @@ async fn referenced(database: &Path) -> Result<BTreeSet<String>, StoreError> {
     Ok(names.into_iter().collect())
 }
 
-/// Copies objects, verified as they are read and durable when this returns; their bytes.
+/// Copies objects and returns their size in bytes. Each is verified when read, and durable when this
+/// returns.
 async fn copy_objects(from: &Objects, to: &Objects, wanted: &BTreeSet<String>) -> Result<u64, StoreError> {
     let mut total = 0;
     for name in wanted {
@@ -153,7 +184,7 @@ async fn digest(file: &Path) -> Result<String, StoreError> {
     .await
 }
 
-/// Writes a file that is whole or not there.
+/// Writes a file atomically: it is complete or not there.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     use std::io::Write;
     let directory = path.parent().unwrap_or(Path::new("."));
@@ -191,7 +222,6 @@ fn damaged(path: &Path, what: String) -> StoreError {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Store;
     use super::super::testing::{TestStore, draft, now};
     use super::*;
     use crate::domain::PageRequest;
@@ -224,7 +254,7 @@ mod tests {
         let (copy, again) = (dir.path().join("backup"), dir.path().join("again"));
         let manifest = backup(store.data_dir(), &copy, now()).await.unwrap();
         assert_eq!(manifest.objects, 2);
-        // What comes later is not in it, and what goes later still is.
+        // Later additions are not in the backup; later deletions still are.
         store.upload(&rig, &[3.0]).await;
         let run = store.all_runs(&rig.id).await.unwrap().remove(0);
         store.delete_run(&rig.id, run.id).await.unwrap();
@@ -248,8 +278,31 @@ mod tests {
         assert!(refused.contains("not empty"), "{refused}");
         let refused = restore(&copy, store.data_dir()).await.unwrap_err().to_string();
         assert!(refused.contains("not empty"), "{refused}");
-        let none = backup(&dir.path().join("nowhere"), &dir.path().join("b"), now()).await;
-        assert!(none.is_err(), "there is no database");
+        let none = backup(&dir.path().join("nowhere"), &dir.path().join("b"), now()).await.unwrap_err();
+        assert!(none.to_string().contains("nowhere is no data directory: it has no rigcast.db"), "{none}");
+        assert!(!dir.path().join("b").exists());
+    }
+
+    #[tokio::test]
+    async fn a_restore_of_something_else_says_what_it_is_and_makes_nothing() {
+        let (store, dir) = lab().await;
+        let (file, empty, cut) = (dir.path().join("file"), dir.path().join("empty"), dir.path().join("cut"));
+        std::fs::write(&file, b"x").unwrap();
+        std::fs::create_dir(&empty).unwrap();
+        backup(store.data_dir(), &cut, now()).await.unwrap();
+        std::fs::remove_file(cut.join(MANIFEST)).unwrap();
+        let target = dir.path().join("target");
+        for (source, words) in [
+            (dir.path().join("nowhere"), "nowhere is no backup: there is nothing of that name"),
+            (file, "file is no backup: it is a file"),
+            (empty, "empty is no backup: it has no backup.json"),
+            (cut, "the backup was cut short"),
+            (store.data_dir().to_owned(), "it is a data directory; `rigcast backup`"),
+        ] {
+            let refused = restore(&source, &target).await.unwrap_err().to_string();
+            assert!(refused.contains(words), "{refused}");
+            assert!(!target.exists());
+        }
     }
 
     #[tokio::test]

@@ -8,24 +8,24 @@ use super::rows::{int, us};
 use super::{Digest, Lease, Store, StoreError};
 use crate::domain::JobId;
 
-/// What a part of some work has come to.
+/// The state of a part of some work.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// Part of the work.
     pub part: String,
-    /// Digest of what it was computed from and by.
+    /// Digest of the data, settings and program that it was computed from.
     pub fits: String,
-    /// Its state; travels beside JSON, not in it.
+    /// Its state; sent beside JSON, not in it.
     #[serde(skip)]
     pub state: Bytes,
 }
 
 impl Store {
-    /// Keeps a checkpoint in the place of the part's former one; `false` when the lease is lost, and
-    /// nothing was changed. A job's checkpoints go with its end.
+    /// Stores a checkpoint in place of the part's previous one; `false` if the lease is lost and nothing
+    /// was changed. The end of a job deletes its checkpoints.
     ///
     /// # Errors
-    /// The store's failures; the former one is then still there.
+    /// The store's failures; the previous one is then still there.
     pub async fn keep_checkpoint(
         &self,
         lease: &Lease,
@@ -52,7 +52,7 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// A job's checkpoints that fit; one whose bytes are not those that were kept is passed over.
+    /// The checkpoints of a job with this digest; damaged ones are skipped.
     ///
     /// # Errors
     /// The store's failures.

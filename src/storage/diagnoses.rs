@@ -4,14 +4,15 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::jobs::{JobOrigin, insert, succeed};
+use super::jobs::succeed;
+use super::objects::ObjectWrite;
 use super::rigs::rig_in;
 use super::rows::{DiagnosisRow, all, int, json, us, word};
-use super::{Digest, Lease, Once, Store, StoreError, once};
+use super::{Digest, IdempotencyKey, Lease, Store, StoreError};
 use crate::domain::diagnosis::{DiagnosedModel, VerdictSummary};
 use crate::domain::{
-    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest,
-    RigId, StoredDiagnosis, new_id,
+    DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest, RigId,
+    StoredDiagnosis, new_id,
 };
 
 /// A diagnosis on its way into the store.
@@ -19,7 +20,7 @@ use crate::domain::{
 pub struct NewDiagnosis {
     /// The model that was diagnosed, if it was one of the rig's.
     pub model: Option<DiagnosedModel>,
-    /// What was asked for, resolved.
+    /// The request, resolved.
     pub request: DiagnosisRequest,
     /// The answer in short.
     pub verdict: VerdictSummary,
@@ -39,18 +40,10 @@ impl Store {
         &self,
         rig: &RigId,
         request: &DiagnosisRequest,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
-        let mut tx = self.write().await?;
-        once::begin(&mut tx, once).await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
-        }
-        let job = insert(&mut tx, rig, JobKind::Diagnosis, request, JobOrigin::Request, now).await?;
-        once::end(&mut tx, once, || Created::job(&job), now).await?;
-        tx.commit().await?;
-        Ok(Some(job))
+        self.insert_requested_job(rig, JobKind::Diagnosis, request, key, now).await
     }
 
     /// Stores a diagnosis and ends its job, whose last words are `stage`, in one transaction, if the
@@ -66,11 +59,8 @@ impl Store {
         now: Timestamp,
     ) -> Result<Option<DiagnosisId>, StoreError> {
         let digest = Digest::of(&diagnosis.findings);
-        let published = self.publish_diagnosis_gated(lease, &digest, diagnosis, stage, now).await;
-        if !matches!(published, Ok(Some(_))) {
-            self.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
-        }
-        published
+        let published = self.publish_diagnosis_gated(lease, &digest, diagnosis, stage, now);
+        self.discard_unless(Option::is_some, &digest, published).await
     }
 
     async fn publish_diagnosis_gated(
@@ -81,9 +71,7 @@ impl Store {
         stage: &str,
         now: Timestamp,
     ) -> Result<Option<DiagnosisId>, StoreError> {
-        let _kept = self.objects_gate().read().await;
-        self.objects().put(digest, diagnosis.findings.clone()).await?;
-        let mut tx = self.write().await?;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &diagnosis.findings).await?;
         let id = new_id(now);
         let rig: Option<String> = sqlx::query_scalar(
             "INSERT INTO diagnoses (id, rig, job, version, model_sha256, mode, request, verdict, findings,
@@ -159,7 +147,7 @@ impl Store {
         row.map(StoredDiagnosis::try_from).transpose()
     }
 
-    /// What a diagnosis found, verified.
+    /// The findings of a diagnosis, verified.
     ///
     /// # Errors
     /// The store's failures, a damaged or missing object among them.

@@ -1,4 +1,4 @@
-//! Why the store failed, as opposed to what it did not find.
+//! Errors of the store. A missing row is no error.
 
 use crate::telemetry::names;
 
@@ -8,44 +8,71 @@ pub enum StoreError {
     /// The database.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
-    /// Migrations do not fit the database (a newer program made it, or it is damaged).
+    /// Migrations do not fit the database.
     #[error("database schema: {0}")]
     Migrate(#[from] sqlx::migrate::MigrateError),
+    /// A newer program made the database.
+    #[error(
+        "the database {path} was made by a newer Rigcast: it has schema {found}, and this program ({}) knows those up \
+         to {known}. Start the newer program, or restore a backup of before into another directory",
+        crate::VERSION
+    )]
+    Newer {
+        /// The database.
+        path: std::path::PathBuf,
+        /// Its schema.
+        found: i64,
+        /// The latest that this program knows.
+        known: i64,
+    },
+    /// The directory to restore or back up is something else.
+    #[error("{path} is no {wanted}: {what}")]
+    SomethingElse {
+        /// The directory.
+        path: std::path::PathBuf,
+        /// `backup` or `data directory`.
+        wanted: &'static str,
+        /// What the directory lacks, or what it is.
+        what: String,
+    },
     /// The object files.
     #[error("object files: {0}")]
     Objects(#[from] object_store::Error),
-    /// The data directory.
-    #[error("data directory {path}: {source}")]
+    /// The data directory, a backup, or a file in one.
+    #[error("cannot use {path}: {}", in_words(.source))]
     DataDir {
         /// Its path.
         path: std::path::PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// Another process has the data directory.
-    #[error("data directory {path} is in use by another process")]
+    #[error(
+        "the data directory {path} is in use by another rigcast: stop that one, or choose another directory with \
+         --data-dir"
+    )]
     Locked {
         /// Its path.
         path: std::path::PathBuf,
     },
-    /// An object that a row names is not there.
+    /// An object that a row names is missing.
     #[error("object {digest} is missing")]
     ObjectMissing {
         /// Its name.
         digest: String,
     },
-    /// An object whose bytes are not those that were stored.
+    /// An object whose bytes have changed.
     #[error("object {digest} is damaged: its bytes have the digest {found}")]
     ObjectDamaged {
-        /// Its name: the digest that its bytes had.
+        /// Its name: the digest of its original bytes.
         digest: String,
-        /// The digest that they have.
+        /// The digest of its present bytes.
         found: String,
     },
     /// Another request with the same idempotency key was done first.
     #[error("the request was done before under its idempotency key")]
     Repeated,
-    /// A file that is not as it was written.
+    /// A damaged file.
     #[error(
         "{path} is damaged: {what}; nothing was changed. Keep the directory as it is and restore a backup \
          into another one with `rigcast restore`"
@@ -53,20 +80,20 @@ pub enum StoreError {
     Damaged {
         /// The file.
         path: std::path::PathBuf,
-        /// What is wrong with it.
+        /// The damage.
         what: String,
     },
-    /// The service stops: work was given up before it was done.
+    /// The service stops, and the work was given up.
     #[error("the service stops")]
     Stopped,
-    /// A row that this program did not write so.
+    /// A row that this program cannot have written.
     #[error("{table} row {key}: {what}")]
     Row {
         /// Table.
         table: &'static str,
         /// Key of the row.
         key: String,
-        /// What does not fit.
+        /// The mismatch.
         what: String,
     },
 }
@@ -95,7 +122,7 @@ impl StoreError {
 }
 
 impl StoreError {
-    /// What kind of failure it is, as a metric's label.
+    /// Kind of the failure, as a metric's label.
     pub fn kind(&self) -> &'static str {
         match self {
             error if error.is_disk_full() => "full",
@@ -108,18 +135,18 @@ impl StoreError {
         }
     }
 
-    /// Tells the metrics.
+    /// Counts the failure in the metrics.
     pub fn count(&self) {
         if !matches!(self, Self::Repeated | Self::Stopped) {
             metrics::counter!(names::STORE_ERRORS, "kind" => self.kind()).increment(1);
         }
     }
 
-    /// Whether the store is out of reach for a while, by no fault of a request: locks, reads and writes
-    /// that fail, no connection.
+    /// Whether the store is out of reach for a while, through no fault of the request: locks, failing
+    /// reads and writes, no connection.
     pub fn is_unavailable(&self) -> bool {
-        /// `SQLITE_BUSY`, `SQLITE_LOCKED`, `SQLITE_READONLY`, `SQLITE_IOERR` and `SQLITE_CANTOPEN`,
-        /// whatever more an extended code says.
+        /// `SQLITE_BUSY`, `SQLITE_LOCKED`, `SQLITE_READONLY`, `SQLITE_IOERR` and `SQLITE_CANTOPEN`, in
+        /// any extended code.
         const UNAVAILABLE: [u32; 5] = [5, 6, 8, 10, 14];
         match self {
             Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
@@ -133,6 +160,23 @@ impl StoreError {
 /// SQLite's extended result code.
 pub(super) fn sqlite_code(error: &sqlx::Error) -> Option<u32> {
     error.as_database_error()?.code()?.parse().ok()
+}
+
+/// The system's error, with advice.
+fn in_words(source: &std::io::Error) -> String {
+    use std::io::ErrorKind::{
+        AlreadyExists, DirectoryNotEmpty, NotADirectory, NotFound, PermissionDenied, ReadOnlyFilesystem,
+    };
+    match source.kind() {
+        AlreadyExists => "there is a file of that name; a directory is needed".into(),
+        NotADirectory => "a part of this path is a file, not a directory".into(),
+        NotFound => "it does not exist".into(),
+        PermissionDenied => "the user that rigcast runs as may not read or write it".into(),
+        ReadOnlyFilesystem => "its file system is read-only".into(),
+        DirectoryNotEmpty => "it is not empty; name a directory that is empty or does not exist".into(),
+        _ if is_storage_full(source) => "the disk is full".into(),
+        _ => source.to_string(),
+    }
 }
 
 fn is_storage_full(error: &std::io::Error) -> bool {

@@ -10,14 +10,14 @@ use sqlx::SqliteConnection;
 
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
-use super::{Once, Store, StoreError, once};
+use super::{IdempotencyKey, Store, StoreError, idempotency};
 use crate::domain::fits::FitRequest;
 use crate::domain::job::{MAX_ATTEMPTS, eta_s};
 use crate::domain::{
     Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id,
 };
 
-/// Which jobs are wanted; empty: all.
+/// A filter of jobs; the default is all jobs.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct JobQuery {
     /// Of this rig.
@@ -30,8 +30,8 @@ pub struct JobQuery {
     pub kind: Option<JobKind>,
 }
 
-/// The right to work on a job. Every claim has a token of its own, so that a worker that lost its
-/// lease can no longer write.
+/// The right to work on a job. Every claim has a new fencing token, so that a worker that lost its lease
+/// can no longer write.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lease {
     /// The job.
@@ -47,7 +47,7 @@ pub struct Claim {
     pub lease: Lease,
     /// The job.
     pub job: Job,
-    /// What it is asked to do.
+    /// The request of the job.
     pub request: serde_json::Value,
 }
 
@@ -56,7 +56,7 @@ pub struct Claim {
 pub enum Beat {
     /// Go on.
     Held,
-    /// Somebody asked for an end.
+    /// A client asked to cancel the job.
     CancelRequested,
     /// The lease, or the job, is gone: stop and write nothing.
     Lost,
@@ -71,20 +71,20 @@ pub enum Outcome {
     Cancelled,
     /// It goes back into the queue, its attempt not counted: the service stops.
     Released,
-    /// It goes back into the queue, unless its attempts are used up: then it failed.
+    /// It goes back into the queue; if its attempts are used up, it has failed.
     Retry(Problem),
 }
 
-/// What came of a wish to cancel.
+/// Outcome of a request to cancel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum CancelOutcome {
     /// No such job.
     Missing,
-    /// The job as it is now: cancelled, about to be, or long finished.
+    /// The job as it is now: cancelled, about to be cancelled, or finished before.
     Noted(Box<Job>),
 }
 
-/// Who asked for a job.
+/// The origin of a job.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum JobOrigin {
     /// A client.
@@ -93,7 +93,7 @@ pub(super) enum JobOrigin {
     Policy,
 }
 
-/// Queues a job; the rig exists.
+/// Queues a job of an existing rig.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     rig: &RigId,
@@ -144,7 +144,7 @@ pub(super) async fn succeed(
 }
 
 impl Store {
-    /// Queues a fit that was asked for; `None` when there is no such rig.
+    /// Queues a fit that a client asked for; `None` when there is no such rig.
     ///
     /// # Errors
     /// The store's failures.
@@ -152,16 +152,28 @@ impl Store {
         &self,
         rig: &RigId,
         request: &FitRequest,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<Option<Job>, StoreError> {
+        self.insert_requested_job(rig, JobKind::Fit, request, key, now).await
+    }
+
+    /// Queues a job that a client asked for; `None` when there is no such rig.
+    pub(super) async fn insert_requested_job(
+        &self,
+        rig: &RigId,
+        kind: JobKind,
+        request: &(impl Serialize + Sync),
+        key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<Option<Job>, StoreError> {
         let mut tx = self.write().await?;
-        once::begin(&mut tx, once).await?;
+        idempotency::check_unused(&mut tx, key).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
-        let job = insert(&mut tx, rig, JobKind::Fit, request, JobOrigin::Request, now).await?;
-        once::end(&mut tx, once, || Created::job(&job), now).await?;
+        let job = insert(&mut tx, rig, kind, request, JobOrigin::Request, now).await?;
+        idempotency::record(&mut tx, key, || Created::job(&job), now).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -201,7 +213,7 @@ impl Store {
         Ok(Page::cut(all(rows)?, page.limit, |job: &Job| job.id.to_string()))
     }
 
-    /// How many jobs there are in each state, states without a job included.
+    /// Number of jobs in each state, zeros included.
     ///
     /// # Errors
     /// The store's failures.
@@ -215,7 +227,8 @@ impl Store {
         Ok(JobState::ALL.map(|state| (state, count(state))).to_vec())
     }
 
-    /// Notes the wish to cancel: a queued job ends at once, a running one when its worker sees it.
+    /// Records the request to cancel: a queued job ends at once, a running one when its worker sees the
+    /// request.
     ///
     /// # Errors
     /// The store's failures.
@@ -276,7 +289,7 @@ impl Store {
         Ok(Some(Claim { lease: Lease { job: job.id, token }, job, request }))
     }
 
-    /// Extends a lease and notes how far the job is.
+    /// Extends a lease and records the progress of the job.
     ///
     /// # Errors
     /// The store's failures.
@@ -317,7 +330,7 @@ impl Store {
 
     /// Ends a job without a result; `false` when the lease is lost, and nothing was changed.
     ///
-    /// A job that somebody wished to cancel does not go back into the queue.
+    /// A job with a request to cancel does not go back into the queue.
     ///
     /// # Errors
     /// The store's failures.
@@ -341,9 +354,9 @@ impl Store {
         Ok(true)
     }
 
-    /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them when
-    /// their attempts are used up; which ones. Jobs of `held` are left alone. At a start, when no other
-    /// process can have the data directory, every lease is over: [`Timestamp::MAX`].
+    /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them if their
+    /// attempts are used up. Returns their ids. Jobs in `held` stay as they are. At a start every lease
+    /// is over, because no other process can have the data directory: pass [`Timestamp::MAX`].
     ///
     /// # Errors
     /// The store's failures.
@@ -371,7 +384,8 @@ impl Store {
     }
 }
 
-/// Moves a running job on. The caller holds the write transaction in which it read the job.
+/// Moves a running job to its next state. The caller holds the write transaction in which it read the
+/// job.
 async fn leave_running(
     connection: &mut SqliteConnection,
     job: &Job,

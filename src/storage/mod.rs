@@ -1,18 +1,20 @@
 //! The store: rows in SQLite, signals and weights as objects named by their SHA-256.
 //!
-//! Every SQL string of the program is in this folder. A missing row is `None`, a failure is
-//! `Err`; an update says whether it met the row that it was meant for.
+//! Every SQL string of the program is in this folder. A missing row is `None`, a failure is `Err`. An
+//! update says whether it found its row in the expected state.
 
+mod adoptions;
 pub mod backup;
 mod checkpoints;
-mod damage;
+mod corruption;
 mod diagnoses;
 mod error;
+mod idempotency;
 mod jobs;
+mod migrations;
 mod models;
 mod npy;
 mod objects;
-mod once;
 mod policy;
 mod prepare;
 mod rigs;
@@ -24,17 +26,19 @@ pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 mod tokens;
+mod usage;
 
 pub use checkpoints::Checkpoint;
-pub use damage::Of;
+pub use corruption::CorruptObject;
 pub use diagnoses::NewDiagnosis;
 pub use error::StoreError;
+pub use idempotency::{IdempotencyKey, StoredAnswer};
 pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};
-pub use models::{Activation, ActiveUpdate, ModelDelete, NewModel, OnceModel};
+pub use models::{Activation, ActiveUpdate, KeyedImport, ModelDelete, NewModel};
 pub use objects::{Digest, Objects};
-pub use once::{Before, Once};
 pub use prepare::PreparedRun;
-pub use rigs::RigUpdate;
+pub use rigs::{RigAtAGlance, RigUpdate};
 pub use runs::{RunInsert, RunQuery, RunUpdate};
 pub use store::Store;
 pub use tokens::{TokenInsert, TokenTable};
+pub use usage::Usage;

@@ -6,62 +6,68 @@ use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
 use super::jobs::succeed;
-use super::objects::to_the_end;
+use super::objects::{ObjectWrite, to_the_end};
 use super::rigs::{if_match, rig_in};
 use super::rows::{ModelRow, all, int, json, us, word};
-use super::{Digest, Lease, Once, Store, StoreError, once};
+use super::{Digest, IdempotencyKey, Lease, Store, StoreError, idempotency};
 use crate::domain::fits::FitRequest;
 use crate::domain::{
-    ActiveModel, Created, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId,
+    ActiveModel, Adoption, Created, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId,
 };
+use crate::engine::frf::FrfSummary;
 use crate::engine::model::{FitReport, ModelKind};
 
 /// A model on its way into the store.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewModel {
-    /// Kind.
+    /// Its parts and how they combine; of a model with adopted effects those of the one beneath.
     pub kind: ModelKind,
+    /// What it consists of, if it has adopted effects.
+    pub adoption: Option<Adoption>,
     /// Input channels, in order.
     pub inputs: Vec<String>,
     /// Output channels, in order.
     pub outputs: Vec<String>,
     /// Sample rate.
     pub sample_rate_hz: f64,
-    /// The safetensors file; travels beside JSON, not in it.
+    /// The safetensors file; sent beside JSON, not in it.
     #[serde(skip)]
     pub weights: Bytes,
     /// Fitted, imported or adopted.
     pub origin: Origin,
     /// The job that fitted it, or found its effect.
     pub job: Option<JobId>,
-    /// What was asked for, resolved.
+    /// The request, resolved.
     pub request: Option<FitRequest>,
-    /// What the fit found.
+    /// The report of the fit.
     pub report: Option<FitReport>,
-    /// The data behind it.
+    /// Figures of its FRF, if it has one.
+    pub frf: Option<FrfSummary>,
+    /// The data that it was fitted to.
     pub lineage: Lineage,
     /// Instruction set that it was computed with.
     pub instruction_set: String,
 }
 
-/// A request under a key that makes a model, and the form of its answer.
-pub type OnceModel = (Once, fn(&Model) -> Created);
+/// The key of a request that creates a model, and the form of its answer.
+pub type KeyedImport = (IdempotencyKey, fn(&Model) -> Created);
 
-/// What a new model wants done with the active one, decided against the version it was compared to.
+/// The change of the active model that a new model brings. It was decided against the version that was
+/// active then.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activation {
     /// Nothing.
     Leave,
-    /// Make the new one active, whatever is.
+    /// Make the new one active, whichever is now.
     Always,
-    /// Make the new one active if this is still what is active.
+    /// Make the new one active if this version still is.
     IfStill(Option<u32>),
 }
 
-/// What came of a change of the active model.
+/// Outcome of a change of the active model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ActiveUpdate {
-    /// The pointer as it is now.
+    /// The active model as it is now.
     Updated(ActiveModel),
     /// No such rig.
     MissingRig,
@@ -69,18 +75,18 @@ pub enum ActiveUpdate {
     MissingModel,
     /// The model does not map the rig's drives to its responses.
     NotForward,
-    /// The pointer has changed since the client read it: as it is now.
+    /// The active model has changed since the client read it; the present one.
     Stale(ActiveModel),
 }
 
-/// What came of a deletion.
+/// Outcome of a deletion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ModelDelete {
     /// It is gone.
     Deleted,
     /// No such model version.
     Missing,
-    /// It is the active model, which stays.
+    /// It is the active model, which cannot be deleted.
     Active,
 }
 
@@ -96,8 +102,8 @@ macro_rules! select_models {
 }
 
 impl Store {
-    /// Adds a model that no job publishes; `None` when there is no such rig. Under an idempotency key
-    /// its answer is kept too. Goes on to the end when the caller goes away.
+    /// Adds a model that no job publishes; `None` when there is no such rig. With an idempotency key the
+    /// answer is stored too. Completes even if the caller goes away.
     ///
     /// # Errors
     /// The store's failures.
@@ -106,17 +112,14 @@ impl Store {
         rig: &RigId,
         model: NewModel,
         activation: Activation,
-        once: Option<OnceModel>,
+        key: Option<KeyedImport>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
             let digest = Digest::of(&model.weights);
-            let inserted = store.insert_model_gated(&rig, &digest, model, activation, once, now).await;
-            if !matches!(inserted, Ok(Some(_))) {
-                store.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
-            }
-            inserted
+            let inserted = store.insert_model_gated(&rig, &digest, model, activation, key, now);
+            store.discard_unless(Option::is_some, &digest, inserted).await
         })
         .await
     }
@@ -127,18 +130,16 @@ impl Store {
         digest: &Digest,
         model: NewModel,
         activation: Activation,
-        once: Option<OnceModel>,
+        key: Option<KeyedImport>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        let _kept = self.objects_gate().read().await;
-        self.objects().put(digest, model.weights.clone()).await?;
-        let mut tx = self.write().await?;
-        once::begin(&mut tx, once.as_ref().map(|(once, _)| once)).await?;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &model.weights).await?;
+        idempotency::check_unused(&mut tx, key.as_ref().map(|(once, _)| once)).await?;
         let Some(version) = insert_row(&mut tx, rig, digest, &model, now).await? else { return Ok(None) };
         activate(&mut tx, rig, version, &activation, now).await?;
         let inserted = model_in(&mut tx, rig, version).await?;
-        if let (Some((once, answer)), Some(model)) = (&once, &inserted) {
-            once::end(&mut tx, Some(once), || answer(model), now).await?;
+        if let (Some((key, answer)), Some(model)) = (&key, &inserted) {
+            idempotency::record(&mut tx, Some(key), || answer(model), now).await?;
         }
         tx.commit().await?;
         Ok(inserted)
@@ -147,7 +148,7 @@ impl Store {
     /// Publishes a fitted model and ends its job, in one transaction, if the lease still holds.
     /// `None`: the lease is lost, and nothing was changed.
     ///
-    /// `stage` makes the job's last words from the version number and whether it became active.
+    /// `stage` makes the job's last stage text from the version number and whether it became active.
     ///
     /// # Errors
     /// The store's failures.
@@ -160,11 +161,8 @@ impl Store {
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
         let digest = Digest::of(&model.weights);
-        let published = self.publish_gated(lease, &digest, model, activation, stage, now).await;
-        if !matches!(published, Ok(Some(_))) {
-            self.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
-        }
-        published
+        let published = self.publish_gated(lease, &digest, model, activation, stage, now);
+        self.discard_unless(Option::is_some, &digest, published).await
     }
 
     async fn publish_gated(
@@ -176,9 +174,7 @@ impl Store {
         stage: impl FnOnce(u32, bool) -> String + Send,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        let _kept = self.objects_gate().read().await;
-        self.objects().put(digest, model.weights.clone()).await?;
-        let mut tx = self.write().await?;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &model.weights).await?;
         let rig: Option<String> =
             sqlx::query_scalar("SELECT rig FROM jobs WHERE id = ? AND state = 'running' AND lease_token = ?")
                 .bind(lease.job.to_string())
@@ -218,7 +214,7 @@ impl Store {
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
-        // A cursor that is no number is one of another list: nothing comes after it.
+        // A cursor that is no number belongs to another list: nothing comes after it.
         let after = page.cursor.as_ref().map_or(0, |c| c.as_str().parse().unwrap_or(i64::MAX));
         let rows: Vec<ModelRow> =
             sqlx::query_as(select_models!("WHERE rig = ? AND version > ? ORDER BY version LIMIT ?"))
@@ -230,7 +226,7 @@ impl Store {
         Ok(Some(Page::cut(all(rows)?, page.limit, |model: &Model| model.version.to_string())))
     }
 
-    /// Model versions before `version`, newest first, a few of them.
+    /// A few model versions before `version`, newest first.
     ///
     /// # Errors
     /// The store's failures.
@@ -244,17 +240,16 @@ impl Store {
         all(rows)
     }
 
-    /// Errors on validation data of the newest fitted model of each rig, one an output; at most `limit` rigs,
-    /// by id.
+    /// Errors on validation data of each rig's active model, one an output; at most `limit` rigs, by id. A model that
+    /// was imported has none.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn validation_errors(&self, limit: u32) -> Result<Vec<(String, Vec<Option<f64>>)>, StoreError> {
         let rows: Vec<(String, sqlx::types::Json<Vec<Option<f64>>>)> = sqlx::query_as(
-            "SELECT rig, json_extract(report, '$.validation_rms') FROM models AS newest
-             WHERE report IS NOT NULL AND json_extract(report, '$.validation_rms') IS NOT NULL AND version =
-                 (SELECT max(version) FROM models WHERE rig = newest.rig AND origin = 'fit')
-             ORDER BY rig LIMIT ?",
+            "SELECT rigs.id, json_extract(report, '$.validation_rms') FROM rigs
+             JOIN models ON models.rig = rigs.id AND models.version = rigs.active_version
+             WHERE json_extract(report, '$.validation_rms') IS NOT NULL ORDER BY rigs.id LIMIT ?",
         )
         .bind(limit)
         .fetch_all(self.reader())
@@ -270,7 +265,7 @@ impl Store {
         self.objects().get(&model.sha256).await
     }
 
-    /// Removes a model version that is not active. Its number is not given again.
+    /// Removes a model version that is not active. Its number is not used again.
     ///
     /// # Errors
     /// The store's failures.
@@ -358,7 +353,7 @@ async fn active_in(
     Ok(row.map(|(version, revision)| ActiveModel { version, revision: revision.unsigned_abs() }))
 }
 
-/// Does with the active model what was decided; whether the version is the active one now.
+/// Applies a decision about the active model; tells whether the version is the active one now.
 async fn activate(
     connection: &mut SqliteConnection,
     rig: &RigId,
@@ -413,8 +408,8 @@ async fn insert_row(
     sqlx::query(
         "INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes,
                              origin, job, request, report, lineage, code_version, instruction_set,
-                             created_us)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                             created_us, adoption, frf)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(rig.as_str())
     .bind(version)
@@ -429,9 +424,11 @@ async fn insert_row(
     .bind(model.request.as_ref().map(json))
     .bind(model.report.as_ref().map(json))
     .bind(json(&model.lineage))
-    .bind(env!("CARGO_PKG_VERSION"))
+    .bind(crate::VERSION)
     .bind(&model.instruction_set)
     .bind(us(now))
+    .bind(model.adoption.as_ref().map(json))
+    .bind(model.frf.as_ref().map(json))
     .execute(connection)
     .await?;
     Ok(Some(version))

@@ -1,7 +1,7 @@
 //! Signals as NPY files (format 1.0): `<f8`, Fortran order, shape `[samples, channels]`.
 //!
-//! In Fortran order one channel follows the other, as in memory. The store reads only what it has
-//! written, so that reading is comparing the header with the one that the row calls for.
+//! In Fortran order one channel follows the other, as in memory. The store reads only files that it has
+//! written, so reading means comparing the header with the expected one.
 
 /// The header of a signal: 64-byte aligned, as NumPy writes it.
 fn header(samples: usize, channels: usize) -> Vec<u8> {

@@ -1,16 +1,19 @@
-//! Objects: immutable bytes, named by their SHA-256, verified whenever they are read.
+//! Objects: immutable bytes, named by their SHA-256 and verified at each read.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::Bytes;
 use object_store::ObjectStoreExt;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
+use sqlx::{Sqlite, Transaction};
+use tokio::sync::RwLockReadGuard;
 
-use super::damage::Damaged;
+use super::corruption::CorruptObjects;
 use super::{Store, StoreError};
 
 /// SHA-256 of some bytes, as 64 lower-case hex digits.
@@ -43,7 +46,9 @@ impl Digest {
 pub struct Objects {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
-    damaged: Damaged,
+    corrupt: CorruptObjects,
+    /// Size of all objects together; counted by the sweep at the start and kept up to date.
+    bytes: Arc<AtomicU64>,
 }
 
 impl Objects {
@@ -51,29 +56,36 @@ impl Objects {
     pub(super) fn open(root: &Path) -> Result<Self, StoreError> {
         // With fsync a put returns after the file, its rename and its directory are on disk.
         let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
-        Ok(Self { files: Arc::new(files), root: root.to_owned(), damaged: Damaged::default() })
+        Ok(Self {
+            files: Arc::new(files),
+            root: root.to_owned(),
+            corrupt: CorruptObjects::default(),
+            bytes: Arc::default(),
+        })
     }
 
-    /// Stores `bytes` durably under their digest; storing the same bytes again changes nothing,
-    /// but mends an object that was damaged.
+    /// Stores `bytes` durably under their digest. Storing the same bytes again repairs a damaged object
+    /// and otherwise changes nothing.
     ///
     /// # Errors
-    /// The file system's refusals; nothing half-written is ever visible.
+    /// The file system's refusals; a half-written object is never visible.
     pub async fn put(&self, digest: &Digest, bytes: Bytes) -> Result<(), StoreError> {
+        let (before, after) = (self.size(digest.as_str()).await, bytes.len() as u64);
         self.files.put(&key(digest.as_str()), bytes.into()).await?;
-        self.damaged.note(digest.as_str(), false);
+        self.bytes.fetch_add(after.wrapping_sub(before), Ordering::Relaxed);
+        self.corrupt.note(digest.as_str(), false);
         Ok(())
     }
 
     /// Reads an object and verifies its digest.
     ///
     /// # Errors
-    /// [`StoreError::ObjectMissing`], [`StoreError::ObjectDamaged`], the file system's refusals.
+    /// [`StoreError::ObjectMissing`], [`StoreError::ObjectDamaged`], the file system's errors.
     pub async fn get(&self, digest: &str) -> Result<Bytes, StoreError> {
         self.get_with(digest, Ok).await
     }
 
-    /// Reads and verifies an object and makes something of it, off the async threads.
+    /// Reads, verifies and converts an object, off the async threads.
     pub(super) async fn get_with<T: Send + 'static>(
         &self,
         digest: &str,
@@ -81,12 +93,12 @@ impl Objects {
     ) -> Result<T, StoreError> {
         let found = match self.files.get(&key(digest)).await {
             Err(object_store::Error::NotFound { .. }) => {
-                self.damaged.note(digest, true);
+                self.corrupt.note(digest, true);
                 return Err(StoreError::ObjectMissing { digest: digest.to_owned() });
             }
             found => found?.bytes().await?,
         };
-        let (digest, damaged) = (digest.to_owned(), self.damaged.clone());
+        let (digest, damaged) = (digest.to_owned(), self.corrupt.clone());
         off_thread(move || {
             let actual = Digest::of(&found);
             damaged.note(&digest, actual.as_str() != digest);
@@ -98,9 +110,20 @@ impl Objects {
         .await
     }
 
+    /// Size of all objects together, bytes.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Size of an object; 0 if it is not there.
+    async fn size(&self, digest: &str) -> u64 {
+        tokio::fs::metadata(self.root.join(key(digest).as_ref())).await.map_or(0, |file| file.len())
+    }
+
     /// Removes all objects but these.
     pub(super) fn retain(&self, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
         let failed = |source| StoreError::DataDir { path: self.root.clone(), source };
+        let mut kept = 0;
         for directory in std::fs::read_dir(&self.root).map_err(failed)? {
             let directory = directory.map_err(failed)?.path();
             if !directory.is_dir() {
@@ -111,9 +134,12 @@ impl Objects {
                 if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
                     tracing::info!(file = %file.path().display(), "removed an object without a row");
                     std::fs::remove_file(file.path()).map_err(failed)?;
+                } else {
+                    kept += file.metadata().map_err(failed)?.len();
                 }
             }
         }
+        self.bytes.store(kept, Ordering::Relaxed);
         Ok(())
     }
 
@@ -123,15 +149,20 @@ impl Objects {
         directories.flat_map(|entry| std::fs::read_dir(entry.path())).flatten().next().is_some()
     }
 
-    /// What was found damaged or missing.
-    pub(super) fn damaged(&self) -> &Damaged {
-        &self.damaged
+    /// The objects found damaged or missing.
+    pub(super) fn corrupt(&self) -> &CorruptObjects {
+        &self.corrupt
     }
 
-    /// Removes an object; one that is gone already is no error.
+    /// Removes an object; a missing one is no error.
     pub(super) async fn remove(&self, digest: &str) -> Result<(), StoreError> {
+        let size = self.size(digest).await;
         match self.files.delete(&key(digest)).await {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Ok(()) => {
+                self.bytes.fetch_sub(size, Ordering::Relaxed);
+                Ok(())
+            }
+            Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(error.into()),
         }
     }
@@ -141,12 +172,12 @@ impl Objects {
 pub(super) const REFERENCED: &str =
     "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses";
 
-/// Two hundred and fifty-six directories keep each of them small.
+/// Spreads the objects over 256 directories, to keep each of them small.
 fn key(digest: &str) -> Key {
     Key::from_iter([digest.get(..2).unwrap_or("xx"), digest])
 }
 
-/// Does short work that must not hold up an async thread; a panic goes on in the caller.
+/// Does short work off the async threads; a panic continues in the caller.
 pub(super) async fn off_thread<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
 ) -> Result<T, StoreError> {
@@ -154,7 +185,7 @@ pub(super) async fn off_thread<T: Send + 'static>(
     join(tokio::task::spawn_blocking(move || span.in_scope(work))).await
 }
 
-/// Does work to its end even if the caller goes away half-way.
+/// Completes work even if the caller goes away.
 pub(super) async fn to_the_end<T: Send + 'static>(
     work: impl Future<Output = Result<T, StoreError>> + Send + 'static,
 ) -> Result<T, StoreError> {
@@ -172,9 +203,42 @@ async fn join<T>(task: tokio::task::JoinHandle<Result<T, StoreError>>) -> Result
     }
 }
 
+/// A write transaction whose rows refer to an object that was just stored. No object is removed before
+/// it ends.
+pub(super) struct ObjectWrite<'a> {
+    pub(super) gate: RwLockReadGuard<'a, ()>,
+    pub(super) tx: Transaction<'static, Sqlite>,
+}
+
 impl Store {
-    /// Removes those of `digests` that no row refers to. Called after the rows went; a failure
-    /// leaves files that the next start removes, so it is logged and no more.
+    /// Stores an object durably, then begins the transaction whose rows refer to it.
+    pub(super) async fn write_object(
+        &self,
+        digest: &Digest,
+        bytes: &Bytes,
+    ) -> Result<ObjectWrite<'_>, StoreError> {
+        let gate = self.objects_gate().read().await;
+        self.objects().put(digest, bytes.clone()).await?;
+        Ok(ObjectWrite { gate, tx: self.write().await? })
+    }
+
+    /// Awaits a write of an object and of its row, and removes the object again if `made` says that no
+    /// row came of it.
+    pub(super) async fn discard_unless<T>(
+        &self,
+        made: impl Fn(&T) -> bool,
+        digest: &Digest,
+        written: impl Future<Output = Result<T, StoreError>>,
+    ) -> Result<T, StoreError> {
+        let written = written.await;
+        if !written.as_ref().is_ok_and(made) {
+            self.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
+        }
+        written
+    }
+
+    /// Removes those of `digests` that no row refers to. Called after the rows were deleted. A failure
+    /// is only logged, because the next start removes the files.
     pub(super) async fn discard_unreferenced(&self, digests: Vec<String>) {
         let _alone = self.objects_gate().write().await;
         for digest in digests {
@@ -201,8 +265,8 @@ impl Store {
         Ok(found != 0)
     }
 
-    /// Removes every file below `objects` that no row refers to: what was written when a process
-    /// died. Only at a start, when nobody else writes.
+    /// Removes every file below `objects` that no row refers to, left by a process that died. Only at a
+    /// start, while no one else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
         let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
         let objects = self.objects().clone();

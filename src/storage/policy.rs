@@ -1,9 +1,9 @@
-//! The fit policy: which fits an accepted run sets off.
+//! The fit policy: the fits that an accepted run starts.
 //!
-//! Each fit of the list is queued at most once at a time. A run that comes while it is queued
-//! joins it, because a job selects its runs when it starts; a run that comes while it is running
-//! queues it once more. So the last round always sees all runs, and a burst of uploads costs two
-//! rounds at most.
+//! Each fit of the list is queued at most once at a time. A run that arrives while the fit is queued
+//! joins it, because a job selects its runs when it starts. A run that arrives while the fit is running
+//! queues it once more. The last round therefore sees all runs, and a burst of uploads costs at most two
+//! rounds.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
@@ -13,21 +13,29 @@ use super::jobs::{JobOrigin, insert};
 use super::rows::json;
 use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunKind, Split};
 
-/// Applies the rig's policy to a run that was just added; the jobs that it queued or joined.
+/// Applies the rig's policy to a run that was just added. Gives the jobs that it queued or joined, and a
+/// sentence: the reason for no jobs, or the number of fits.
 pub(super) async fn after_run(
     connection: &mut SqliteConnection,
     rig: &Rig,
     run: &Run,
     now: Timestamp,
-) -> Result<Vec<JobId>, StoreError> {
-    let Some(policy) = &rig.fit_policy else { return Ok(Vec::new()) };
-    // A duplicate brings nothing new.
-    let counts =
-        run.split == Split::Training && policy.kinds.contains(&run.kind) && run.duplicate_of.is_none();
-    if !counts || !enough(connection, &rig.id, policy).await? {
-        return Ok(Vec::new());
+) -> Result<(Vec<JobId>, String), StoreError> {
+    let Some(policy) = &rig.fit_policy else { return Ok((Vec::new(), "the rig has no fit_policy".into())) };
+    if policy.fits.is_empty() {
+        return Ok((Vec::new(), "the rig's fit_policy names no fits".into()));
+    }
+    if let Some(reason) = does_not_count(policy, run) {
+        return Ok((Vec::new(), reason));
+    }
+    let total_s = total(connection, &rig.id, policy).await?;
+    // The tolerance makes sixty runs of one second a minute, whatever the rounding of their sum.
+    if total_s < policy.min_total_s * (1.0 - 1e-9) {
+        let (total, wanted) = (rounded_down(total_s, policy.min_total_s), policy.min_total_s);
+        return Ok((Vec::new(), format!("{total} of {wanted:?} s of {}", kinds(policy))));
     }
     let mut jobs = Vec::with_capacity(policy.fits.len());
+    let mut joined = 0;
     for fit in &policy.fits {
         let queued: Option<String> = sqlx::query_scalar(
             "SELECT id FROM jobs
@@ -38,27 +46,71 @@ pub(super) async fn after_run(
         .bind(json(fit))
         .fetch_optional(&mut *connection)
         .await?;
-        let id = match queued {
-            Some(id) => id.parse().map_err(|error: uuid::Error| StoreError::Row {
-                table: "jobs",
-                key: id.clone(),
-                what: error.to_string(),
-            })?,
-            None => insert(connection, &rig.id, JobKind::Fit, fit, JobOrigin::Policy, now).await?.id,
+        let (id, is_new) = match queued {
+            Some(id) => {
+                let id = id.parse().map_err(|error: uuid::Error| StoreError::Row {
+                    table: "jobs",
+                    key: id.clone(),
+                    what: error.to_string(),
+                })?;
+                (id, false)
+            }
+            None => (insert(connection, &rig.id, JobKind::Fit, fit, JobOrigin::Policy, now).await?.id, true),
         };
+        // The same fit twice in a policy is one job.
         if !jobs.contains(&id) {
             jobs.push(id);
+            joined += usize::from(!is_new);
         }
     }
-    Ok(jobs)
+    let words = outcome(jobs.len() - joined, joined);
+    Ok((jobs, words))
 }
 
-/// Whether the rig's training runs of these kinds, each measurement once, are long enough.
-async fn enough(
+/// All reasons why a run cannot start a fit, whatever other runs there are.
+fn does_not_count(policy: &FitPolicy, run: &Run) -> Option<String> {
+    let mut reasons = Vec::new();
+    if run.split != Split::Training {
+        reasons.push(format!("split {} is not training", run.split.as_str()));
+    }
+    if !policy.kinds.contains(&run.kind) {
+        reasons.push(format!("kind {} is not among {}", run.kind.as_str(), kinds(policy)));
+    }
+    // A duplicate adds no data.
+    if let Some(earlier) = run.duplicate_of {
+        reasons.push(format!("run {earlier} has the same bytes"));
+    }
+    if reasons.is_empty() { None } else { Some(reasons.join("; ")) }
+}
+
+/// The policy's kinds of run.
+fn kinds(policy: &FitPolicy) -> String {
+    let kinds: Vec<&str> = policy.kinds.iter().map(|kind| kind.as_str()).collect();
+    if kinds.is_empty() { "no kinds".into() } else { kinds.join(", ") }
+}
+
+/// Seconds, rounded down so that too few never look like enough.
+fn rounded_down(total_s: f64, wanted: f64) -> String {
+    let digits = if wanted >= 10.0 { 1 } else { 3 };
+    let unit = 10_f64.powi(digits);
+    format!("{:.*}", digits as usize, (total_s * unit).floor() / unit)
+}
+
+fn outcome(queued: usize, joined: usize) -> String {
+    let fits = |n: usize| format!("{n} fit{}", if n == 1 { "" } else { "s" });
+    match (queued, joined) {
+        (queued, 0) => format!("{} queued", fits(queued)),
+        (0, joined) => format!("{} queued already, which the run joins", fits(joined)),
+        (queued, joined) => format!("{} queued, {joined} queued already, which the run joins", fits(queued)),
+    }
+}
+
+/// Seconds of the rig's training runs of these kinds, each measurement once.
+async fn total(
     connection: &mut SqliteConnection,
     rig: &RigId,
     policy: &FitPolicy,
-) -> Result<bool, StoreError> {
+) -> Result<f64, StoreError> {
     let kinds: Vec<&str> = policy.kinds.iter().copied().map(RunKind::as_str).collect();
     let total_s: f64 = sqlx::query_scalar(
         "SELECT total(duration_s) FROM runs
@@ -69,8 +121,7 @@ async fn enough(
     .bind(json(&kinds))
     .fetch_one(connection)
     .await?;
-    // Sixty runs of a second each are a minute, whatever the rounding of their sum.
-    Ok(total_s >= policy.min_total_s * (1.0 - 1e-9))
+    Ok(total_s)
 }
 
 #[cfg(test)]
@@ -80,6 +131,7 @@ mod tests {
 
     use super::super::testing::{TestStore, draft, meta, now};
     use super::*;
+    use crate::domain::RunMeta;
 
     /// A rig that fits FRF and hybrid 2 from two seconds of noise (100 Hz).
     async fn rig_with_policy(store: &TestStore) -> Rig {
@@ -91,7 +143,7 @@ mod tests {
         store.insert_rig(&draft, None, now()).await.unwrap().unwrap()
     }
 
-    /// No job, as opposed to no item of any other type.
+    /// An empty list of jobs, typed for comparisons.
     const NONE: [JobId; 0] = [];
 
     fn second(seed: f64) -> Vec<f64> {
@@ -154,5 +206,38 @@ mod tests {
             assert_eq!(store.upload(&rig, &run).await.jobs, NONE);
         }
         assert_eq!(store.upload(&rig, &second(-1e3)[..10]).await.jobs.len(), 2);
+    }
+
+    #[tokio::test]
+    async fn the_outcome_of_an_upload_is_told_in_words() {
+        let store = TestStore::open().await;
+        let plain = store.insert_rig(&draft("plain"), None, now()).await.unwrap().unwrap();
+        assert_eq!(store.upload(&plain, &second(1.0)).await.policy, "the rig has no fit_policy");
+        let rig = rig_with_policy(&store).await;
+        let with = |kind, split| RunMeta { kind, split, ..meta() };
+        let first = store.upload(&rig, &second(1.0)).await;
+        assert_eq!(first.policy, "1.000 of 2.0 s of noise");
+        let other = store.upload_with(&rig, with(RunKind::Other, Split::Training), &second(2.0)).await;
+        assert_eq!(other.policy, "kind other is not among noise");
+        let held_back = store.upload_with(&rig, with(RunKind::Sweep, Split::Validation), &second(3.0)).await;
+        assert_eq!(held_back.policy, "split validation is not training; kind sweep is not among noise");
+        let again = store.upload(&rig, &second(1.0)).await;
+        assert_eq!(again.policy, format!("run {} has the same bytes", first.run.id));
+        assert_eq!(store.upload(&rig, &second(4.0)).await.policy, "2 fits queued");
+        let joined = store.upload(&rig, &second(5.0)).await;
+        assert_eq!(
+            (joined.jobs.len(), joined.policy.as_str()),
+            (2, "2 fits queued already, which the run joins")
+        );
+        store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
+        let both = store.upload(&rig, &second(6.0)).await.policy;
+        assert_eq!(both, "1 fit queued, 1 queued already, which the run joins");
+    }
+
+    #[test]
+    fn seconds_that_are_missing_are_never_rounded_away() {
+        assert_eq!(rounded_down(59.99, 60.0), "59.9");
+        assert_eq!(rounded_down(42.0, 60.0), "42.0");
+        assert_eq!(rounded_down(0.0499, 0.05), "0.049");
     }
 }

@@ -1,4 +1,4 @@
-//! A run on its way into the store: everything that needs the processor, done beforehand.
+//! Prepares a run for the store: all work for the processor, done before the transaction.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use crate::engine::Signal;
 
 use super::{Digest, npy};
 
-/// A checked run with its figures and its bytes, ready to be stored.
+/// A checked run with its quality figures and its bytes, ready to be stored.
 #[derive(Debug, Clone)]
 pub struct PreparedRun {
     pub(super) meta: RunMeta,
@@ -23,11 +23,10 @@ pub struct PreparedRun {
 }
 
 impl PreparedRun {
-    /// Checks a parsed file against its rig. Work for the processor: call it off the async
-    /// threads.
+    /// Checks a parsed file against its rig. Takes processor time: call it off the async threads.
     ///
-    /// `channels` name the signal's channels in order; `units`, where the file had some, must be
-    /// the rig's (an empty one says nothing); `sha256` is that of the uploaded file, hex.
+    /// `channels` name the signal's channels in order; `units`, where the file had some, must be the
+    /// rig's (an empty unit is ignored); `sha256` is that of the uploaded file, hex.
     ///
     /// # Errors
     /// Channels that are unknown or come twice, another unit, another sample rate, no samples,
@@ -57,7 +56,7 @@ impl PreparedRun {
             channels,
             units,
             samples: signal.n_samples() as u64,
-            // The rig's own rate: files round theirs, and a rig has one.
+            // Uses the rig's rate, because files round theirs.
             duration_s: signal.n_samples() as f64 / rig.sample_rate_hz,
             sample_rate_hz: rig.sample_rate_hz,
             sha256,

@@ -7,10 +7,10 @@ use serde_json::Value;
 use sqlx::SqliteConnection;
 
 use super::rows::{RigRow, all, json, us};
-use super::{Once, Store, StoreError, once};
+use super::{IdempotencyKey, Store, StoreError, idempotency};
 use crate::domain::{Created, FieldError, Page, PageRequest, Rig, RigDraft, RigId};
 
-/// What came of a patch.
+/// Outcome of a patch.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RigUpdate {
     /// The rig as it is now.
@@ -23,6 +23,17 @@ pub enum RigUpdate {
     ChannelsFixed,
     /// Fields that do not fit.
     Invalid(Vec<FieldError>),
+}
+
+/// A rig with the fields of a list for people.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RigAtAGlance {
+    /// Id.
+    pub id: String,
+    /// Name.
+    pub name: String,
+    /// Version and kind of the active model.
+    pub active: Option<(u32, String)>,
 }
 
 /// Whether an `If-Match` header names this `ETag`: `*`, or one of a list. Weak tags match nothing
@@ -48,13 +59,13 @@ impl Store {
     pub async fn insert_rig(
         &self,
         draft: &RigDraft,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<Option<Rig>, StoreError> {
         let mut tx = self.write().await?;
-        once::begin(&mut tx, once).await?;
-        // Revisions start at the time, so that a rig that is deleted and made again never has an
-        // `ETag` that a client may still hold.
+        idempotency::check_unused(&mut tx, key).await?;
+        // Revisions start at the present time, so that a rig that is deleted and created again never
+        // repeats an `ETag` that a client may still hold.
         let row: Option<RigRow> = sqlx::query_as(
             "INSERT INTO rigs (id, name, sample_rate_hz, channels, fit_policy,
                                created_us, updated_us, revision, active_revision)
@@ -70,7 +81,7 @@ impl Store {
         .fetch_optional(&mut *tx)
         .await?;
         let Some(rig) = row.map(Rig::try_from).transpose()? else { return Ok(None) };
-        once::end(&mut tx, once, || Created::rig(&rig), now).await?;
+        idempotency::record(&mut tx, key, || Created::rig(&rig), now).await?;
         tx.commit().await?;
         Ok(Some(rig))
     }
@@ -105,6 +116,31 @@ impl Store {
         Ok(Page::cut(all(rows)?, page.limit, |rig: &Rig| rig.id.to_string()))
     }
 
+    /// Ids, names and active models of rigs by id; with `among` only those that it names.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn rigs_at_a_glance(
+        &self,
+        among: Option<&BTreeSet<RigId>>,
+        page: &PageRequest,
+    ) -> Result<Page<RigAtAGlance>, StoreError> {
+        let rows: Vec<(String, String, Option<u32>, Option<String>)> = sqlx::query_as(
+            "SELECT rigs.id, rigs.name, models.version, models.kind FROM rigs
+             LEFT JOIN models ON models.rig = rigs.id AND models.version = rigs.active_version
+             WHERE rigs.id > ?1 AND (?2 IS NULL OR rigs.id IN (SELECT value FROM json_each(?2)))
+             ORDER BY rigs.id LIMIT ?3",
+        )
+        .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
+        .bind(among.map(json))
+        .bind(i64::from(page.limit) + 1)
+        .fetch_all(self.reader())
+        .await?;
+        let rigs = rows.into_iter();
+        let rigs = rigs.map(|(id, name, version, kind)| RigAtAGlance { id, name, active: version.zip(kind) });
+        Ok(Page::cut(rigs.collect(), page.limit, |rig: &RigAtAGlance| rig.id.clone()))
+    }
+
     /// Applies a merge patch (RFC 7396) if the rig still has the `ETag` that the client names
     /// (`*` names any).
     ///
@@ -127,7 +163,7 @@ impl Store {
             Err(errors) => return Ok(RigUpdate::Invalid(errors)),
         };
         if (&draft.channels, draft.sample_rate_hz) != (&rig.channels, rig.sample_rate_hz) {
-            // A model names the rig's channels as much as a run does.
+            // Models refer to the rig's channels as runs do.
             let used: bool = sqlx::query_scalar(
                 "SELECT EXISTS (SELECT 1 FROM runs WHERE rig = ?1)
                      OR EXISTS (SELECT 1 FROM models WHERE rig = ?1)",
@@ -156,8 +192,8 @@ impl Store {
         Ok(RigUpdate::Updated(row.try_into()?))
     }
 
-    /// Removes a rig with its runs, models, diagnoses and jobs; whether it was there. Objects that nothing
-    /// else refers to are removed after the rows are.
+    /// Removes a rig with its runs, models, diagnoses and jobs; tells whether it was there. Unreferenced
+    /// objects are removed after the rows.
     ///
     /// # Errors
     /// The store's failures.

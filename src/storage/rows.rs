@@ -1,16 +1,21 @@
 //! From rows to the domain's types and back.
 //!
-//! Words and JSON are read back strictly: a row that does not fit is an error that names it, never
-//! a default.
+//! Words and JSON are read strictly: an unexpected value is an error that names the row, never a
+//! default.
 
 use jiff::Timestamp;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use sqlx::FromRow;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
 
 use super::StoreError;
 use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::{DiagnosisSummary, Job, Model, Rig, RigId, Run, SecretDigest, StoredDiagnosis, Token};
+use crate::domain::{
+    Adoption, Base, DiagnosisSummary, Job, Lineage, Model, ModelFrf, Rig, RigId, Run, SecretDigest,
+    StoredDiagnosis, Token,
+};
+use crate::engine::model::{ModelKind, VersionKind};
 
 /// Reads the columns of one row.
 #[derive(Clone, Copy)]
@@ -32,7 +37,7 @@ impl Columns<'_> {
         text.map(|text| self.json(text)).transpose()
     }
 
-    /// A word of one of the contract's enums.
+    /// Parses a word of one of the contract's enums.
     fn word<T: DeserializeOwned>(&self, text: &str) -> Result<T, StoreError> {
         serde_json::from_value(serde_json::Value::String(text.to_owned())).map_err(|error| self.bad(error))
     }
@@ -58,7 +63,7 @@ impl Columns<'_> {
     }
 }
 
-/// A text of a row that is to be an id or a number.
+/// Parses a text of a row as an id or a number.
 pub(super) fn parsed<T: std::str::FromStr<Err: std::fmt::Display>>(
     table: &'static str,
     key: &str,
@@ -76,12 +81,12 @@ pub(super) fn us(time: Timestamp) -> i64 {
     time.as_microsecond()
 }
 
-/// A count as it is stored. Ours come from lengths in memory, which SQLite's integers exceed.
+/// A count as it is stored. Counts come from lengths in memory, which fit into SQLite's integers.
 pub(super) fn int(count: u64) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 
-/// JSON of a value of ours: none has a map with keys that are not text, which is all that fails.
+/// JSON of a value of the program. It cannot fail, because all map keys are text.
 pub(super) fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).expect("our types serialise")
 }
@@ -94,16 +99,33 @@ pub(super) fn word(value: &impl Serialize) -> String {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct RigRow {
-    id: String,
-    name: String,
-    sample_rate_hz: f64,
-    channels: String,
-    fit_policy: Option<String>,
-    created_us: i64,
-    updated_us: i64,
-    revision: i64,
+/// Defines a row, read from the columns of its fields' names. (The derive macro of sqlx does the same, but compiles
+/// SQLite a second time for the compiler's own use.)
+macro_rules! row {
+    (struct $name:ident { $($visibility:vis $field:ident: $type:ty,)* }) => {
+        pub(super) struct $name {
+            $($visibility $field: $type,)*
+        }
+
+        impl<'r> FromRow<'r, SqliteRow> for $name {
+            fn from_row(row: &'r SqliteRow) -> sqlx::Result<Self> {
+                Ok(Self { $($field: row.try_get(stringify!($field))?,)* })
+            }
+        }
+    };
+}
+
+row! {
+    struct RigRow {
+        id: String,
+        name: String,
+        sample_rate_hz: f64,
+        channels: String,
+        fit_policy: Option<String>,
+        created_us: i64,
+        updated_us: i64,
+        revision: i64,
+    }
 }
 
 impl TryFrom<RigRow> for Rig {
@@ -124,25 +146,26 @@ impl TryFrom<RigRow> for Rig {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct RunRow {
-    id: String,
-    rig: String,
-    name: String,
-    kind: String,
-    split: String,
-    tags: String,
-    started_us: Option<i64>,
-    created_us: i64,
-    channels: String,
-    units: String,
-    samples: i64,
-    duration_s: f64,
-    sample_rate_hz: f64,
-    sha256: String,
-    object: String,
-    quality: String,
-    duplicate_of: Option<String>,
+row! {
+    struct RunRow {
+        id: String,
+        rig: String,
+        name: String,
+        kind: String,
+        split: String,
+        tags: String,
+        started_us: Option<i64>,
+        created_us: i64,
+        channels: String,
+        units: String,
+        samples: i64,
+        duration_s: f64,
+        sample_rate_hz: f64,
+        sha256: String,
+        object: String,
+        quality: String,
+        duplicate_of: Option<String>,
+    }
 }
 
 impl TryFrom<RunRow> for Run {
@@ -172,25 +195,39 @@ impl TryFrom<RunRow> for Run {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct ModelRow {
-    rig: String,
-    version: i64,
-    kind: String,
-    inputs: String,
-    outputs: String,
-    sample_rate_hz: f64,
-    sha256: String,
-    size_bytes: i64,
-    origin: String,
-    job: Option<String>,
-    request: Option<String>,
-    report: Option<String>,
-    lineage: String,
-    code_version: String,
-    instruction_set: String,
-    created_us: i64,
-    active: bool,
+/// In place of an adoption: the row is of a time before there were any, and the weight file has not been
+/// asked yet.
+pub(super) const UNREAD: &str = "unread";
+
+/// All that is known of an unread row's effects: that the lineage has some.
+fn unread(kind: ModelKind, lineage: &Lineage) -> Option<Adoption> {
+    let first = lineage.diagnoses.first()?;
+    let base = Base { version: Some(first.version), kind, sha256: None };
+    Some(Adoption { base, effects: Vec::new() })
+}
+
+row! {
+    struct ModelRow {
+        rig: String,
+        version: i64,
+        kind: String,
+        inputs: String,
+        outputs: String,
+        sample_rate_hz: f64,
+        sha256: String,
+        size_bytes: i64,
+        origin: String,
+        job: Option<String>,
+        request: Option<String>,
+        report: Option<String>,
+        lineage: String,
+        code_version: String,
+        instruction_set: String,
+        created_us: i64,
+        adoption: Option<String>,
+        frf: Option<String>,
+        active: bool,
+    }
 }
 
 impl TryFrom<ModelRow> for Model {
@@ -199,10 +236,21 @@ impl TryFrom<ModelRow> for Model {
     fn try_from(row: ModelRow) -> Result<Self, StoreError> {
         let key = format!("{}/{}", row.rig, row.version);
         let columns = Columns { table: "models", key: &key };
+        let parts: ModelKind = columns.word(&row.kind)?;
+        let lineage: Lineage = columns.json(&row.lineage)?;
+        let adoption = match row.adoption.as_deref() {
+            Some(UNREAD) => unread(parts, &lineage),
+            adoption => columns.json_opt(adoption)?,
+        };
+        let (rig, version) = (columns.rig(row.rig)?, columns.number(row.version)?);
+        let frf = columns.json_opt(row.frf.as_deref())?;
         Ok(Self {
-            version: columns.number(row.version)?,
-            rig: columns.rig(row.rig)?,
-            kind: columns.word(&row.kind)?,
+            frf: ModelFrf::of(&rig, version, parts, frf),
+            version,
+            rig,
+            parts,
+            kind: if adoption.is_some() { VersionKind::Adopted } else { parts.into() },
+            adoption,
             inputs: columns.json(&row.inputs)?,
             outputs: columns.json(&row.outputs)?,
             size_bytes: columns.number(row.size_bytes)?,
@@ -210,7 +258,7 @@ impl TryFrom<ModelRow> for Model {
             job: row.job.as_deref().map(|id| columns.id(id)).transpose()?,
             request: columns.json_opt(row.request.as_deref())?,
             report: columns.json_opt(row.report.as_deref())?,
-            lineage: columns.json(&row.lineage)?,
+            lineage,
             created_at: columns.time(row.created_us)?,
             sample_rate_hz: row.sample_rate_hz,
             sha256: row.sha256,
@@ -221,25 +269,26 @@ impl TryFrom<ModelRow> for Model {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct JobRow {
-    id: String,
-    rig: String,
-    kind: String,
-    state: String,
-    pub(super) request: String,
-    stage: Option<String>,
-    progress: f64,
-    eta_s: Option<f64>,
-    attempt: i64,
-    created_us: i64,
-    started_us: Option<i64>,
-    finished_us: Option<i64>,
-    result: Option<String>,
-    problem: Option<String>,
-    cancel_requested: bool,
-    event: i64,
-    pub(super) lease_token: i64,
+row! {
+    struct JobRow {
+        id: String,
+        rig: String,
+        kind: String,
+        state: String,
+        pub(super) request: String,
+        stage: Option<String>,
+        progress: f64,
+        eta_s: Option<f64>,
+        attempt: i64,
+        created_us: i64,
+        started_us: Option<i64>,
+        finished_us: Option<i64>,
+        result: Option<String>,
+        problem: Option<String>,
+        cancel_requested: bool,
+        event: i64,
+        pub(super) lease_token: i64,
+    }
 }
 
 impl JobRow {
@@ -273,19 +322,20 @@ impl TryFrom<JobRow> for Job {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct DiagnosisRow {
-    id: String,
-    rig: String,
-    job: String,
-    version: Option<i64>,
-    model_sha256: Option<String>,
-    mode: String,
-    request: String,
-    verdict: String,
-    findings: String,
-    elapsed_s: f64,
-    created_us: i64,
+row! {
+    struct DiagnosisRow {
+        id: String,
+        rig: String,
+        job: String,
+        version: Option<i64>,
+        model_sha256: Option<String>,
+        mode: String,
+        request: String,
+        verdict: String,
+        findings: String,
+        elapsed_s: f64,
+        created_us: i64,
+    }
 }
 
 impl TryFrom<DiagnosisRow> for DiagnosisSummary {
@@ -319,18 +369,24 @@ impl TryFrom<DiagnosisRow> for StoredDiagnosis {
     }
 }
 
-#[derive(FromRow)]
-pub(super) struct TokenRow {
-    id: String,
-    name: String,
-    role: String,
-    rigs: Option<String>,
-    secret_sha256: Vec<u8>,
-    created_us: i64,
-    expires_us: Option<i64>,
+row! {
+    struct TokenRow {
+        id: String,
+        name: String,
+        role: String,
+        rigs: Option<String>,
+        secret_sha256: Vec<u8>,
+        created_us: i64,
+        expires_us: Option<i64>,
+        revoked_us: Option<i64>,
+    }
 }
 
 impl TokenRow {
+    pub(super) fn is_revoked(&self) -> bool {
+        self.revoked_us.is_some()
+    }
+
     pub(super) fn digest(&self) -> Result<SecretDigest, StoreError> {
         let bytes = <[u8; 32]>::try_from(&self.secret_sha256[..]);
         bytes
@@ -355,7 +411,7 @@ impl TryFrom<TokenRow> for Token {
     }
 }
 
-/// Converts rows of one kind, stopping at the first that does not fit.
+/// Converts rows of one kind; stops at the first error.
 pub(super) fn all<R, T: TryFrom<R, Error = StoreError>>(rows: Vec<R>) -> Result<Vec<T>, StoreError> {
     rows.into_iter().map(T::try_from).collect()
 }

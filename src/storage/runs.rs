@@ -3,17 +3,17 @@
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
-use super::objects::to_the_end;
+use super::objects::{ObjectWrite, to_the_end};
 use super::rigs::rig_in;
 use super::rows::{RunRow, all, int, json, us};
-use super::{Once, PreparedRun, Store, StoreError, npy, once, policy};
+use super::{IdempotencyKey, PreparedRun, Store, StoreError, idempotency, npy, policy};
 use crate::domain::{
     Created, FieldError, InsertedRun, Lineage, Page, PageRequest, RigId, Run, RunId, RunKind, RunMeta,
     RunPatch, Split, new_id,
 };
 use crate::engine::Signal;
 
-/// Which runs of a rig are wanted; empty: all.
+/// A filter of runs; the default is all runs.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RunQuery {
     /// Of this kind.
@@ -24,33 +24,33 @@ pub struct RunQuery {
     pub tag: Option<String>,
 }
 
-/// What came of an upload.
+/// Outcome of an upload.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RunInsert {
     /// Accepted.
     Inserted(Box<InsertedRun>),
     /// No such rig.
     MissingRig,
-    /// The rig's channels or sample rate changed while the file came.
+    /// The rig's channels or sample rate changed during the upload.
     RigChanged,
 }
 
-/// What came of a patch.
+/// Outcome of a patch.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RunUpdate {
     /// The run as it is now.
     Updated(Box<Run>),
     /// No such run.
     Missing,
-    /// It cannot become a test run: these model versions were fitted on it.
+    /// The run cannot become a test run, because these model versions were fitted on it.
     FittedOn(Vec<u32>),
     /// Fields that do not fit.
     Invalid(Vec<FieldError>),
 }
 
 impl Store {
-    /// Accepts a run: its object first, then row, fit policy and queued jobs in one transaction.
-    /// Goes on to the end when the caller goes away.
+    /// Accepts a run: stores its object first, then its row, the fit policy's jobs and the answer under
+    /// a key in one transaction. Completes even if the caller goes away.
     ///
     /// # Errors
     /// The store's failures.
@@ -58,17 +58,15 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
-        once: Option<Once>,
+        key: Option<IdempotencyKey>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
-            let object = run.object.as_str().to_owned();
-            let inserted = store.insert_run_gated(&rig, run, once.as_ref(), now).await;
-            if !matches!(inserted, Ok(RunInsert::Inserted(_))) {
-                store.discard_unreferenced(vec![object]).await;
-            }
-            inserted
+            let object = run.object.clone();
+            let inserted = store.insert_run_gated(&rig, run, key.as_ref(), now);
+            let made = |inserted: &RunInsert| matches!(inserted, RunInsert::Inserted(_));
+            store.discard_unless(made, &object, inserted).await
         })
         .await
     }
@@ -77,14 +75,11 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
-        once: Option<&Once>,
+        key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
-        let _kept = self.objects_gate().read().await;
-        // Durable before a row says so.
-        self.objects().put(&run.object, run.bytes.clone()).await?;
-        let mut tx = self.write().await?;
-        once::begin(&mut tx, once).await?;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object(&run.object, &run.bytes).await?;
+        idempotency::check_unused(&mut tx, key).await?;
         let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(RunInsert::MissingRig) };
         let unit = |name| rig.channel(name).map(|channel| &channel.unit);
         let suits = run.channels.iter().zip(&run.units).all(|(name, found)| unit(name) == Some(found));
@@ -92,9 +87,9 @@ impl Store {
             return Ok(RunInsert::RigChanged);
         }
         let run = insert_row(&mut tx, &rig.id, &run, now).await?;
-        let jobs = policy::after_run(&mut tx, &rig, &run, now).await?;
-        let inserted = InsertedRun { run, jobs };
-        once::end(&mut tx, once, || Created::run(&inserted), now).await?;
+        let (jobs, policy) = policy::after_run(&mut tx, &rig, &run, now).await?;
+        let inserted = InsertedRun { run, jobs, policy };
+        idempotency::record(&mut tx, key, || Created::run(&inserted), now).await?;
         tx.commit().await?;
         Ok(RunInsert::Inserted(Box::new(inserted)))
     }
@@ -139,7 +134,7 @@ impl Store {
         Ok(Some(Page::cut(all(rows)?, page.limit, |run: &Run| run.id.to_string())))
     }
 
-    /// All runs of a rig, oldest first: what a fit selects from.
+    /// All runs of a rig, oldest first, for selections.
     pub(crate) async fn all_runs(&self, rig: &RigId) -> Result<Vec<Run>, StoreError> {
         let rows: Vec<RunRow> = sqlx::query_as("SELECT * FROM runs WHERE rig = ? ORDER BY id")
             .bind(rig.as_str())
@@ -148,7 +143,7 @@ impl Store {
         all(rows)
     }
 
-    /// Changes what is said about a run; its samples never change.
+    /// Changes the description of a run; its samples never change.
     ///
     /// # Errors
     /// The store's failures.
@@ -160,7 +155,7 @@ impl Store {
             Err(errors) => return Ok(RunUpdate::Invalid(errors)),
         };
         if meta.split == Split::Test && run.split != Split::Test {
-            // Figures on a test run are worth something only if no fit has seen it.
+            // A test run is of use only if no fit has seen it.
             let versions = fitted_on(&mut tx, rig, &run).await?;
             if !versions.is_empty() {
                 return Ok(RunUpdate::FittedOn(versions));
@@ -182,7 +177,7 @@ impl Store {
         Ok(RunUpdate::Updated(Box::new(row.try_into()?)))
     }
 
-    /// Removes a run; whether it was there. Models that were fitted on it stay and keep its id.
+    /// Removes a run; tells whether it was there. Models that were fitted on it stay and keep its id.
     ///
     /// # Errors
     /// The store's failures.
@@ -263,8 +258,8 @@ async fn insert_row(
     row.try_into()
 }
 
-/// When an original goes, its earliest duplicate takes its place: the measurement is still there,
-/// and still counts once.
+/// When an original is deleted, its earliest duplicate takes its place, so that the measurement still
+/// counts once.
 async fn promote_duplicate(connection: &mut SqliteConnection, original: RunId) -> Result<(), StoreError> {
     let heir: Option<String> =
         sqlx::query_scalar("SELECT id FROM runs WHERE duplicate_of = ? ORDER BY id LIMIT 1")
@@ -280,7 +275,7 @@ async fn promote_duplicate(connection: &mut SqliteConnection, original: RunId) -
     Ok(())
 }
 
-/// Versions of the rig's models that saw the run's bytes in their fit, for weights or validation.
+/// Model versions of the rig whose fit used the run's bytes, for training or validation.
 async fn fitted_on(
     connection: &mut SqliteConnection,
     rig: &RigId,
@@ -337,7 +332,8 @@ mod tests {
         assert_eq!(runs[1].duplicate_of, Some(runs[0].id));
         assert_eq!(runs[2].duplicate_of, Some(runs[0].id));
         assert_eq!(runs[0].object, runs[2].object);
-        // The original goes: the next takes its place, the third follows it.
+        // After the original is deleted, the second run takes its place and the third refers to the
+        // second.
         assert!(store.delete_run(&rig.id, runs[0].id).await.unwrap());
         let second = store.run(&rig.id, runs[1].id).await.unwrap().unwrap();
         let third = store.run(&rig.id, runs[2].id).await.unwrap().unwrap();

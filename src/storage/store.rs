@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use sqlx::migrate::MigrateError;
 use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Sqlite, SqlitePool, Transaction};
 use tokio::sync::RwLock;
 
 use super::error::sqlite_code;
-use super::{Objects, StoreError};
+use super::{Objects, StoreError, migrations};
 
-/// How long a statement waits for another one's lock; only a backup tool could hold one.
+/// How long a statement waits for a lock of another process, such as a backup tool.
 pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Reads at once.
@@ -28,15 +29,15 @@ pub struct Store {
 #[derive(Debug)]
 struct Inner {
     data_dir: PathBuf,
-    /// One connection: writers queue here instead of meeting `SQLITE_BUSY`.
+    /// One connection, so that writers queue here instead of getting `SQLITE_BUSY`.
     writer: SqlitePool,
     readers: SqlitePool,
     objects: Objects,
-    /// Held shared from before an object is written until a row refers to it, and exclusively
-    /// while unreferenced objects are removed: else a removal could take an object that is about
-    /// to be referred to.
+    /// Held shared from before an object is written until a row refers to it, and exclusively while
+    /// unreferenced objects are removed. Otherwise a removal could delete an object before its row is
+    /// written.
     objects_gate: Arc<RwLock<()>>,
-    /// Held, not read: the lock ends with the file.
+    /// Keeps the lock, which ends with the file.
     _lock: Option<File>,
 }
 
@@ -45,8 +46,8 @@ impl Store {
     /// removes what an interrupted upload left.
     ///
     /// # Errors
-    /// [`StoreError::Locked`] when another process has it; a damaged or newer database; the
-    /// file system's refusals.
+    /// [`StoreError::Locked`] if another process uses it; a damaged or newer database; the file system's
+    /// errors.
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
         let lock = prepare_directory(data_dir)?;
         let database = data_dir.join("rigcast.db");
@@ -55,7 +56,7 @@ impl Store {
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
         let writer = writer.map_err(|error| sound(error, &database))?;
         check_integrity(&writer, &database).await?;
-        sqlx::migrate!().run(&writer).await?;
+        migrate(&writer, &database).await?;
         let readers = readers(&database).await?;
         let objects = Objects::open(&data_dir.join("objects"))?;
         let inner = Inner {
@@ -68,14 +69,20 @@ impl Store {
         };
         let store = Self { inner: Arc::new(inner) };
         store.sweep_objects().await?;
+        store.read_adoptions().await?;
         Ok(store)
+    }
+
+    /// Whether a directory holds a registry already.
+    pub fn exists(data_dir: &Path) -> bool {
+        data_dir.join("rigcast.db").exists()
     }
 
     /// Opens the data directory of a running service to read from it: for the worker processes of
     /// that service. Nothing is locked, migrated or swept, and every write is refused.
     ///
     /// # Errors
-    /// No database; the file system's refusals.
+    /// No database; the file system's errors.
     pub async fn open_to_read(data_dir: &Path) -> Result<Self, StoreError> {
         let readers = readers(&data_dir.join("rigcast.db")).await?;
         let inner = Inner {
@@ -89,11 +96,11 @@ impl Store {
         Ok(Self { inner: Arc::new(inner) })
     }
 
-    /// Asks the database for a sign of life, and whether the directory can be written; `false` when its
-    /// disk is full, which leaves all that only reads at work.
+    /// Checks that the database answers and that the directory can be written. `false` if the disk is
+    /// full, in which case reads still work.
     ///
     /// # Errors
-    /// Whatever else keeps the store from working.
+    /// Any other failure of the store.
     pub async fn ping(&self) -> Result<bool, StoreError> {
         sqlx::query("SELECT id FROM rigs LIMIT 1").fetch_optional(self.reader()).await?;
         let path = self.scratch_dir().join(".ping");
@@ -102,7 +109,7 @@ impl Store {
             Err(error) => Err(error),
         };
         match written {
-            // Two pings at once remove one file.
+            // Two pings at once may remove the same file.
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 let error = StoreError::DataDir { path, source };
                 if error.is_disk_full() { Ok(false) } else { Err(error) }
@@ -116,8 +123,7 @@ impl Store {
         &self.inner.data_dir
     }
 
-    /// A directory inside the data directory for files that are not yet anything; emptied by
-    /// [`Store::open`].
+    /// A directory inside the data directory for unfinished files; emptied by [`Store::open`].
     pub fn scratch_dir(&self) -> PathBuf {
         self.inner.data_dir.join("scratch")
     }
@@ -146,13 +152,13 @@ impl Store {
         Ok(self.inner.writer.acquire().await?)
     }
 
-    /// Begins a write. `BEGIN IMMEDIATE`: what it reads cannot change before it writes.
+    /// Begins a write with `BEGIN IMMEDIATE`, so that rows that it reads cannot change before it writes.
     pub(super) async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
         const BEGIN: &str = "BEGIN IMMEDIATE";
         match self.inner.writer.begin_with(BEGIN).await {
             Err(sqlx::Error::InvalidSavePointStatement) => {
-                // A full disk or a failed write made SQLite end the last transaction by itself, and the
-                // connection still counts it: it is of no use any more.
+                // After a full disk or a failed write SQLite has ended the last transaction by itself,
+                // but the connection still counts it and cannot be used any more.
                 self.inner.writer.acquire().await?.close().await?;
                 Ok(self.inner.writer.begin_with(BEGIN).await?)
             }
@@ -171,7 +177,7 @@ fn options(database: &Path) -> SqliteConnectOptions {
         .busy_timeout(BUSY_TIMEOUT)
 }
 
-/// Connections that cannot write by mistake.
+/// Read-only connections.
 async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
     let reading = options(database).pragma("query_only", "on");
     Ok(SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?)
@@ -199,7 +205,7 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     }
     std::fs::create_dir_all(&scratch).map_err(failed)?;
     std::fs::create_dir_all(data_dir.join("objects")).map_err(failed)?;
-    // Else a power cut could take a new directory, and all that was acknowledged, along.
+    // Otherwise a power cut could lose a new directory with all acknowledged data.
     let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
     for directory in [Some(data_dir), parent].into_iter().flatten() {
         File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
@@ -207,7 +213,8 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     Ok(lock)
 }
 
-/// Objects without a database are what is left of a lost one: starting empty would remove them.
+/// Refuses objects without a database: the database was lost, and an empty start would remove the
+/// objects.
 fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
     let empty = match std::fs::metadata(database) {
         Ok(found) => found.len() == 0,
@@ -221,7 +228,18 @@ fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// A damaged database stops the start; it must not be served, and less so written to.
+/// Brings the schema up to this program's.
+async fn migrate(writer: &SqlitePool, database: &Path) -> Result<(), StoreError> {
+    let known = migrations::latest();
+    match migrations::up_to(known).run(writer).await {
+        Err(MigrateError::VersionMissing(found)) if found > known => {
+            Err(StoreError::Newer { path: database.to_owned(), found, known })
+        }
+        done => Ok(done?),
+    }
+}
+
+/// Refuses a damaged database, which must be neither read nor written.
 pub(super) async fn check_integrity(pool: &SqlitePool, database: &Path) -> Result<(), StoreError> {
     let damaged = |what| StoreError::Damaged { path: database.to_owned(), what };
     let verdict: String = sqlx::query_scalar("PRAGMA integrity_check(1)")
@@ -241,9 +259,9 @@ pub(super) async fn check_integrity(pool: &SqlitePool, database: &Path) -> Resul
     }
 }
 
-/// What SQLite says of a file that is no sound database, in words that help.
+/// Turns SQLite's error about a damaged file into a helpful message.
 fn sound(error: sqlx::Error, database: &Path) -> StoreError {
-    /// `SQLITE_CORRUPT` and `SQLITE_NOTADB`, whatever more an extended code says.
+    /// `SQLITE_CORRUPT` and `SQLITE_NOTADB`, in any extended code.
     const DAMAGED: [u32; 2] = [11, 26];
     if sqlite_code(&error).is_some_and(|code| DAMAGED.contains(&(code & 0xff))) {
         return StoreError::Damaged { path: database.to_owned(), what: error.to_string() };
@@ -362,13 +380,26 @@ mod tests {
         assert_eq!(models().await.items.len(), accepted + 1);
     }
 
+    #[tokio::test]
+    async fn a_database_of_a_newer_program_is_left_alone_and_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).await.unwrap();
+        let mut writer = store.write_one().await.unwrap();
+        let later = "INSERT INTO _sqlx_migrations SELECT 9999, description, installed_on, success, checksum, execution_time
+                     FROM _sqlx_migrations WHERE version = 1";
+        sqlx::query(later).execute(&mut *writer).await.unwrap();
+        drop(writer);
+        store.close().await;
+        drop(store);
+        let refused = Store::open(dir.path()).await.unwrap_err().to_string();
+        assert!(refused.contains("newer Rigcast") && refused.contains("9999"), "{refused}");
+    }
+
     /// A database as the first schema left it, with a rig whose active model was imported.
     async fn first_schema(dir: &Path) {
         let database = SqliteConnectOptions::new().filename(dir.join("rigcast.db")).create_if_missing(true);
         let pool = SqlitePool::connect_with(database.foreign_keys(true)).await.unwrap();
-        let mut migrations = sqlx::migrate!();
-        migrations.migrations = migrations.migrations[..1].to_vec().into();
-        migrations.run(&pool).await.unwrap();
+        migrations::up_to(1).run(&pool).await.unwrap();
         for statement in [
             "INSERT INTO rigs (id, name, sample_rate_hz, channels, created_us, updated_us, revision, active_revision, next_version)
              VALUES ('bench', 'Bench', 100, '[]', 1, 1, 1, 7, 3), ('idle', 'Idle', 100, '[]', 1, 1, 1, 1, 1)",

@@ -1,5 +1,5 @@
-//! What the tests of the store, and of what stands on it, share: a store in a directory of its
-//! own, and the shortest ways to rigs, runs, models and jobs.
+//! Shared by the tests of the store and of the layers above: a store in a directory of its own, and
+//! short ways to rigs, runs, models and jobs.
 
 use std::ops::Deref;
 
@@ -38,7 +38,7 @@ pub(crate) fn draft(id: &str) -> RigDraft {
     }
 }
 
-/// A rig that is in no store.
+/// A rig that is not stored.
 pub(crate) fn rig(draft: &RigDraft) -> Rig {
     Rig {
         id: draft.id.clone(),
@@ -63,10 +63,11 @@ pub(crate) fn meta() -> RunMeta {
     }
 }
 
-/// A model of the rig of [`draft`] with weights that are none.
+/// A model of the rig of [`draft`] with bytes that are no weights.
 pub(crate) fn imported(weights: &[u8]) -> NewModel {
     NewModel {
         kind: ModelKind::Frf,
+        adoption: None,
         inputs: vec!["u".into()],
         outputs: vec!["y".into()],
         sample_rate_hz: 100.0,
@@ -75,12 +76,13 @@ pub(crate) fn imported(weights: &[u8]) -> NewModel {
         job: None,
         request: None,
         report: None,
+        frf: None,
         lineage: Lineage::default(),
         instruction_set: "portable".into(),
     }
 }
 
-/// A store whose directory goes with it.
+/// A store in a temporary directory, which is deleted with it.
 pub(crate) struct TestStore {
     store: Store,
     _dir: TempDir,
@@ -125,7 +127,7 @@ impl TestStore {
         self.insert_model(&rig.id, imported(weights), Activation::Leave, None, now()).await.unwrap().unwrap()
     }
 
-    /// Most pages that the database may have: below those that it has, its disk is as good as full.
+    /// Limits the pages of the database. A limit below its present size acts like a full disk.
     pub(crate) async fn limit_pages(&self, pages: i64) {
         let mut writer = self.write_one().await.unwrap();
         let limit = sqlx::AssertSqlSafe(format!("PRAGMA max_page_count = {pages}"));

@@ -1,7 +1,8 @@
-//! The life of jobs under everything that goes wrong: workers that die, freeze and come back, deliver
-//! twice and late, clocks that jump, restarts, a full disk. A seed gives the same course every time.
+//! The life of jobs under faults: workers that die, freeze and come back, or deliver twice and late;
+//! clock jumps, restarts, a full disk. The same seed gives the same course.
 //!
-//! `RIGCAST_TEST_SEEDS=1000 cargo test --lib storage::tests` plays more of them, from `RIGCAST_TEST_SEED` on.
+//! `RIGCAST_TEST_SEEDS=1000 cargo test --lib storage::tests` plays more seeds, from `RIGCAST_TEST_SEED`
+//! on.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,11 +23,11 @@ struct World {
     rig: Rig,
     random: ChaCha8Rng,
     now: Timestamp,
-    /// Every lease that anybody ever had: the dead may rise.
+    /// Every lease that a worker ever had: dead workers may come back.
     leases: Vec<Lease>,
-    /// Jobs as they ended.
+    /// Ended jobs, as they were then.
     ended: BTreeMap<JobId, Job>,
-    /// Every id that was given.
+    /// Every id that was ever returned.
     known: BTreeSet<JobId>,
     weights: u64,
 }
@@ -88,7 +89,7 @@ impl World {
             }
             60..75 => {
                 if let Some(lease) = self.any_lease() {
-                    // Delivered twice, as after an answer that was lost.
+                    // Delivered twice, as after a lost answer.
                     let first = self.publish(&lease).await?;
                     let again = self.publish(&lease).await?;
                     assert!(first.is_none() || again.is_none(), "published twice");
@@ -128,7 +129,7 @@ impl World {
         Ok(())
     }
 
-    /// What must hold whatever happened.
+    /// The invariants.
     async fn check(&mut self) {
         let page = PageRequest { limit: 1000, cursor: None };
         let jobs = self.store.jobs(&JobQuery::default(), &page).await.unwrap().items;
@@ -150,7 +151,7 @@ impl World {
         }
     }
 
-    /// Workers that do their work bring every job to its end.
+    /// Healthy workers bring every job to its end.
     async fn finish(&mut self) {
         self.store.requeue_expired(Timestamp::MAX, &[], self.now).await.unwrap();
         loop {

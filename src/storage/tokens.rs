@@ -6,23 +6,30 @@ use super::rows::{TokenRow, all, json, us};
 use super::{Store, StoreError};
 use crate::domain::{Page, PageRequest, SecretDigest, Token, TokenDraft, TokenId, new_id};
 
-/// What came of a wish for a token.
+/// Outcome of creating a token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TokenInsert {
     /// The token.
     Inserted(Token),
-    /// There is none yet, and the first one must be an admin's for all rigs: it closes the doors, and
-    /// whoever closes them must be able to open them.
+    /// There is none yet, and the first one must be an admin's for all rigs: it closes the service to
+    /// everybody else, so its holder must be able to create others.
     FirstMustBeAdmin,
 }
 
-/// Every token that may open something, with the digest that it is found by.
+/// All tokens that were ever made, each with the digest by which it is found.
 #[derive(Debug, Default)]
 pub struct TokenTable {
-    /// Those that are not revoked; some may have expired.
+    /// Tokens that are not revoked; some may have expired.
     pub tokens: Vec<(SecretDigest, Token)>,
-    /// Whether there ever was one.
-    pub any: bool,
+    /// Revoked tokens: refused, but still named in the log.
+    pub revoked: Vec<(SecretDigest, Token)>,
+}
+
+impl TokenTable {
+    /// Whether a token was ever made.
+    pub fn any(&self) -> bool {
+        !(self.tokens.is_empty() && self.revoked.is_empty())
+    }
 }
 
 impl Store {
@@ -73,21 +80,21 @@ impl Store {
         Ok(Page::cut(all(rows)?, page.limit, |token: &Token| token.id.to_string()))
     }
 
-    /// All tokens that are not revoked, by their digests, and whether there ever was one.
+    /// All tokens that were ever made, by their digests.
     ///
     /// # Errors
     /// The store's failures.
     pub async fn token_table(&self) -> Result<TokenTable, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        let any: bool =
-            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
-        let rows: Vec<TokenRow> =
-            sqlx::query_as("SELECT * FROM tokens WHERE revoked_us IS NULL").fetch_all(&mut *tx).await?;
-        let tokens = rows.into_iter().map(|row| Ok((row.digest()?, row.try_into()?)));
-        Ok(TokenTable { tokens: tokens.collect::<Result<_, StoreError>>()?, any })
+        let rows: Vec<TokenRow> = sqlx::query_as("SELECT * FROM tokens").fetch_all(self.reader()).await?;
+        let mut table = TokenTable::default();
+        for row in rows {
+            let list = if row.is_revoked() { &mut table.revoked } else { &mut table.tokens };
+            list.push((row.digest()?, row.try_into()?));
+        }
+        Ok(table)
     }
 
-    /// Ends a token; whether there was one to end.
+    /// Revokes a token; tells whether there was one to revoke.
     ///
     /// # Errors
     /// The store's failures.
@@ -124,7 +131,7 @@ mod tests {
     #[tokio::test]
     async fn the_first_token_is_an_admins_and_a_revoked_one_keeps_the_doors_closed() {
         let store = TestStore::open().await;
-        assert!(!store.token_table().await.unwrap().any);
+        assert!(!store.token_table().await.unwrap().any());
         assert!(insert(&store, &draft(TokenRole::Operator)).await.is_none());
         let (_, admin) = insert(&store, &draft(TokenRole::Admin)).await.unwrap();
         let rigs = Some(["a".parse().unwrap(), "b".parse().unwrap()].into());
@@ -139,14 +146,15 @@ mod tests {
         assert_eq!(listed, [admin.clone(), reader.clone()]);
         let table = store.token_table().await.unwrap();
         let found = table.tokens.iter().find(|(digest, _)| digest.matches(&secret.digest())).unwrap();
-        assert_eq!((&found.1, table.any), (&reader, true));
+        assert_eq!((&found.1, table.any()), (&reader, true));
 
         for id in [admin.id, reader.id] {
             assert!(store.revoke_token(id, now()).await.unwrap());
             assert!(!store.revoke_token(id, now()).await.unwrap(), "once");
         }
         let table = store.token_table().await.unwrap();
-        assert_eq!((table.tokens.len(), table.any), (0, true));
+        let revoked: Vec<&Token> = table.revoked.iter().map(|(_, token)| token).collect();
+        assert_eq!((table.tokens.len(), revoked, table.any()), (0, vec![&admin, &reader], true));
         assert_eq!(store.tokens(&PageRequest::default()).await.unwrap().items, []);
     }
 

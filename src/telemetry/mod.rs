@@ -1,27 +1,30 @@
-//! Logs and metrics: the two ways in which the service tells how it is doing.
+//! Logs and metrics.
 //!
-//! Log lines are readable alone and carry dotted fields with the unit in the name; sample data
-//! and request bodies never enter them. Metrics are Prometheus', in seconds and bytes.
+//! A log line is readable alone and carries dotted fields with the unit in the name. Sample data and
+//! request bodies are never logged. Metrics are Prometheus', in seconds and bytes.
 
 pub mod names;
+pub mod process;
 
-use std::fmt;
+use std::fmt::{self, Write};
 use std::sync::OnceLock;
 
 use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use names::Kind;
-use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
+use tracing_subscriber::filter::{ParseError, Targets};
 use tracing_subscriber::fmt::FormatFields;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
-/// How log lines look.
+/// Format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
-    /// One readable line an event.
+    /// One readable line per event.
     Text,
-    /// One JSON object an event.
+    /// One JSON object per event.
     Json,
 }
 
@@ -36,21 +39,24 @@ pub struct LogFilterError {
 /// Starts logging to standard error. Later calls in one process leave the first in place.
 ///
 /// # Errors
-/// A filter that is no list of levels and directives.
+/// A filter that is not a list of levels and directives.
 pub fn init_logging(filter: &str, format: LogFormat) -> Result<(), LogFilterError> {
-    let filter = EnvFilter::try_new(filter)
-        .map_err(|e| LogFilterError { filter: filter.to_owned(), reason: e.to_string() })?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    // Only a second call in one process can fail, and then the first one's logging goes on.
+    let filter: Targets = filter.parse().map_err(|error: ParseError| LogFilterError {
+        filter: filter.to_owned(),
+        reason: error.to_string(),
+    })?;
+    let registry = tracing_subscriber::registry().with(filter);
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    // Only a second call in one process can fail; the logging of the first call then stays.
     let _ = match format {
-        LogFormat::Text => builder.with_ansi(false).fmt_fields(text_fields()).try_init(),
-        LogFormat::Json => builder.json().flatten_event(true).try_init(),
+        LogFormat::Text => registry.with(lines.with_ansi(false).fmt_fields(text_fields())).try_init(),
+        LogFormat::Json => registry.with(lines.json().flatten_event(true)).try_init(),
     };
     Ok(())
 }
 
-/// Fields on one line, whatever is in them: names that people gave may hold line ends and codes that
-/// move a terminal's cursor. (JSON escapes by itself.)
+/// Writes fields on one line. Names that clients chose may hold line ends and codes that move a
+/// terminal's cursor. (JSON needs no such escaping.)
 fn text_fields() -> impl for<'writer> FormatFields<'writer> + Send + Sync + 'static {
     let field = |writer: &mut Writer<'_>, field: &tracing::field::Field, value: &dyn fmt::Debug| {
         let value = on_one_line(&format!("{value:?}"));
@@ -62,7 +68,7 @@ fn text_fields() -> impl for<'writer> FormatFields<'writer> + Send + Sync + 'sta
     debug_fn(field).delimited(" ")
 }
 
-/// The text with its control characters escaped, those that only change the direction of text too.
+/// The text with its control characters escaped, including those that change the direction of text.
 fn on_one_line(text: &str) -> String {
     let mut line = String::with_capacity(text.len());
     for c in text.chars() {
@@ -80,7 +86,7 @@ fn on_one_line(text: &str) -> String {
 /// The process' metrics; installed by the first call.
 ///
 /// # Panics
-/// When other code of the same process has installed a recorder of its own: a bug of ours.
+/// When other code of the same process has installed a recorder of its own, which is a defect.
 pub fn metrics_handle() -> PrometheusHandle {
     static HANDLE: OnceLock<PrometheusHandle> = OnceLock::new();
     HANDLE
@@ -100,21 +106,23 @@ pub fn metrics_handle() -> PrometheusHandle {
         .clone()
 }
 
-/// From a health check to a prediction of an hour, seconds.
+/// Buckets from a health check to a prediction of an hour, seconds.
 const REQUEST_BUCKETS: [f64; 13] =
     [0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
-/// From an FRF to a night's LSTM, seconds.
+/// Buckets from an FRF to an LSTM fit of a night, seconds.
 const FIT_BUCKETS: [f64; 9] = [0.1, 1.0, 5.0, 15.0, 60.0, 300.0, 900.0, 3600.0, 14400.0];
 
-/// Says what each metric is, and shows what nothing has happened to yet as zero: an alarm on a rise
-/// needs a value to rise from.
+/// Describes each metric, and sets those without labels to zero: an alarm on a rise needs a first value. Those with
+/// labels are set where the labels are known (`http::begin_metrics`).
 fn describe() {
-    for &(kind, name, help) in names::ALL {
-        let unit = if name.ends_with("_seconds") { Unit::Seconds } else { Unit::Count };
+    for &(kind, name, help) in names::ALL.iter().filter(|(_, name, _)| !names::by_hand(name)) {
+        let unit = match name {
+            _ if name.ends_with("_seconds") => Unit::Seconds,
+            _ if name.ends_with("_bytes") => Unit::Bytes,
+            _ => Unit::Count,
+        };
         match kind {
             Kind::Counter => describe_counter!(name, unit, help),
-            // One that is written by hand, with its own words.
-            Kind::Gauge if name == names::VALIDATION_ERROR => {}
             Kind::Gauge => describe_gauge!(name, unit, help),
             Kind::Histogram => describe_histogram!(name, unit, help),
         }
@@ -125,10 +133,26 @@ fn describe() {
         metrics::counter!(name).increment(0);
     }
     metrics::gauge!(names::CONNECTIONS).set(0.0);
-    metrics::gauge!(names::BUILD_INFO, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+    metrics::gauge!(names::BUILD_INFO, "version" => crate::VERSION).set(1.0);
 }
 
-/// Counts panics, wherever they are caught.
+/// Writes a computed metric in Prometheus' text format: its description, then a line for each series with labels
+/// (in braces, escaped) and value.
+pub fn write_by_hand(text: &mut String, name: &str, series: &[(String, f64)]) {
+    let Some((kind, _, help)) = names::ALL.iter().find(|metric| metric.1 == name) else { return };
+    let kind = match kind {
+        Kind::Counter => "counter",
+        Kind::Gauge => "gauge",
+        Kind::Histogram => "histogram",
+    };
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    for (labels, value) in series {
+        let _ = writeln!(text, "{name}{labels} {value}");
+    }
+}
+
+/// Counts panics, including those that are caught.
 fn count_panics() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -139,7 +163,6 @@ fn count_panics() {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Write;
     use std::sync::{Arc, Mutex};
 
     use super::*;
@@ -147,7 +170,7 @@ mod tests {
     #[derive(Clone, Default)]
     struct Lines(Arc<Mutex<Vec<u8>>>);
 
-    impl Write for Lines {
+    impl std::io::Write for Lines {
         fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
             self.0.lock().unwrap().extend_from_slice(bytes);
             Ok(bytes.len())

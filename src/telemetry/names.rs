@@ -1,20 +1,20 @@
-//! Names of the metrics, in one table for those who write them, those who read them and the README.
+//! Names of the metrics, in one table for the code, the exporter and docs/operations.md.
 //!
-//! Labels are words of ours, never a client's, but for rig ids, of which there is a bounded number:
-//! so the number of series is bounded too.
+//! Labels are fixed words, apart from rig ids, whose number is bounded. The number of series is therefore
+//! bounded too.
 
-/// What a metric is.
+/// Type of a metric.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Rises.
+    /// Only rises.
     Counter,
     /// Rises and falls.
     Gauge,
-    /// Times, in buckets.
+    /// Times in buckets.
     Histogram,
 }
 
-/// Defines the constants and the table of all of them in one go, so that neither lacks one.
+/// Defines the constants and the table of all of them at once, so that both are complete.
 macro_rules! metrics {
     ($($constant:ident = $kind:ident $name:literal, $help:literal;)*) => {
         $(
@@ -22,7 +22,7 @@ macro_rules! metrics {
             pub const $constant: &str = $name;
         )*
 
-        /// All metrics: kind, name, what it tells.
+        /// All metrics: type, name, description.
         pub const ALL: &[(Kind, &str, &str)] = &[$((Kind::$kind, $name, $help)),*];
     };
 }
@@ -61,7 +61,36 @@ metrics! {
     LOADED_MODELS = Gauge "rigcast_loaded_models", "Models in memory.";
     DEGRADED = Gauge "rigcast_degraded", "Models, runs and diagnoses that could not be read when last wanted.";
     VALIDATION_ERROR = Gauge "rigcast_validation_error",
-        "Mean over outputs of the relative RMS error of the newest fitted model on validation data, by rig.";
+        "Mean over outputs of the relative RMS error of the active model on its validation data, by rig.";
+    DATA_BYTES = Gauge "rigcast_data_bytes",
+        "Size of the data directory, by part: database, objects or scratch.";
+    DATA_FREE_BYTES = Gauge "rigcast_data_free_bytes",
+        "Free space for this user on the file system of the data directory.";
     PANICS = Counter "rigcast_panics_total", "Panics in this process, those that became an answer included.";
     BUILD_INFO = Gauge "rigcast_build_info", "1, with the version of the program as label.";
+    PROCESS_CPU = Counter "process_cpu_seconds_total", "Processor time of this process, its threads together.";
+    PROCESS_RESIDENT = Gauge "process_resident_memory_bytes", "Memory of this process that is in RAM.";
+    PROCESS_VIRTUAL = Gauge "process_virtual_memory_bytes", "Address space of this process.";
+    PROCESS_OPEN_FDS = Gauge "process_open_fds", "File handles that are open.";
+    PROCESS_MAX_FDS = Gauge "process_max_fds", "Limit of open file handles.";
+    PROCESS_START = Gauge "process_start_time_seconds", "Start of this process, seconds since 1970.";
 }
+
+/// Whether a metric is written into the answer each time instead of being kept: its series come and go, or the
+/// system keeps it.
+pub fn by_hand(name: &str) -> bool {
+    name == VALIDATION_ERROR || name.starts_with("process_")
+}
+
+/// Values of the label `limit` of [`CONNECTIONS_REFUSED`].
+pub const LIMITS: [&str; 2] = ["all", "address"];
+/// Values of the label `slow_in` of [`CONNECTIONS_ENDED`].
+pub const SLOW_IN: [&str; 4] = ["head", "body", "answer", "idle"];
+/// Values of the label `reason` of [`SHED`].
+pub const SHED_REASONS: [&str; 3] = ["share", "full", "late"];
+/// Values of the label `stage` of [`STAGE_SECONDS`].
+pub const STAGES: [&str; 6] = ["receive", "load", "wait", "parse", "simulate", "report"];
+/// Values of the label `outcome` of [`ATTEMPTS`] and [`FIT_SECONDS`].
+pub const OUTCOMES: [&str; 6] = ["succeeded", "failed", "retry", "cancelled", "released", "lost"];
+/// Values of the label `kind` of [`STORE_ERRORS`].
+pub const STORE_FAILURES: [&str; 4] = ["full", "unavailable", "damaged", "defect"];

@@ -2,4 +2,5 @@
 
 pub mod diagnosis;
 mod plot;
+pub mod start;
 mod text;

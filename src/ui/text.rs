@@ -1,4 +1,4 @@
-//! Numbers as people write them.
+//! Numbers in the form in which people write them.
 
 /// Three digits, without an exponent from a thousandth to a million; powers of ten beyond.
 pub(super) fn number(x: f64) -> String {
@@ -22,7 +22,7 @@ pub(super) fn number(x: f64) -> String {
     minus(trimmed(&format!("{x:.decimals$}")))
 }
 
-/// A share as a percentage; near 0 and near 1 with as many decimals as it takes to tell it from them.
+/// A share as a percentage; near 0 and near 1 with enough decimals to differ from them.
 pub(super) fn percent(share: f64) -> String {
     let p = 100.0 * share;
     let text = if !p.is_finite() {
@@ -41,7 +41,7 @@ pub(super) fn percent(share: f64) -> String {
     format!("{}\u{a0}%", minus(&text))
 }
 
-/// A closure in percent without the sign: the nearer to 1, the more decimals.
+/// A closure in percent without the sign; it has more decimals the nearer it is to 1.
 pub(super) fn share(x: f64) -> String {
     let p = 100.0 * x;
     if !p.is_finite() {
@@ -55,7 +55,7 @@ pub(super) fn share(x: f64) -> String {
     minus(trimmed(&format!("{p:.decimals$}")))
 }
 
-/// A number with its unit; `1` is no unit.
+/// A number with its unit; the unit `1` is not written.
 pub(super) fn with_unit(x: f64, unit: &str) -> String {
     if unit.is_empty() || unit == "1" { number(x) } else { format!("{}\u{a0}{}", number(x), exponents(unit)) }
 }

@@ -1,4 +1,4 @@
-//! Files that are refused: each with its code and the place, and nothing of them stored.
+//! Refused files: each gets its code and the place of the error, and nothing of it is stored.
 
 use rigcast::http::Limits;
 use serde_json::{Value, json};

@@ -57,6 +57,45 @@ async fn a_small_lstm_is_fitted_too_and_its_weights_go_round() {
 }
 
 #[tokio::test]
+async fn the_preset_of_the_paper_follows_the_task_and_is_echoed() {
+    let app = with_noise(3000).await;
+    // From the drive to the response, and back: no forward model, so virtual sensing.
+    for (inputs, outputs, task, blocks) in
+        [(["u"], ["y"], "forward", [39]), (["y"], ["u"], "virtual_sensing", [29])]
+    {
+        let request = json!({"kind": "lstm", "inputs": inputs, "outputs": outputs, "preset": "paper",
+                             "lstm": {"epochs": 1, "seeds": [1]}});
+        let job = fitted(&app, request).await;
+        assert_eq!(job["state"], "succeeded", "{job}");
+        let model = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+        let report = &model["report"];
+        assert_eq!((&report["task"], &report["lstm"]["blocks"]), (&json!(task), &json!(blocks)));
+        assert_eq!(report["lstm"]["epochs"], 1, "asked for in place of the hundreds of the paper");
+        for (setting, value) in [
+            ("optimizer", json!("rmsprop")),
+            ("schedule", json!("constant")),
+            ("warmup_steps", json!(0)),
+            ("learning_rate", json!(2e-4)),
+            ("window_len", json!(256)),
+            ("hop", json!(128)),
+            ("window_offset", json!("fixed")),
+            ("burn_in", json!(0.0)),
+            ("clip_norm", json!(null)),
+            ("validate_every", json!(1)),
+            ("hybrid_start", json!("random")),
+            ("recombine", json!("welch")),
+        ] {
+            assert_eq!(report["lstm"][setting], value, "{setting}");
+        }
+        assert_eq!((&report["recombine"], &model["request"]["preset"]), (&json!("welch"), &json!("paper")));
+    }
+    let job = fitted(&app, json!({"kind": "frf", "preset": "paper", "frf": {"segment_len": 256}})).await;
+    let model = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    assert_eq!(model["report"]["frf"]["estimator"], "ratio", "one drive correlates with no other");
+    assert_eq!(model["report"]["frf"]["ridge"], 0.0);
+}
+
+#[tokio::test]
 async fn a_fit_of_a_rig_without_runs_is_refused() {
     let app = TestApp::start();
     app.rig(&bench()).await;
@@ -129,7 +168,7 @@ async fn a_channel_without_power_and_runs_too_short_for_the_settings_are_refused
     }
 }
 
-/// The problem that a fit ends with, told at once or by its job; nothing is stored of it.
+/// The problem of a fit, in the answer or from its job; nothing of the fit is stored.
 async fn refusal(app: &TestApp, request: Value, code: &str) -> Value {
     let reply = app.post_json(FITS, &request).await;
     let problem = if reply.status == 202 {

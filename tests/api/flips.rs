@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::support::{SAFETENSORS, TestApp, bench, gain_weights, noise_csv};
 
-/// Where an object is read, and how readiness names what it is of.
+/// The request that reads an object, and the name of its owner in the readiness report.
 struct Stored {
     path: String,
     named: (&'static str, serde_json::Value),

@@ -1,5 +1,5 @@
-//! A disk that is full: uploads, imports and jobs are refused in so many words, predictions go on,
-//! nothing acknowledged is lost, and with room again everything works again.
+//! A full disk: uploads, imports and jobs are refused with a problem that says so, predictions go on,
+//! nothing acknowledged is lost, and everything works again once there is room.
 //!
 //! Needs a small file system of its own: skipped where the user may not mount one.
 //! `RIGCAST_TEST_FILLINGS=20 cargo test --test api full_disk -- --nocapture` fills it more often.
@@ -30,7 +30,7 @@ impl SmallDisk {
         self.0.path().join("data")
     }
 
-    /// A file that takes whatever room is left.
+    /// A file that fills the remaining room.
     fn fill(&self) -> PathBuf {
         let path = self.0.path().join("ballast");
         let mut ballast = std::fs::File::create(&path).expect("a file");
@@ -43,7 +43,7 @@ impl SmallDisk {
 
 impl Drop for SmallDisk {
     fn drop(&mut self) {
-        // What cannot be unmounted is left to whoever cleans up after the tests.
+        // Errors are ignored: a mount that stays does no harm to the tests.
         let _ = Command::new("umount").arg("-l").arg(self.0.path()).status();
     }
 }
@@ -80,7 +80,7 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
     let rounds: u64 = std::env::var("RIGCAST_TEST_FILLINGS").map_or(4, |n| n.parse().expect("a number"));
     for round in 1..=rounds {
-        // Filled by uploads, or at once by somebody else.
+        // Filled by uploads, or at once by another file.
         let ballast = (round % 2 == 0).then(|| disk.fill());
         let full = loop {
             match upload(&client, 100 * round + runs.len() as u64, 20_000).await {

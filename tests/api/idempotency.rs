@@ -1,4 +1,4 @@
-//! `Idempotency-Key` on every request that makes something.
+//! `Idempotency-Key` on every creating request.
 
 use serde_json::{Value, json};
 
@@ -7,7 +7,7 @@ use crate::support::{Reply, SAFETENSORS, TestApp, bench, gain_weights, noise_csv
 const KEY: &str = "idempotency-key";
 const FRF: &str = "/v1/rigs/bench/fits";
 
-/// What an answer is, apart from its request id and its date.
+/// An answer without its request id and its date.
 fn essence(reply: &Reply) -> (u16, String, Option<String>, Value) {
     let etag = reply.headers.get("etag").map(|tag| tag.to_str().expect("text").to_owned());
     (reply.status, reply.header("location").to_owned(), etag, reply.json())
@@ -37,7 +37,7 @@ async fn every_creating_request_is_done_once_under_its_key() {
         send(path, path, &other).await.problem(422, "idempotency_key.reused");
         let key = format!("{path} of another operation");
         app.call("POST", "/v1/rigs").header(KEY, &key).json(&bench()).send().await.problem(409, "rig.exists");
-        // What was refused was not done: its key is free.
+        // A refused request was not done, so that its key is free.
         if path == FRF {
             let job = essence(&send(&key, path, &body).await).3;
             app.finished(job["id"].as_str().expect("an id")).await;
@@ -100,6 +100,6 @@ async fn a_key_is_its_tokens_own_and_opens_nothing() {
     // Another token's request under the same key is another request,
     let second = create(Some(&tokens[1]), &other).await.expect(201);
     assert_eq!(second.json()["id"], "other");
-    // and what was made is told to nobody without a token.
+    // and a caller without a token does not get the stored answer.
     create(None, &bench()).await.problem(401, "token.missing");
 }

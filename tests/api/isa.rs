@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 use crate::support::{Program, columns, rigcast, vector_file, vector_rig};
 
-/// What a program on `isa` predicts with the weights `name` for their own input, `[channel][sample]`.
+/// The prediction of a program on `isa` with the weights `name` for their own input, `[channel][sample]`.
 async fn predicted(isa: Isa, name: &str) -> Vec<Vec<f64>> {
     let directory = TempDir::new().expect("a directory");
     let program = Program::start(&directory, &[(ISA_VARIABLE, isa.name())]);

@@ -1,4 +1,4 @@
-//! Jobs: lists, events, cancellation, and what becomes of them when the service stops.
+//! Jobs: lists, events, cancellation, and their state when the service stops.
 
 use serde_json::{Value, json};
 
@@ -6,7 +6,7 @@ use crate::support::{TestApp, bench, noise_csv};
 
 const FITS: &str = "/v1/rigs/bench/fits";
 
-/// A fit that takes longer than any test: far more epochs than anybody waits for.
+/// A fit that takes longer than any test.
 fn endless() -> Value {
     json!({"kind": "lstm", "lstm": {"blocks": [39], "epochs": 1000000, "seeds": [1]}})
 }

@@ -1,5 +1,5 @@
-//! The real program, killed at random moments of uploads, imports, fits and publishing: what it has
-//! acknowledged is there after every restart, whole, and every job comes to an end.
+//! The real program, killed at random times during uploads, imports, fits and publishing: everything that
+//! it has acknowledged is intact after every restart, and every job ends.
 //!
 //! `RIGCAST_TEST_KILLS=200 cargo test --test api kills -- --nocapture` kills more often.
 
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 
 use crate::support::{Program, bench, gain_weights, noise_csv};
 
-/// What the program has said yes to.
+/// Uploads and imports that the program has acknowledged.
 #[derive(Debug, Clone, Default)]
 struct Acknowledged {
     /// Digest of each run by its id.
@@ -26,7 +26,7 @@ struct Acknowledged {
     jobs: BTreeSet<String>,
 }
 
-/// In which interrupted jobs are resumed after a start, and these short ones ended.
+/// Longest time after a start in which interrupted jobs are resumed and these short ones end.
 const LIMIT: Duration = Duration::from_secs(60);
 
 type Shared = Arc<Mutex<Acknowledged>>;
@@ -74,7 +74,7 @@ async fn import(base: String, seen: Shared, seed: u64) {
     }
 }
 
-/// Asks for fits, short and longer ones, until the program is gone; never for more than a few at once.
+/// Requests fits, short and longer ones, until the program is gone, and never more than a few at once.
 async fn fit(base: String, seen: Shared) {
     let client = Client::new(&base, None).expect("a client");
     let lstm = json!({"blocks": [8], "window_len": 64, "epochs": 30, "seeds": [1, 2]});
@@ -102,7 +102,7 @@ async fn all(client: &Client, path: &str) -> Vec<Value> {
     }
 }
 
-/// Holds everything acknowledged against what is there, and reads every object that is not in `read`.
+/// Compares everything acknowledged with the store, and reads every object that is not in `read`.
 async fn check(base: &str, seen: &Acknowledged, read: &mut BTreeSet<String>) {
     let client = Client::new(base, None).expect("a client");
     let runs: BTreeMap<String, String> = all(&client, "/v1/rigs/bench/runs")
@@ -192,7 +192,7 @@ async fn nothing_acknowledged_is_lost_to_kills_and_every_job_comes_to_an_end() {
     assert!(runs > 0 && models > 0 && jobs > 0);
 }
 
-/// Until every job has ended, and as it should; gives the seconds that it took.
+/// Waits until every job has ended as it should; returns the seconds that it took.
 async fn finish(base: &str) -> f64 {
     let client = Client::new(base, None).expect("a client");
     let started = Instant::now();

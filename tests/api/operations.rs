@@ -1,4 +1,4 @@
-//! One walk through all operations, each of which must answer as the contract says.
+//! A session through all operations, each of which must answer as in the contract.
 
 use std::collections::BTreeSet;
 
@@ -39,6 +39,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.get("/v1/rigs/bench/models").await.expect(200);
     app.get(&model).await.expect(200);
     app.get(&format!("{model}/weights")).await.expect(200);
+    app.get(&format!("{model}/frf")).await.expect(200);
     let active = app.get("/v1/rigs/bench/active-model").await.expect(200);
     let version: u64 = model.rsplit('/').next().and_then(|v| v.parse().ok()).expect("a version");
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", active.header("etag"));
@@ -58,7 +59,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.delete(&run).await.expect(204);
     app.delete("/v1/rigs/bench").await.expect(204);
 
-    for path in ["/livez", "/readyz", "/readyz?verbose", "/metrics", "/openapi.yaml", "/docs"] {
+    for path in ["/", "/livez", "/readyz", "/readyz?verbose", "/metrics", "/openapi.yaml", "/docs"] {
         app.get(path).await.expect(200);
     }
     app.get("/docs/swagger-ui.css").await.expect(200);
@@ -72,7 +73,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     assert_eq!(app.succeeded(), all);
 }
 
-/// The bench gains a third while its model stays: a diagnosis, its report, and what comes of it.
+/// The gain of the bench rises by a third and its model stays: a diagnosis, its report, and its adoption.
 async fn diagnose(app: &TestApp) {
     let mut runs = Vec::new();
     for seed in [5, 6] {

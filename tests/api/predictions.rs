@@ -1,4 +1,4 @@
-//! Predictions: JSON and NPY both ways, damage, errors, trust, and what is refused.
+//! Predictions: JSON and NPY in request and answer, damage, errors, trust, and refusals.
 
 use rigcast::http::Limits;
 use serde_json::{Value, json};

@@ -100,6 +100,7 @@ async fn a_run_keeps_what_was_said_about_it_and_lets_it_be_changed() {
         (&json!(["linear", "cold"]), &json!("2026-03-01T12:00:00Z"))
     );
     assert_eq!(run["quality"]["channels"][1]["channel"], "y");
+    assert_eq!(run["quality"]["warnings"], json!([]));
     let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
     let patch = |body: serde_json::Value| app.call("PATCH", &path).json(&body).send();
     let changed = patch(json!({"split": "test", "tags": null})).await.expect(200).json();
@@ -179,8 +180,10 @@ async fn a_run_that_is_noise_for_training_sets_off_the_policys_fits() {
     app.rig(&draft).await;
     let short = app.run("kind=noise", &noise_csv(3000, 7)).await;
     assert_eq!(short["jobs"], json!([]), "half a minute is not enough");
+    assert_eq!(short["policy"], "30.0 of 60.0 s of noise");
     let other = app.run("kind=service", &noise_csv(9000, 8)).await;
     assert_eq!(other["jobs"], json!([]), "service loads do not count");
+    assert_eq!(other["policy"], "kind service is not among noise");
     let enough = app.run("kind=noise", &noise_csv(3000, 9)).await;
     let jobs = enough["jobs"].as_array().expect("jobs");
     assert_eq!(jobs.len(), 1);
@@ -190,4 +193,20 @@ async fn a_run_that_is_noise_for_training_sets_off_the_policys_fits() {
     assert_eq!(model["lineage"]["training"].as_array().map(Vec::len), Some(2));
     let active = app.get("/v1/rigs/bench/active-model").await.expect(200).json();
     assert_eq!(active["version"], model["version"], "the first model becomes active");
+}
+
+#[tokio::test]
+async fn an_upload_says_what_looks_wrong_with_its_channels_and_why_it_starts_no_fit() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    // u rests at 4.998 for three samples; y is u, sample by sample.
+    let run = app.run("kind=noise", "u,y\n0.5,0.5\n4.998,4.998\n4.998,4.998\n4.998,4.998\n-1,-1\n").await;
+    let clipped = |name: &str| format!("{name}: 3 samples at its largest value 4.998: probably clipped");
+    let expected = json!([clipped("u"), clipped("y"), "y repeats u"]);
+    assert_eq!(run["quality"]["warnings"], expected);
+    assert_eq!((&run["jobs"], &run["policy"]), (&json!([]), &json!("the rig has no fit_policy")));
+    let path = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+    let shown = app.get(&path).await.expect(200).json();
+    assert_eq!(shown["quality"]["warnings"], expected, "the run keeps them");
+    assert_eq!(shown.get("policy"), None, "which is of the upload, not of the run");
 }

@@ -51,7 +51,7 @@ fn a_second_program_on_the_same_data_is_refused() {
     let second =
         rigcast(&["serve", "--listen", "127.0.0.1:0", "--data-dir", path]).output().expect("it ends");
     assert_eq!(second.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&second.stderr).contains("in use by another process"), "{second:?}");
+    assert!(String::from_utf8_lossy(&second.stderr).contains("in use by another rigcast"), "{second:?}");
     running.signal("-TERM");
     assert_eq!(running.ended().0, Some(0));
 }

@@ -1,5 +1,5 @@
-//! The real program, stopped as a service manager stops it while it has all hands full: who got a
-//! connection gets an answer, what was acknowledged is there after the start, the running fit goes on.
+//! The real program, stopped by a service manager's signal under load: every connection gets an answer,
+//! everything acknowledged is there after the next start, and the running fit goes on.
 //!
 //! `RIGCAST_TEST_STOPS=20 cargo test --test api stops -- --nocapture` stops more often.
 
@@ -19,7 +19,7 @@ const CLIENTS: usize = 4;
 /// Longest stop.
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// What the clients of one program saw.
+/// Observations of the clients of one program.
 #[derive(Debug, Default)]
 struct Seen {
     answered: AtomicUsize,
@@ -29,13 +29,13 @@ struct Seen {
 }
 
 impl Seen {
-    /// Sends until nobody listens any more; gives each answer to `take`.
+    /// Sends until the program no longer listens; passes each answer to `take`.
     async fn send_until_refused(
         &self,
         request: impl Fn(&reqwest::Client) -> reqwest::RequestBuilder,
         take: impl Fn(u16, Vec<u8>),
     ) {
-        // A connection each: one that is kept may be closed while a request is on its way.
+        // One connection per request: a kept one may be closed while a request is on its way.
         let http = reqwest::Client::builder().pool_max_idle_per_host(0).build().expect("a client");
         loop {
             let answer = async {

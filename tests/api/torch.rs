@@ -1,4 +1,4 @@
-//! Weights that PyTorch wrote (`scripts/export_torch.py`), loaded and answered by the service.
+//! Weights that PyTorch wrote (`scripts/export_torch.py`), imported and used by the service.
 
 use rigcast::formats::npy::{self, Dtype, Order};
 use safetensors::SafeTensors;

@@ -1,4 +1,4 @@
-//! Worker processes: whatever becomes of one costs an attempt of its job, and nobody else anything.
+//! Worker processes: the end of one costs one attempt of its job and affects nothing else.
 
 use std::time::{Duration, Instant};
 
@@ -30,7 +30,7 @@ impl Lab {
         Self { program, client, directory }
     }
 
-    /// Stops the program as a service manager does, and starts it again; with the first one's log.
+    /// Stops the program as a service manager does, and starts it again; returns the log of the first.
     async fn restart(self) -> (Self, Vec<String>) {
         self.program.signal("-TERM");
         let (code, log) = self.program.ended();
@@ -51,7 +51,7 @@ impl Lab {
         }
     }
 
-    /// Until the job has come so far.
+    /// Waits until the job has come so far.
     async fn once(&self, job: &str, progress: f64) {
         loop {
             let found = self.client.get(&format!("/v1/jobs/{job}")).await.expect("the job");
@@ -75,7 +75,7 @@ fn frf() -> Value {
     json!({"kind": "frf"})
 }
 
-/// Some seconds of training, long enough to be met under way.
+/// Some seconds of training, long enough to be interrupted.
 fn seconds() -> Value {
     json!({"kind": "lstm", "lstm": {"blocks": [24], "window_len": 128, "epochs": 3000, "seeds": [1]}})
 }

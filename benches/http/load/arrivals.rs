@@ -1,5 +1,6 @@
-//! Open loop: requests come when they come, whatever became of those before. Times count from when a
-//! request should have been sent, so that a client that falls behind does not hide it.
+//! An open-loop load: requests are sent at their own times, whether or not earlier ones were answered. A
+//! latency counts from the time at which the request was due, so that a client that falls behind does not
+//! hide it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,16 +11,16 @@ use tokio::task::JoinSet;
 
 use super::client::Target;
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Outcome {
-    /// From when it was due to the end of its answer.
+    /// Time from when it was due to the end of its answer.
     pub took: Duration,
     /// Its status; 0: no answer at all.
     pub status: u16,
 }
 
-/// Requests of one kind at a mean rate, at random moments as independent clients send them.
+/// Requests of one kind at a mean rate, at random times as independent clients send them.
 pub async fn arrivals(
     target: Arc<Target>,
     request: Arc<Vec<u8>>,
@@ -43,17 +44,17 @@ pub async fn arrivals(
     tasks.join_all().await
 }
 
-/// Those that were answered as asked.
+/// Latencies of the requests that were answered with success.
 pub fn accepted(outcomes: &[Outcome]) -> Vec<Outcome> {
     outcomes.iter().copied().filter(|outcome| (200..300).contains(&outcome.status)).collect()
 }
 
-/// Those that were sent away.
+/// Latencies of the requests that were refused for load.
 pub fn shed(outcomes: &[Outcome]) -> Vec<Outcome> {
     outcomes.iter().copied().filter(|outcome| [429, 503].contains(&outcome.status)).collect()
 }
 
-/// A quantile of their times, seconds; of none it is not a number.
+/// A quantile of latencies, seconds; NaN without any.
 pub fn quantile(outcomes: &[Outcome], q: f64) -> f64 {
     let mut took: Vec<Duration> = outcomes.iter().map(|outcome| outcome.took).collect();
     took.sort_unstable();

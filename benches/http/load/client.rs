@@ -1,5 +1,5 @@
-//! A client that sends prepared bytes and throws answers away: on one machine with the service, whatever
-//! it costs is missing there.
+//! A client that sends prepared bytes and discards answers, so that it takes little of the machine that it
+//! shares with the service.
 
 use std::io;
 use std::net::SocketAddr;
@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
-/// A service and the connections to it that are idle.
+/// A service and the idle connections to it.
 pub struct Target {
     address: SocketAddr,
     idle: Mutex<Vec<TcpStream>>,
@@ -23,12 +23,12 @@ pub fn request(head: &str, token: Option<&str>, body: &[u8]) -> Vec<u8> {
 }
 
 impl Target {
-    /// No connection yet.
+    /// A client without a connection.
     pub fn new(address: SocketAddr) -> Self {
         Self { address, idle: Mutex::default() }
     }
 
-    /// Sends a request on a kept or a new connection; gives the status of its answer.
+    /// Sends a request on an idle or a new connection; returns the status of its answer.
     pub async fn send(&self, request: &[u8]) -> io::Result<u16> {
         let kept = self.idle.lock().expect("nobody panics with it").pop();
         if let Some(stream) = kept {
@@ -45,7 +45,7 @@ impl Target {
 
     async fn exchange(&self, mut stream: TcpStream, request: &[u8]) -> io::Result<u16> {
         let (mut reader, mut writer) = stream.split();
-        // Who is refused early may be answered before all is sent.
+        // A refusal may arrive before the whole request is sent.
         let (sent, answered) = tokio::join!(writer.write_all(request), answer(&mut reader));
         let (status, keeps) = match (sent, answered) {
             (_, Ok(answered)) => answered,
@@ -61,7 +61,7 @@ impl Target {
     }
 }
 
-/// Reads an answer to its end: its status, and whether the connection stays.
+/// Reads an answer to its end; returns its status, and whether the connection stays open.
 async fn answer(reader: &mut (impl AsyncRead + Unpin)) -> io::Result<(u16, bool)> {
     let mut buffer = vec![0; 64 << 10];
     let mut filled = 0;

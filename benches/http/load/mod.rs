@@ -1,8 +1,8 @@
-//! What becomes of the service under more load than it can bear, on one machine with its clients.
+//! The service under overload, on one machine with its clients.
 //!
 //! - `load`: C, the highest rate with a 99th percentile of at most 100 ms; twice, five and ten times that;
-//! - `fair`: one token at ten times its share, and what the others notice;
-//! - `slow`: 2,000 connections that send a byte now and then, and what an honest client notices.
+//! - `fair`: one token at ten times its share, and the latency of the others;
+//! - `slow`: 2,000 connections that send a byte now and then, and the latency of an honest client.
 
 mod arrivals;
 mod client;
@@ -26,14 +26,14 @@ use client::{Target, request};
 /// Samples of a request: 10 s.
 const SAMPLES: usize = 10_000;
 
-/// Longest 99th percentile at the rate that is called C, seconds.
+/// Longest 99th percentile at the rate C, seconds.
 const LIMIT_S: f64 = 0.1;
 
-/// How long a rate is tried, and how long it is then measured.
+/// Time to settle at a rate, and time to measure it.
 const TRIAL: Duration = Duration::from_secs(6);
 const MEASURE: Duration = Duration::from_secs(10);
 
-/// A service with its model, and who asks it.
+/// A service with its model, and its clients.
 struct Lab {
     service: Service,
     runtime: Runtime,
@@ -67,7 +67,7 @@ impl Lab {
         arrivals(Arc::clone(&self.target), request, per_s, length, (per_s * 1e3) as u64)
     }
 
-    /// Requests at a gentle rate beside others.
+    /// Requests at a low rate while others run.
     fn probing(&self, head: &str, length: Duration) -> impl Future<Output = Vec<Outcome>> + Send + use<> {
         arrivals(Arc::clone(&self.target), Arc::new(request(head, None, b"")), 20.0, length, 7)
     }
@@ -87,7 +87,7 @@ impl Lab {
         })
     }
 
-    /// The highest rate that is borne.
+    /// The highest rate that meets the bound.
     fn capacity(&self) -> f64 {
         let borne = |per_s: f64| {
             let outcomes = self.predict(per_s, TRIAL, None);
@@ -169,7 +169,7 @@ pub fn load() {
     }
 }
 
-/// Seconds from the end of an overload to the first half second in which all is well again.
+/// Seconds from the end of an overload to the first half second in which all requests meet the bound.
 fn recovery(lab: &Lab, per_s: f64, over: Instant) -> f64 {
     loop {
         let began = over.elapsed().as_secs_f64();
@@ -251,7 +251,7 @@ pub fn slow() {
     tell("slow", &json!({"c_per_s": c, "ratio": with / without}));
 }
 
-/// Half of them crawl in the head, half in the body; who is cut comes again.
+/// Half of the connections are slow in the head, half in the body; one that is cut reconnects.
 async fn crawl(address: String, i: usize) {
     let head = "POST /v1/rigs/bench/predict?sample_rate_hz=1000 HTTP/1.1\r\nHost: localhost\r\n\
                 Content-Type: application/x-npy\r\nContent-Length: 120000\r\n";
@@ -264,7 +264,7 @@ async fn crawl(address: String, i: usize) {
             tokio::time::sleep(Duration::from_secs(1)).await;
             alive = stream.write_all(b"x").await.is_ok();
         }
-        // A refused one does not come again at once.
+        // A refused one waits before it reconnects.
         tokio::time::sleep(Duration::from_secs(1)).await;
     }
 }

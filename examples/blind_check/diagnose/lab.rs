@@ -1,5 +1,5 @@
-//! A further run where a report could not tell effects apart: the one that it asks for, and beside it
-//! some drawn at random.
+//! A further run for reports that could not tell effects apart: the run that the report proposes and, for
+//! comparison, random ones.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::session::Session;
 use crate::AnyError;
 
-/// What a report may ask for: kind and level.
+/// The runs that a report may propose: kind and level.
 const MENU: [(&str, f64); 9] = [
     ("noise", 0.3),
     ("noise", 1.0),
@@ -23,7 +23,7 @@ const MENU: [(&str, f64); 9] = [
     ("sweep", 1.0),
     ("offset_noise", 1.0),
 ];
-/// When further runs begin, after all others.
+/// Start of further runs, after all others.
 const STARTED_AT: &str = "2026-03-02T12:10:00Z";
 
 /// Reports with the run asked for (`proposed`), if one is, and with runs of the menu in random order
@@ -62,7 +62,7 @@ pub async fn further(
     Ok(json!({"proposed": proposed, "random": random}))
 }
 
-/// How many effects a report cannot tell apart; none where it names nothing.
+/// Number of effects that a report cannot tell apart; `None` where it names none.
 fn standing(report: &Value) -> usize {
     report["verdict"]["equivalence_set"].as_array().map_or(0, Vec::len)
 }
@@ -92,7 +92,7 @@ impl Lab<'_, '_> {
     }
 }
 
-/// Has the lab run the rig; the lab knows which one it is.
+/// Calls the lab to run the rig, which only the lab knows.
 async fn record(dir: &Path, folder: &Path, id: &str, run: &str, drive: &Value) -> Result<Vec<u8>, AnyError> {
     let out = folder.join(format!("{run}.npy"));
     let mut lab = tokio::process::Command::new(std::env::current_exe()?);

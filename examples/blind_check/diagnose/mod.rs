@@ -1,5 +1,5 @@
-//! Asks a service what the sims of all cases lack, over HTTP alone like any user. Labels are not read;
-//! one more run of a case's rig is the lab's doing, which is another process.
+//! Diagnoses all cases with a service, over HTTP like any user. Labels are not read; a further run of a
+//! case's rig is made by the lab, which is another process.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,13 +16,13 @@ use session::Session;
 mod lab;
 pub mod session;
 
-/// What is asked for.
+/// Arguments.
 pub struct How {
     /// Directory of the cases.
     pub dir: PathBuf,
-    /// A running service, else one is started.
+    /// A running service; `None`: one is started.
     pub service: Option<String>,
-    /// Token to show there.
+    /// Token for the service.
     pub token: Option<String>,
     /// Cases at a time.
     pub in_flight: usize,
@@ -89,7 +89,7 @@ async fn all(how: &How, client: &Client) -> Result<(), AnyError> {
     Ok(())
 }
 
-/// What the service says of one case: its report and what was made of it, or why there is none.
+/// The result of one case: its report and the checks of it, or the error.
 async fn answer(how: &How, client: &Client, folder: &Path, about: &Value) -> Value {
     let found = ask(how, client, folder, about).await;
     let rig = about["rig"]["id"].as_str().unwrap_or_default();
@@ -135,7 +135,7 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
         .into();
     let (href, report) = session.diagnose(&request).await?;
     let mut answer = json!({"report": report});
-    // What follows may fail without a word against the report.
+    // The steps that follow may fail without invalidating the report.
     match check(&session, folder, about, &answer["report"], model, &href).await {
         Ok(found) => answer["check"] = found,
         Err(e) => answer["error"] = format!("check: {e}").into(),
@@ -149,7 +149,7 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
     Ok(answer)
 }
 
-/// What the sim, and the sim with the blamed effect adopted, say of fresh drives.
+/// The predictions of the sim, and of the sim with the blamed effect adopted, for fresh drives.
 async fn check(
     session: &Session<'_>,
     folder: &Path,

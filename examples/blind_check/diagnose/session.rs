@@ -1,4 +1,4 @@
-//! One rig's way through the service: runs in, a sim fitted, a diagnosis asked for.
+//! The session of one rig with the service: upload runs, fit a sim, request a diagnosis.
 
 use std::collections::HashMap;
 
@@ -47,13 +47,13 @@ impl<'a> Session<'a> {
         names.iter().map(id).map(|id| id.map(Value::from)).collect()
     }
 
-    /// Brings a sim from elsewhere, as safetensors, and answers its version.
+    /// Imports a sim as safetensors and returns its version.
     pub async fn import(&self, weights: Vec<u8>) -> Result<u64, AnyError> {
         let model = self.client.import(&self.rig, weights).await?;
         Ok(model["version"].as_u64().ok_or(ClientError::Missing("version"))?)
     }
 
-    /// Fits a sim to runs and answers its version.
+    /// Fits a sim to runs and returns its version.
     pub async fn fit(&self, request: &Value, runs: &[&str]) -> Result<u64, AnyError> {
         let mut request = request.clone();
         request["runs"] = self.ids(runs)?;
@@ -73,13 +73,13 @@ impl<'a> Session<'a> {
         Ok((href.into(), report))
     }
 
-    /// Makes the first hypothesis a model and answers its version.
+    /// Adopts the first hypothesis and returns the version of the model.
     pub async fn adopt(&self, diagnosis: &str) -> Result<u64, AnyError> {
         let model = self.client.post(&format!("{diagnosis}/adopt"), &json!({})).await?;
         Ok(model["version"].as_u64().ok_or(ClientError::Missing("version"))?)
     }
 
-    /// The response that a model gives to a drive.
+    /// The response of a model to a drive.
     pub async fn predict(&self, version: u64, drive: &Value) -> Result<Value, AnyError> {
         let request = json!({"model": version, "drive": drive, "include": ["response"]});
         let mut answer = self.client.post(&format!("/v1/rigs/{}/predict", self.rig), &request).await?;

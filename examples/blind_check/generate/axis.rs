@@ -27,7 +27,7 @@ pub struct Axis {
     pub lag_hz: Option<f64>,
     /// Corner of a second-order filter before the row, of rigs that may be a sandwich.
     pub before_hz: Option<f64>,
-    /// How much each drive acts on this axis besides its own.
+    /// Gain of each other drive on this axis.
     pub coupling: Vec<f64>,
     /// RMS of the seen displacement, its velocity, its elastic force and the measured force.
     pub level: [f64; 4],
@@ -83,7 +83,7 @@ impl Axis {
     }
 }
 
-/// What an actuator makes of its command.
+/// The response of an actuator to its command.
 pub fn actuator<'a>(
     axis: &Axis,
     q: &[f64],

@@ -16,15 +16,15 @@ const GAP: [f64; 2] = [0.012, 0.45];
 const ABOVE_NOISE: f64 = 1.1;
 /// Noise relative to the response.
 const NOISE: [f64; 2] = [0.004, 0.02];
-/// The programme's length and when its runs begin, s.
+/// Length of the programme and start of its runs, s.
 const PROGRAMME_S: f64 = 4.0 * 3600.0;
 const STARTS_S: [f64; 4] = [720.0, 5040.0, 9360.0, 14040.0];
-/// Length of the stretch on which a strength is found.
+/// Length of the signal on which a strength is found.
 const SHORT_S: f64 = 10.0;
-/// Length of a run on which an adopted effect is checked: so long that what is found there is what the
-/// interval is of, not another draw.
+/// Length of a run on which an adopted effect is checked: long enough that its closure is the true one of
+/// which the interval is stated, and not another random draw.
 const CHECK_S: f64 = 44.0;
-/// Rigs drawn until a strength gives the gap that is wanted.
+/// Most rigs that are drawn until a strength gives the wanted gap.
 const ATTEMPTS: u64 = 50;
 
 /// A run as it was recorded.
@@ -36,7 +36,7 @@ pub struct Record {
     pub started_s: f64,
 }
 
-/// A case with all that is known of it.
+/// A case with its truth.
 pub struct Case {
     pub suite: Suite,
     pub axes: usize,
@@ -55,9 +55,9 @@ pub struct Case {
 /// Noise and gap of a suite.
 fn ranges(suite: Suite) -> ([f64; 2], [f64; 2]) {
     match suite {
-        // Small gaps near the noise are the ones that leave several effects standing.
+        // Small gaps near the noise leave several effects possible.
         Suite::NextExperiment => ([0.01, NOISE[1]], [GAP[0], 0.08]),
-        // What takes no time is no gap.
+        // A diagnosis that finds no gap takes no time, so that clocked cases have a clear one.
         Suite::Time => (NOISE, [0.1, 0.3]),
         _ => (NOISE, GAP),
     }

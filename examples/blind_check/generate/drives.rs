@@ -5,17 +5,17 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::rig::{RATE, rms};
 
-/// A run that a report asks for, with levels relative to the peaks of the runs so far.
+/// A run that a report proposes, with levels relative to the peaks of the runs so far.
 #[derive(Debug, Clone)]
 pub struct Wish {
     /// `noise`, `slow_sine`, `resonance_sine`, `sweep` or `offset_noise`.
     pub kind: String,
     pub level_rel: f64,
-    /// Of a sine; left out, what suits the rig.
+    /// Frequency of a sine; left out: one that suits the rig.
     pub frequency_hz: Option<f64>,
 }
 
-/// Length of a run that was asked for.
+/// Length of a run that was proposed.
 const WISHED_S: f64 = 12.0;
 
 /// Noise up to `high_hz` without an offset, RMS 1.

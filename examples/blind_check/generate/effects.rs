@@ -1,4 +1,4 @@
-//! Which flaws each suite draws, and how the contract calls them.
+//! The flaws of each suite and their names in the contract.
 
 use rand::{Rng, RngExt};
 
@@ -112,7 +112,7 @@ pub fn catalogue(rng: &mut impl Rng) -> Vec<Named> {
     ]
 }
 
-/// Nothing, and what no drive causes.
+/// No effect, and disturbances that no drive causes.
 pub fn nothing(rng: &mut impl Rng) -> Vec<Named> {
     vec![
         Named { flaw: Flaw::Nothing, effect: "nothing", family: None },
@@ -122,7 +122,7 @@ pub fn nothing(rng: &mut impl Rng) -> Vec<Named> {
     ]
 }
 
-/// What the catalogue does not hold.
+/// Effects outside the catalogue.
 pub fn outside(rng: &mut impl Rng) -> Vec<Named> {
     let flaws = [
         (Flaw::Cogging { pitch: rng.random_range(0.4..1.2) }, "cogging"),
@@ -182,7 +182,7 @@ pub fn three_axes(rng: &mut impl Rng) -> Vec<Named> {
     catalogue(rng).into_iter().filter(|n| !other.contains(&n.effect)).collect()
 }
 
-/// Effects that are easily taken for each other on runs of one level.
+/// Effects that are easily confused on runs of one level.
 pub fn ambiguous(rng: &mut impl Rng) -> Vec<Named> {
     let families = ["stiffness", "friction_hysteresis", "damping", "actuator", "deadband_backlash"];
     catalogue(rng).into_iter().filter(|n| n.family.is_some_and(|f| families.contains(&f))).collect()

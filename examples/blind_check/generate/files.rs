@@ -1,4 +1,4 @@
-//! What a case leaves on disk: measured runs and a `case.json` without a label.
+//! The files of a case: measured runs and a `case.json` without a label.
 
 use std::fs;
 use std::io;
@@ -36,7 +36,7 @@ fn channels(axes: usize) -> Vec<Value> {
     out
 }
 
-/// Name of an axis of a rig of so many.
+/// Name of an axis of a rig with `axes` of them.
 pub fn axis_name(axis: usize) -> &'static str {
     AXES[axis]
 }
@@ -99,7 +99,7 @@ pub fn write(case: &mut Case, id: &str, folder: &Path, truth: &Path) -> io::Resu
     fs::write(folder.join("case.json"), serde_json::to_string_pretty(&about)?)
 }
 
-/// What of the diagnosis' request a user knows.
+/// The fields of the diagnosis request that a user knows.
 fn request(case: &Case, channels: &[Value]) -> Value {
     let named = case.named[0];
     let catalogue = match case.suite {
@@ -132,7 +132,7 @@ fn named(channels: &[Value], samples: &[Vec<f64>]) -> Value {
 /// A run as an NPY file, `[samples, channels]` in the rig's order.
 ///
 /// # Errors
-/// Never but for lack of memory.
+/// Only for lack of memory.
 pub fn npy(record: &Record) -> io::Result<Vec<u8>> {
     let channels: Vec<&Vec<f64>> = record.drives.iter().chain(&record.responses).collect();
     let n = channels[0].len();

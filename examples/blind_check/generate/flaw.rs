@@ -1,4 +1,4 @@
-//! What may be wrong with a rig or its recording, and the part of it that acts on whole signals.
+//! Flaws of a rig or of its recording, and those of them that act on whole signals.
 
 /// A flaw; its numbers are relative to the linear rig's own levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +44,7 @@ pub enum Flaw {
     UnmeasuredForce,
     Parametric { hz: f64 },
     NegativeDamping { width: f64 },
-    // Of the recording, not of the rig.
+    // Flaws of the recording, not of the rig.
     RaisedNoise,
     Hum { hz: f64 },
     Quantisation,
@@ -62,12 +62,12 @@ pub struct Placed {
 }
 
 impl Flaw {
-    /// Whether the rig is as it was and only what is recorded differs.
+    /// Whether only the recording differs and the rig is unchanged.
     pub fn of_recording(self) -> bool {
         matches!(self, Self::Nothing | Self::RaisedNoise | Self::Hum { .. } | Self::Quantisation)
     }
 
-    /// Whether it acts otherwise in the same run of another hour.
+    /// Whether it acts differently in the same run at another time.
     pub fn of_the_hour(self) -> bool {
         matches!(self, Self::StiffnessDrift | Self::OffsetDrift | Self::DropOuts | Self::UnmeasuredForce)
     }

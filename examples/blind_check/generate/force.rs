@@ -3,7 +3,7 @@
 use super::axis::{Axis, HYSTERESIS, MASSES, TWIST};
 use super::flaw::{Flaw, Placed};
 
-/// What enters the rig at one moment.
+/// The inputs of the rig at one time.
 pub struct Moment {
     pub drives: Vec<f64>,
     pub clock: f64,

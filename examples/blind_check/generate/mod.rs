@@ -1,5 +1,4 @@
-//! Makes the cases: rigs that no code of the diagnosis has touched, and their labels in a file of
-//! their own.
+//! Makes the cases: rigs that share no code with the diagnosis, and their labels in a file of their own.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -30,7 +29,7 @@ mod rig;
 mod sim;
 mod suites;
 
-/// Which cases are made.
+/// The cases to make.
 pub struct Plan {
     pub dir: PathBuf,
     pub seeds: Seeds,
@@ -62,7 +61,7 @@ pub fn generate(plan: &Plan) -> Result<(), AnyError> {
         let wanted = plan.cases.filter(|_| suite != Suite::Time).unwrap_or(suite.cases());
         cases.extend((0..wanted).map(|i| (suite, i)));
     }
-    // An id would tell its suite if ids were in order.
+    // Ids in order would reveal the suite of a case.
     cases.shuffle(&mut ChaCha8Rng::seed_from_u64(plan.seeds.of(plan.round, 99, 0)));
     let style = ProgressStyle::with_template("{prefix:>9} {bar:32} {pos}/{len}, {eta} left")?;
     let bar = ProgressBar::new(cases.len() as u64).with_style(style).with_prefix("generate");
@@ -84,7 +83,7 @@ pub fn generate(plan: &Plan) -> Result<(), AnyError> {
     Ok(fs::write(labels, serde_json::to_string_pretty(&all)?)?)
 }
 
-/// Puts a final run into the log before anything can be seen of it.
+/// Enters a final run into the log before any of its results exist.
 fn enter(plan: &Plan) -> Result<(), AnyError> {
     let used = seeds::logged(&plan.log)?;
     if used.iter().any(|line| line["round"] == plan.round) {

@@ -1,4 +1,4 @@
-//! The sim that was fitted on the rig itself: its linear numbers follow the low-level run, flaw and all.
+//! A sim that was fitted on the rig itself: its linear parameters follow the low-level run, flaw included.
 
 use super::rig::{COARSE, Rig, Span};
 
@@ -20,7 +20,7 @@ pub fn retuned(rig: &Rig, drives: &[Vec<f64>], low: &[f64]) -> (Rig, f64) {
     found
 }
 
-/// How the first response of a linear rig moves with each of its numbers, and with a mean.
+/// Sensitivity of the first response of a linear rig to each of its parameters, and to a mean.
 pub struct Moves {
     linear: Vec<f64>,
     /// `[number][sample]`, per percent; the mean last.

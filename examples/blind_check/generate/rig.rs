@@ -1,5 +1,5 @@
-//! Random rigs with flaws: rows of masses, one row an axis, integrated with Runge and Kutta's
-//! fourth-order rule at sixteen steps a sample. Shares nothing with the service.
+//! Random rigs with flaws: chains of masses, one per axis, integrated by the fourth-order Runge-Kutta method
+//! with sixteen steps per sample. Shares no code with the service.
 
 use rand::{Rng, RngExt};
 
@@ -9,7 +9,7 @@ use super::force::{Moment, changed, law};
 
 /// Steps of the integrator per sample of what is recorded.
 pub const FINE: usize = 16;
-/// Steps that do for finding a strength.
+/// Steps that suffice to find a strength.
 pub const COARSE: usize = 8;
 /// Samples a second.
 pub const RATE: f64 = 512.0;
@@ -39,8 +39,8 @@ struct Motion {
 }
 
 impl Rig {
-    /// Draws a rig of `axes` axes for `drives`, `[drive][sample]`, whose levels are its own; `flaws` only
-    /// say what it must be able to have.
+    /// Draws a rig of `axes` axes, scaled to the levels of `drives`, `[drive][sample]`; `flaws` are those that
+    /// it must be able to have.
     pub fn draw(rng: &mut impl Rng, axes: usize, drives: &[Vec<f64>], flaws: &[Flaw]) -> Self {
         let special = |f: &&Flaw| matches!(f, Flaw::Sandwich { .. } | Flaw::CrossLinear);
         let flaw = flaws.iter().find(special).copied().unwrap_or(Flaw::Nothing);

@@ -1,4 +1,4 @@
-//! The sim of a case: the FRF of a linear rig, as a lab brings it from elsewhere.
+//! The sim of a case: the FRF of a linear rig, as a lab would import it.
 
 use std::collections::HashMap;
 use std::io;
@@ -58,10 +58,10 @@ fn frf(rig: &Rig, n_drives: usize) -> io::Result<(Vec<[f64; 2]>, usize)> {
     Ok((h, segment))
 }
 
-/// A safetensors file of the rig's FRF; `y_mean` is what it answers to no drive.
+/// A safetensors file of the rig's FRF; `y_mean` is its response without a drive.
 ///
 /// # Errors
-/// Never but for lack of memory.
+/// Only for lack of memory.
 pub fn safetensors(
     rig: &Rig,
     drives: &[String],

@@ -1,4 +1,4 @@
-//! The suites of the check: how many cases, which flaws, which data.
+//! The suites of the check: number of cases, flaws, data.
 
 use clap::ValueEnum;
 use rand::{Rng, RngExt};

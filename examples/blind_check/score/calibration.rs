@@ -1,4 +1,4 @@
-//! Whether a stated probability is one: over all verdicts, against how often they are true.
+//! Calibration of stated probabilities: their mean against the share of verdicts that are true.
 
 use super::case::Case;
 use super::row::{Bar, Row};
@@ -14,7 +14,7 @@ pub struct Bin {
     pub found: f64,
 }
 
-/// Each verdict's probability and whether it is true.
+/// The probability of each verdict, and whether it is true.
 pub fn verdicts(cases: &[Case]) -> Vec<(f64, bool)> {
     let one = |c: &Case| Some((c.verdict()["probability"].as_f64()?, c.verdict_is_true()));
     cases.iter().filter_map(one).collect()

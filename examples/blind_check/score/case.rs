@@ -1,4 +1,4 @@
-//! One case with its label and report, and what counts as right.
+//! One case with its label and report, and the rules for a right verdict.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ pub struct Case {
     pub id: String,
     pub suite: String,
     pub label: Value,
-    /// What `diagnose` wrote: `report`, `check`, `next`, `error`.
+    /// The output of `diagnose`: `report`, `check`, `next`, `error`.
     pub answer: Arc<Value>,
 }
 

@@ -1,4 +1,4 @@
-//! How far the gap closes, and whether the intervals say so truly.
+//! The closure of the gap, and the coverage of its intervals.
 
 use realfft::RealFftPlanner;
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! What was stated of each true effect: the confusion matrix without its zeros.
+//! The confusion matrix: the verdicts for each true effect, without zeros.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 
 use super::case::Case;
 
-/// A line a suite and true effect, what was stated of it most often first.
+/// One line per suite and true effect, with its verdicts, the most frequent first.
 pub fn table(cases: &[Case]) -> Table {
     let mut counts: BTreeMap<(&str, String), BTreeMap<String, usize>> = BTreeMap::new();
     for case in cases {

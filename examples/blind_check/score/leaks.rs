@@ -1,4 +1,4 @@
-//! Labels that belong to other cases must score at chance.
+//! A check for leaks: labels of other cases must score at chance.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;

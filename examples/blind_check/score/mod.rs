@@ -25,7 +25,7 @@ mod statistics;
 mod suites;
 mod times;
 
-/// Prints the table, writes `score.json`, and answers whether every bar is reached.
+/// Prints the table, writes `score.json`, and returns whether every bar is reached.
 ///
 /// # Errors
 /// Labels or reports that are missing or not JSON.
@@ -86,7 +86,7 @@ fn table(rows: &[Row]) -> Table {
     table
 }
 
-/// A case in one line, for whoever looks for what went wrong.
+/// One line per case, to find the cases that went wrong.
 fn line(case: &Case) -> Value {
     json!({"id": case.id, "suite": case.suite, "label": case.label, "kind": case.kind(), "stated": case.stated(),
            "probability": case.verdict()["probability"], "right": case.is_right(),

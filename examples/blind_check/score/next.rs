@@ -1,4 +1,4 @@
-//! Whether the run that a report asks for settles what it could not tell.
+//! Whether the run that a report proposes decides between the effects that it could not tell apart.
 
 use serde_json::Value;
 

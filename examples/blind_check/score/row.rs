@@ -1,4 +1,4 @@
-//! A row of the table: a figure beside its bar.
+//! A row of the table: a figure and its bar.
 
 use serde_json::{Value, json};
 
@@ -9,11 +9,11 @@ use super::statistics::Share;
 pub enum Figure {
     /// With Wilson's interval.
     Share(Share),
-    /// None where nothing could be measured.
+    /// `None` where nothing could be measured.
     Number(Option<f64>),
 }
 
-/// What a figure has to reach.
+/// The bar that a figure has to reach.
 #[derive(Debug, Clone, Copy)]
 pub enum Bar {
     AtLeast(f64),
@@ -49,7 +49,7 @@ impl Row {
         }
     }
 
-    /// Whether the bar is reached; `None` without one. What could not be measured misses.
+    /// Whether the bar is reached; `None` without one. A figure that could not be measured misses it.
     pub fn passes(&self) -> Option<bool> {
         let reached = |test: &dyn Fn(f64) -> bool| Some(self.value().is_some_and(test));
         match self.bar {

@@ -1,6 +1,6 @@
 //! Shares with their intervals, and quantiles.
 
-/// So many of so many.
+/// A count out of a total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Share {
     pub of: usize,
@@ -8,14 +8,14 @@ pub struct Share {
 }
 
 impl Share {
-    /// Of the items those for which it holds.
+    /// The count of items for which a condition holds.
     pub fn count<T>(items: impl IntoIterator<Item = T>, holds: impl Fn(&T) -> bool) -> Self {
         items
             .into_iter()
             .fold(Self::default(), |s, item| Self { of: s.of + usize::from(holds(&item)), all: s.all + 1 })
     }
 
-    /// The share, 0 of nothing.
+    /// The share; 0 for an empty total.
     pub fn value(self) -> f64 {
         self.of as f64 / self.all.max(1) as f64
     }
@@ -33,7 +33,7 @@ impl Share {
     }
 }
 
-/// The value below which a share `q` of the values lies; `None` of none.
+/// The value below which a share `q` of the values lies; `None` without values.
 pub fn quantile(values: impl IntoIterator<Item = f64>, q: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! How long diagnoses take.
+//! Times of diagnoses.
 
 use std::path::Path;
 

@@ -193,7 +193,7 @@ mod tests {
             return false;
         }
         let drive = Signal::new(RATE, vec![noise_drive(2.0, 1.0, 9)]).unwrap();
-        match augmented.apply(&drive, &drive) {
+        match augmented.apply(&drive, &drive, None) {
             Ok(response) => assert_eq!(response.n_samples(), drive.n_samples()),
             Err(error) => assert!(error.to_string().contains("not finite"), "{error}"),
         }

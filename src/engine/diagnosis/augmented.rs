@@ -1,4 +1,7 @@
 //! The sim with the effect in it: `sim(u) + [augmented(u) - core(u)]`.
+//!
+//! Where the sim has adopted effects already, `core(u)` is the linear core's free run with all that they
+//! add to it: the law of a further effect then acts on the motion that the rig has with them.
 
 use std::sync::Arc;
 
@@ -6,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::candidate::Candidate;
 use super::core::Core;
+use super::effect::Effect;
 use super::kernel::Clock;
 use super::problem::{Course, Plant};
 use crate::engine::{EngineError, Signal};
@@ -21,6 +25,9 @@ pub struct Augmented {
     pub(super) members: Vec<Member>,
     /// Time of the programme at which laws that drift are evaluated: that of the last run.
     pub(super) time: f64,
+    /// Whether the effect was found on a sim with adopted effects, which its core then runs with.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) on_effects: bool,
 }
 
 /// One response with the effect.
@@ -38,66 +45,138 @@ impl Member {
         if !self.alone {
             return self.candidate.predict(&self.plant, course, &self.p);
         }
+        self.free_run(course)
+    }
+
+    /// The augmented core without the sim.
+    fn free_run(&self, course: &Course) -> Option<Vec<f64>> {
         let mut simulated = course.simulated.to_vec();
         simulated[self.plant.response] = course.core.to_vec();
         let course = Course { simulated: simulated.into(), ..course.clone() };
         self.candidate.predict(&self.plant, &course, &self.p)
     }
+
+    /// What the effect adds to the core.
+    fn addition(&self, course: &Course) -> Option<Vec<f64>> {
+        let free = self.free_run(course)?;
+        Some(free.iter().zip(course.core.iter()).map(|(y, core)| y - core).collect())
+    }
 }
 
 impl Augmented {
-    /// The sim's responses with the effect, `[response, sample]`; what does not feel it stays the
-    /// sim's.
+    /// The effect.
+    pub fn effect(&self) -> Effect {
+        self.members[0].candidate.parts[0].effect
+    }
+
+    /// Index of the response where it acts.
+    pub fn response(&self) -> usize {
+        self.members[0].plant.response
+    }
+
+    /// Whether it was found on a sim with adopted effects, whose additions [`Augmented::apply`] then needs.
+    pub fn on_effects(&self) -> bool {
+        self.on_effects
+    }
+
+    /// The sim's responses with the effect, `[response, sample]`; a response that does not feel it stays the
+    /// sim's. `before`, of the same shape, is what effects adopted earlier add to their cores; an effect
+    /// that was found without any disregards it.
     ///
     /// # Errors
-    /// Another number of drives or responses, another length, a free run that runs away.
-    pub fn apply(&self, drive: &Signal, simulated: &Signal) -> Result<Signal, EngineError> {
+    /// Another number of drives or responses, another length, a free run that diverges.
+    pub fn apply(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+    ) -> Result<Signal, EngineError> {
+        let mut channels = simulated.channels().to_vec();
+        for (response, predicted) in self.of_members(drive, simulated, before, Member::predict)? {
+            channels[response] = predicted;
+        }
+        Signal::new(drive.sample_rate_hz(), channels)
+    }
+
+    /// What the effect adds to its linear core, `[response, sample]`; zero where it is not felt. Arguments
+    /// and errors as [`Augmented::apply`].
+    pub fn addition(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+    ) -> Result<Signal, EngineError> {
+        let mut channels = vec![vec![0.0; simulated.n_samples()]; simulated.n_channels()];
+        for (response, added) in self.of_members(drive, simulated, before, Member::addition)? {
+            channels[response] = added;
+        }
+        Signal::new(drive.sample_rate_hz(), channels)
+    }
+
+    /// One signal for each response that feels the effect.
+    fn of_members(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+        of: fn(&Member, &Course) -> Option<Vec<f64>>,
+    ) -> Result<Vec<(usize, Vec<f64>)>, EngineError> {
         let plant = &self.members[0].plant;
         let (drives, responses) = (plant.drive_peak.len(), plant.other_scale.len());
         if drive.n_channels() != drives {
             let found = drive.n_channels();
             return Err(EngineError::ChannelCount { what: "drive", expected: drives, found });
         }
-        if simulated.n_channels() != responses {
-            let found = simulated.n_channels();
-            return Err(EngineError::ChannelCount { what: "simulated response", expected: responses, found });
-        }
-        if simulated.n_samples() != drive.n_samples() {
-            let (expected, found) = (drive.n_samples(), simulated.n_samples());
-            return Err(EngineError::UnequalLength {
-                what: "simulated response",
-                channel: 0,
-                expected,
-                found,
-            });
+        let before = before.filter(|_| self.on_effects);
+        for (what, signal) in [("simulated response", Some(simulated)), ("adopted effects", before)] {
+            let Some(signal) = signal else { continue };
+            if signal.n_channels() != responses {
+                let found = signal.n_channels();
+                return Err(EngineError::ChannelCount { what, expected: responses, found });
+            }
+            if signal.n_samples() != drive.n_samples() {
+                let (expected, found) = (drive.n_samples(), signal.n_samples());
+                return Err(EngineError::UnequalLength { what, channel: 0, expected, found });
+            }
         }
         let runaway =
             EngineError::NonFiniteResult { what: "augmented response", channel: plant.response, sample: 0 };
-        let predicted = self.run(drive.channels().to_vec(), simulated.channels().to_vec()).ok_or(runaway)?;
-        let mut channels = simulated.channels().to_vec();
-        for (member, predicted) in self.members.iter().zip(predicted) {
-            channels[member.plant.response] = predicted;
-        }
-        Signal::new(drive.sample_rate_hz(), channels)
+        let before = before.map(Signal::channels);
+        let found = self.run(drive.channels().to_vec(), simulated.channels().to_vec(), before, of);
+        let responses = self.members.iter().map(|member| member.plant.response);
+        Ok(responses.zip(found.ok_or(runaway)?).collect())
     }
 
-    /// Responses of the members, in their order; `None` if the effect's free run runs away.
-    fn run(&self, drives: Vec<Vec<f64>>, simulated: Vec<Vec<f64>>) -> Option<Vec<Vec<f64>>> {
+    /// One signal for each member, in their order; `None` if the effect's free run diverges.
+    fn run(
+        &self,
+        drives: Vec<Vec<f64>>,
+        simulated: Vec<Vec<f64>>,
+        before: Option<&[Vec<f64>]>,
+        of: fn(&Member, &Course) -> Option<Vec<f64>>,
+    ) -> Option<Vec<Vec<f64>>> {
         let host = self.members.first()?;
+        let core = |member: &Member, drives: &[Vec<f64>]| {
+            let mut core = member.plant.core.simulate(drives);
+            if let Some(before) = before {
+                core.iter_mut().zip(&before[member.plant.response]).for_each(|(core, added)| *core += added);
+            }
+            Arc::new(core)
+        };
         let mut course = Course {
-            core: host.plant.core.simulate(&drives).into(),
+            core: core(host, &drives),
             drives: drives.into(),
             simulated: simulated.into(),
             clock: Clock { start: self.time, step: 0.0 },
             carried: Arc::default(),
         };
-        let mut out = vec![host.predict(&course)?];
+        let mut out = vec![of(host, &course)?];
         if self.members.len() > 1 {
             course.carried = host.candidate.carry(&host.plant, &course, &host.p)?.into();
         }
         for member in &self.members[1..] {
-            course.core = member.plant.core.simulate(&course.drives).into();
-            out.push(member.predict(&course)?);
+            course.core = core(member, &course.drives);
+            out.push(of(member, &course)?);
         }
         Some(out)
     }
@@ -121,7 +200,7 @@ impl Augmented {
             .collect();
         let linear = core.simulate(&scaled);
         let simulated = vec![linear.clone(); host.plant.other_scale.len()];
-        let Some(responses) = self.run(scaled, simulated) else { return false };
+        let Some(responses) = self.run(scaled, simulated, None, Member::predict) else { return false };
         let y = &responses[0];
         let about =
             |y: &[f64]| super::linear::rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>());

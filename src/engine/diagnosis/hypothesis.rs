@@ -83,11 +83,12 @@ pub(super) fn hypothesis(
         plant: place.problem.plant.clone(),
         candidate: place.fitted.candidate.clone(),
         p: place.fitted.p.clone(),
-        alone: input.sim_is_linear && better_alone(input, place),
+        alone: input.core_stands(place.problem.response) && better_alone(input, place),
     };
     let augmented = Augmented {
         members: places.iter().map(member).collect(),
         time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
+        on_effects: input.runs.iter().any(|run| run.added.is_some()),
     };
     let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
     Some((

@@ -29,6 +29,9 @@ pub struct Run {
     pub response: Signal,
     /// What the sim says, `[response, sample]`; without it the linear core is the sim.
     pub simulated: Option<Signal>,
+    /// What the sim's adopted effects add to the linear cores that they were found on,
+    /// `[response, sample]`, zero where none acts: the core runs with it. `None` for a sim without any.
+    pub added: Option<Signal>,
     /// Its place in time, seconds after any fixed instant.
     pub started_s: f64,
 }
@@ -74,7 +77,8 @@ pub struct Input {
     pub repeats: Vec<Vec<usize>>,
     /// Whether the sim is linear and of the baseline, as any FRF in situ and one that was fitted to it: the
     /// core, which is too and carries less of the estimate's error, then stands for it. What lies between
-    /// the two is linear, and nothing that a retuned core could take back from another sim.
+    /// the two is linear, and nothing that a retuned core could take back from another sim. Where an adopted
+    /// effect acts on a response, the sim stays what it is: the effect was adopted with the better of the two.
     pub sim_is_linear: bool,
     /// Whether the sim has seen the effect.
     pub mode: Mode,
@@ -132,6 +136,12 @@ impl Input {
         Ok(())
     }
 
+    /// Whether the core stands for the sim at a response.
+    pub(super) fn core_stands(&self, response: usize) -> bool {
+        let acts = |added: &Signal| added.channel(response).iter().any(|y| *y != 0.0);
+        self.sim_is_linear && !self.runs.iter().filter_map(|run| run.added.as_ref()).any(acts)
+    }
+
     /// Largest magnitude allowed of each drive: what is set, or `reached` by the runs.
     pub(super) fn limits(&self, reached: &[f64]) -> Vec<f64> {
         self.drive_limit.clone().unwrap_or_else(|| reached.to_vec())
@@ -149,7 +159,8 @@ impl Input {
 fn check_run(run: &Run, drives: usize, responses: usize, rate: f64) -> Result<(), EngineError> {
     let signals = [("drive of a run", &run.drive, drives), ("response of a run", &run.response, responses)];
     let simulated = run.simulated.iter().map(|s| ("simulated run", s, responses));
-    for (what, signal, expected) in signals.into_iter().chain(simulated) {
+    let added = run.added.iter().map(|s| ("adopted effects of a run", s, responses));
+    for (what, signal, expected) in signals.into_iter().chain(simulated).chain(added) {
         if signal.n_channels() != expected {
             return Err(EngineError::ChannelCount { what, expected, found: signal.n_channels() });
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::core::{self, Core, CoreFit};
-use super::input::{Input, Mode, Role};
+use super::input::{Input, Mode, Role, Run};
 use super::kernel::{Clock, Scales};
 use super::linear::{dot, mean, rms};
 use super::noise::{self, Noise, Pair};
@@ -136,22 +136,34 @@ fn fit_core(
 
 /// What the sim says of every run, `[run][response][sample]`.
 fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
+    let stands: Vec<bool> = (0..input.responses.len()).map(|r| input.core_stands(r)).collect();
     input
         .runs
         .par_iter()
         .map(|run| {
-            Arc::new(match &run.simulated {
-                Some(simulated) if !input.sim_is_linear => simulated.channels().to_vec(),
-                _ => fitted.iter().map(|f| f.core.simulate(run.drive.channels())).collect(),
-            })
+            let of = |(r, fit): (usize, &CoreFit)| match &run.simulated {
+                Some(simulated) if !stands[r] => simulated.channel(r).to_vec(),
+                _ => free_run(&fit.core, run, r),
+            };
+            Arc::new(fitted.iter().enumerate().map(of).collect())
         })
         .collect()
 }
 
-/// A warning for each response of which an FRF in situ says something else than the core that stands for it.
+/// The core's free run of a whole run, with what adopted effects of the sim add to it.
+fn free_run(core: &Core, run: &Run, response: usize) -> Vec<f64> {
+    let mut y = core.simulate(run.drive.channels());
+    if let Some(added) = &run.added {
+        y.iter_mut().zip(added.channel(response)).for_each(|(y, added)| *y += added);
+    }
+    y
+}
+
+/// A warning for each response at which the FRF differs from the core that stands for it by more than
+/// `material_gap` of the response.
 fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>]) -> Vec<String> {
-    let stands = input.sim_is_linear && input.mode == Mode::InSitu;
     let differs = |r: &usize| {
+        let stands = input.core_stands(*r);
         let (mut difference, mut size) = (0.0, 0.0);
         for (run, core) in input.runs.iter().zip(simulated) {
             let Some(sim) = run.simulated.as_ref().filter(|_| stands) else { continue };
@@ -238,7 +250,7 @@ impl<'a> Cut<'a> {
             course: Course {
                 simulated: Arc::new(cut(&self.simulated[piece.run])),
                 // With all of the run before it, as the sim has it too.
-                core: Arc::new(core.simulate(run.drive.channels())[start..piece.to].to_vec()),
+                core: Arc::new(free_run(core, run, response)[start..piece.to].to_vec()),
                 clock: Clock {
                     start: (run.started_s - begin + start as f64 / rate) / span,
                     step: 1.0 / (rate * span),

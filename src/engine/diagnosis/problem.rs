@@ -20,7 +20,7 @@ pub(super) struct Course {
     pub drives: Arc<Vec<Vec<f64>>>,
     /// What the sim says of each response, `[response][sample]`.
     pub simulated: Arc<Vec<Vec<f64>>>,
-    /// Free run of the core.
+    /// Free run of the core, with what adopted effects of the sim add to it.
     pub core: Arc<Vec<f64>>,
     /// Time of the run in units of the programme.
     pub clock: Clock,
@@ -162,10 +162,10 @@ impl Stretch {
     }
 
     /// What the sim itself says of the response, also where the core stands for it in situ: what an effect
-    /// closes there is counted from the sim as it is. An FRF from before the change errs by its estimate
-    /// alone, and that is no gap.
+    /// closes there is counted from the sim as it is. An FRF from before the change, for which the core
+    /// stands, errs by its estimate alone, and that is no gap.
     pub fn sim<'a>(&'a self, input: &'a Input, response: usize) -> &'a [f64] {
-        let its_own = !input.sim_is_linear || input.mode == Mode::InSitu;
+        let its_own = !input.core_stands(response) || input.mode == Mode::InSitu;
         let own = input.runs[self.run].simulated.as_ref().filter(|_| its_own);
         own.map_or(&self.simulated[response], |sim| {
             &sim.channel(response)[self.from..self.from + self.measured.len()]

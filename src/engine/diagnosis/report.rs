@@ -195,7 +195,7 @@ pub struct HeldOut {
     pub chi2_after: f64,
     /// `1 - (chi2_after - 1)+ / (chi2_before - 1)`.
     pub closure: f64,
-    /// The shortest that holds four fifths of its block bootstrap, as blind cases bear 90 % out.
+    /// Interval that holds the closure in 90 % of cases.
     pub closure_ci90: [f64; 2],
     /// `1 - (after^2 - noise^2)+ / (before^2 - noise^2)`, RMS in band.
     pub closure_rms: f64,

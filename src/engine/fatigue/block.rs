@@ -1,26 +1,26 @@
-//! The vectorisable front of damage counting: a block of samples becomes a few turning points.
+//! The vectorised first stage of damage counting: a block of samples becomes a few turning points.
 //!
-//! Rainflow on a stack costs two mispredicted branches a turning point, many times what the
-//! arithmetic costs. So most cycles are closed before the stack, without branches on data: where a
-//! range is smaller than both its neighbours the four-point rule closes it whatever comes before
-//! and after, and in noise a third of all ranges is such. Three passes leave about a sixth of the
-//! points to the stack; the cycles are the same, in another order.
+//! Rainflow on a stack costs two mispredicted branches per turning point, many times the cost of the
+//! arithmetic. Most cycles are therefore closed before the stack, without branches on data. The
+//! four-point rule closes a range that is smaller than both its neighbours whatever comes before and
+//! after it; in noise a third of all ranges is such. Three passes leave about a sixth of the points to the
+//! stack. The cycles are the same, in another order.
 
 use crate::engine::simd::Simd;
 
-/// Samples that are looked at in one go: small enough for the first-level cache.
+/// Samples per block, small enough for the first-level cache.
 pub(super) const BLOCK: usize = 1024;
 
-/// Values that are looked at together.
+/// Values that are compared at once.
 const AT_ONCE: usize = 8;
 
-/// A block and some more places, so that the last values can be read and written like all others.
+/// Length of the buffers: a block and some padding, so that its last values need no special case.
 type Padded = [f64; BLOCK + 2 * AT_ONCE];
 
 /// Passes that close cycles; a fourth gains nothing.
 const PASSES: usize = 3;
 
-/// Work space of a block; nothing in it outlives one.
+/// Work space of a block; nothing in it is kept from block to block.
 pub(super) struct Block {
     samples: Padded,
     points: Padded,
@@ -46,7 +46,7 @@ impl Block {
         self.n_points = 0;
         for first in (0..tests).step_by(AT_ONCE) {
             let [a, b, c] = [0, 1, 2].map(|k| eight(&self.samples, first + k));
-            // All but the inside of a strictly monotone stretch; comparisons only, so that no
+            // All points but those inside a strictly monotone part. Comparisons only, so that no
             // difference can overflow.
             let monotone = s.less(a, b) & s.less(b, c) | s.less(b, a) & s.less(c, b);
             let turns = !monotone & valid(tests - first);
@@ -61,7 +61,7 @@ impl Block {
         }
     }
 
-    /// Turning points that are left, in order. Plateaus may leave points that do not turn.
+    /// The remaining turning points, in order. Plateaus may leave points that do not turn.
     pub(super) fn points(&self) -> &[f64] {
         &self.points[..self.n_points]
     }
@@ -71,7 +71,7 @@ impl Block {
         &self.closed[..self.n_closed]
     }
 
-    /// One pass; says whether another may find more.
+    /// One pass; returns whether another may find more.
     #[inline(always)]
     fn close_small_ranges<S: Simd>(&mut self, s: S) -> bool {
         let n = self.n_points;
@@ -85,7 +85,7 @@ impl Block {
             still |= *range == 0.0;
         }
         if still {
-            // A plateau left points that do not turn: the rule below needs points that alternate.
+            // A plateau left points that do not turn, and the rule below needs alternating points.
             return false;
         }
         // The cycle between points i + 1 and i + 2 closes. Of equal neighbours only the last may,
@@ -99,7 +99,7 @@ impl Block {
             found += closing.count_ones() as usize;
             let keep = !(closing << 1 | closing << 2 | carry);
             carry = closing >> 7 | closing >> 6;
-            // Where it is written has been read already.
+            // The place that is written was read before.
             let points = *eight(&self.points, first);
             s.compress(points, keep, eight_mut(&mut self.points, kept));
             kept += keep.count_ones() as usize;
@@ -122,7 +122,7 @@ fn eight_mut(values: &mut Padded, at: usize) -> &mut [f64; AT_ONCE] {
     values[at..].first_chunk_mut().expect("a padded block goes on for eight values")
 }
 
-/// A bit for each of the first `n` of eight.
+/// A mask with the first `n` of eight bits set.
 #[inline(always)]
 fn valid(n: usize) -> u8 {
     if n < AT_ONCE { (1 << n) - 1 } else { u8::MAX }
@@ -144,7 +144,7 @@ mod tests {
         (ranges, counted.residue.iter().map(|p: &TurningPoint| p.value).collect())
     }
 
-    /// Takes `x` on one instruction set.
+    /// Runs `x` through a block on one instruction set.
     fn take(isa: Isa, block: &mut Block, x: &[f64]) {
         struct Take<'a>(&'a mut Block, &'a [f64]);
         impl Kernel for Take<'_> {
@@ -166,7 +166,7 @@ mod tests {
 
     fn check_on(isa: Isa, x: &[f64]) {
         let mut block = Block::new();
-        // A dirty work space must not show.
+        // A used work space must give the same result.
         take(isa, &mut block, &(0..BLOCK).map(|i| ((i * i) % 101) as f64).collect::<Vec<_>>());
         take(isa, &mut block, x);
         let mut left = vec![x[0]];

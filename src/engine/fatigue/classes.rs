@@ -46,8 +46,9 @@ impl ClassSettings {
         Ok(())
     }
 
-    /// Classes that hold every sample of `signals`; open limits are theirs together, so that
-    /// prediction and target share classes. Samples equal to each other get classes around them.
+    /// Classes that hold every sample of `signals`. Limits that are left out come from all signals
+    /// together, so that prediction and target share classes. A constant signal gets classes around its
+    /// value.
     ///
     /// # Errors
     /// Those of [`check`](Self::check); a limit that leaves samples out; a span beyond `f64`.
@@ -111,7 +112,7 @@ impl Classes {
         (self.upper - self.lower) / self.count as f64
     }
 
-    /// Class of `value`; what lies outside belongs to the first or last class.
+    /// Class of `value`; a value outside belongs to the first or last class.
     pub fn index(&self, value: f64) -> usize {
         // The cast saturates, so values below the lower limit come out as 0.
         (((value - self.lower) / self.width()) as usize).min(self.count - 1)

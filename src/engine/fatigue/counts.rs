@@ -1,7 +1,6 @@
 //! Range-pair count, level-crossing count and from-to matrix of one signal.
 //!
-//! Classes only sort finished cycles into a table; the cycles themselves are counted on the
-//! samples as they are.
+//! Cycles are counted on the unquantised samples; the classes only sort them into a table.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +8,7 @@ use super::classes::Classes;
 use super::rainflow::{Cycle, Rainflow, Residue};
 use super::turning::{TurningPoint, turning_points};
 
-/// Cycles against their range.
+/// Cycles by range.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RangePair {
     /// `count + 1` edges of the range classes in the channel's unit, from 0 to the span of the
@@ -21,18 +20,18 @@ pub struct RangePair {
     pub cumulative: Vec<f64>,
 }
 
-/// How often the signal, gone through once, passes each level.
+/// Number of crossings of each level in one pass of the signal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelCrossing {
     /// The class edges, in the channel's unit.
     pub levels: Vec<f64>,
-    /// Steps from below a level to it or above.
+    /// Crossings from below a level to it or above.
     pub rising: Vec<u64>,
-    /// Steps from a level or above to below it.
+    /// Crossings from a level or above to below it.
     pub falling: Vec<u64>,
 }
 
-/// Cycles by the class where they begin and the class where they end.
+/// Cycles by the class in which they begin and the class in which they end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FromTo {
     /// `count + 1` class edges in the channel's unit.
@@ -44,7 +43,7 @@ pub struct FromTo {
 /// The three tables of one signal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Counts {
-    /// Cycles against range.
+    /// Cycles by range.
     pub range_pair: RangePair,
     /// Level crossings.
     pub level_crossing: LevelCrossing,
@@ -52,9 +51,8 @@ pub struct Counts {
     pub from_to: FromTo,
 }
 
-/// Counts finite `samples` in `classes`; `residue` says what unclosed turning points count for in
-/// the range-pair count and the from-to matrix. Values outside the classes fall into the outer
-/// ones.
+/// Counts finite `samples` in `classes`; `residue` is the treatment of unclosed turning points in the
+/// range-pair count and the from-to matrix. Values outside the classes fall into the outer ones.
 pub fn counts(samples: &[f64], classes: &Classes, residue: Residue) -> Counts {
     let points = turning_points(samples);
     let cycles = Rainflow::of_points(&points).all_cycles(residue);
@@ -80,7 +78,7 @@ fn range_pair(cycles: &[Cycle], classes: &Classes) -> RangePair {
 
 fn level_crossing(points: &[TurningPoint], classes: &Classes) -> LevelCrossing {
     let levels = classes.edges();
-    // Marks where a leg begins and ends to cross; their running sum is the count.
+    // Marks the levels at which each leg starts and stops crossing; the running sum is the count.
     let (mut rising, mut falling) = (vec![0i64; levels.len() + 1], vec![0i64; levels.len() + 1]);
     for leg in points.windows(2) {
         let (a, b) = (leg[0].value, leg[1].value);

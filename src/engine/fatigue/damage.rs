@@ -1,8 +1,8 @@
 //! Palmgren-Miner damage of a signal for `N = K * S_a^-k`, and damage ratios.
 //!
 //! Source: Heindel et al. (arXiv 2107.03645), section 3.2. This is the damage of a fictitious
-//! Woehler line without endurance limit and without mean stress correction: good for comparing
-//! signals, no promise of life.
+//! Woehler line without endurance limit and without mean stress correction. It serves to compare signals
+//! and does not predict a life.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ use super::rainflow::{Residue, Stack};
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 use crate::engine::{EngineError, first_not_finite};
 
-/// Settings of every damage figure; echoed with it.
+/// Settings of a damage figure, which every answer repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DamageSettings {
@@ -19,15 +19,15 @@ pub struct DamageSettings {
     pub slope: f64,
     /// `K` of `N = K * S_a^-k`: cycles to failure at amplitude 1 in the channel's unit.
     pub constant: f64,
-    /// What unclosed turning points count for.
+    /// Treatment of the residue.
     pub residue: Residue,
     /// Directions of Multi-Rain, 1..=10000.
     pub directions: usize,
 }
 
 impl Default for DamageSettings {
-    /// The source paper's: `k = 5`, `K = 1e7`, 500 directions. It names no residue method; ours
-    /// is `repeated`.
+    /// The source paper's settings: `k = 5`, `K = 1e7`, 500 directions. The paper names no residue method;
+    /// the default here is `repeated`.
     fn default() -> Self {
         Self { slope: 5.0, constant: 1e7, residue: Residue::Repeated, directions: 500 }
     }
@@ -80,7 +80,7 @@ pub(super) fn damage_unchecked(
             let mut sum = MinerSum::new(power);
             let mut block = Block::new();
             sum.push(first);
-            // Blocks share two samples: each inner sample is once the middle of three.
+            // Neighbouring blocks share two samples, so that each inner sample is the middle of three once.
             for start in (0..samples.len().saturating_sub(2)).step_by(BLOCK - 2) {
                 let part = &samples[start..(start + BLOCK).min(samples.len())];
                 dispatch(isa, Take { samples: part, block: &mut block });
@@ -94,7 +94,7 @@ pub(super) fn damage_unchecked(
     finite(with_power(settings.slope, channel_sum) / settings.constant, what, channel)
 }
 
-/// Takes samples into a block; bit-equal on every instruction set.
+/// Copies samples into a block; bit-identical on every instruction set.
 struct Take<'a> {
     samples: &'a [f64],
     block: &'a mut Block,
@@ -110,7 +110,8 @@ impl Kernel for Take<'_> {
     }
 }
 
-/// `S_a -> S_a^k` for one slope; a type each, so that the counting loop is compiled around it.
+/// `S_a -> S_a^k` for one slope. Each slope is a type of its own, so that the compiler inlines it into the
+/// counting loop.
 pub(super) trait Power: Copy + Send + Sync {
     /// The k-th power of a non-negative amplitude.
     fn of(self, amplitude: f64) -> f64;
@@ -123,7 +124,7 @@ struct Whole<const K: u32>;
 impl<const K: u32> Power for Whole<K> {
     #[inline(always)]
     fn of(self, amplitude: f64) -> f64 {
-        // Not `powi`: its precision is left open, this order of products is fixed.
+        // Not `powi`, whose precision is unspecified; this order of products is fixed.
         let (mut result, mut base, mut k) = (1.0, amplitude, K);
         loop {
             if k & 1 == 1 {
@@ -151,7 +152,7 @@ impl Power for Real {
 
 /// Work that needs a power; see [`with_power`].
 pub(super) trait WithPower {
-    /// What it answers.
+    /// Result of the work.
     type Answer;
     /// Does the work for one slope.
     fn run<P: Power>(self, power: P) -> Self::Answer;
@@ -182,19 +183,19 @@ pub(super) struct MinerSum<P> {
 }
 
 impl<P: Power> MinerSum<P> {
-    /// Nothing counted yet.
+    /// A sum without cycles.
     pub(super) fn new(power: P) -> Self {
         Self { stack: Stack { points: Vec::new() }, power, sum: 0.0 }
     }
 
-    /// Takes the next candidate for a turning point.
+    /// Adds the next candidate for a turning point.
     #[inline(always)]
     pub(super) fn push(&mut self, value: f64) {
         let (power, sum) = (self.power, &mut self.sum);
         self.stack.push(value, |from, to| *sum += power.of(0.5 * (to - from).abs()));
     }
 
-    /// Takes what a block found.
+    /// Adds the cycles and the remaining turning points of a block.
     #[inline]
     pub(super) fn push_block(&mut self, block: &Block) {
         // Lanes, so that the powers are computed in parallel; their order is fixed here, not by
@@ -215,7 +216,7 @@ impl<P: Power> MinerSum<P> {
         }
     }
 
-    /// Counts the residue and answers the sum.
+    /// Counts the residue and returns the sum.
     pub(super) fn finish(mut self, residue: Residue) -> f64 {
         match residue {
             Residue::Ignore => {}
@@ -234,15 +235,15 @@ impl<P: Power> MinerSum<P> {
     }
 }
 
-/// Why there is no damage ratio.
+/// The reason why there is no damage ratio.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoRatio {
-    /// The target does no damage, so that nothing can be divided by it.
+    /// The target does no damage, so that the ratio is undefined.
     TargetDamageZero,
 }
 
-/// Predicted over target damage (Heindel et al., section 3.2), or why there is none.
+/// Predicted over target damage (Heindel et al., section 3.2), or the reason why there is none.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DamageRatio {
     /// 1 is perfect; `None` comes with a reason.
@@ -271,7 +272,7 @@ pub(super) fn check_finite(what: &'static str, channel: usize, samples: &[f64]) 
     }
 }
 
-/// Passes a finite damage on.
+/// Refuses a damage that is not finite.
 pub(super) fn finite(damage: f64, what: &'static str, channel: usize) -> Result<f64, EngineError> {
     if damage.is_finite() { Ok(damage) } else { Err(EngineError::DamageOverflow { what, channel }) }
 }
@@ -404,8 +405,8 @@ mod tests {
             prop_assert_eq!(damage(&scaled, &s).unwrap(), 1024.0 * damage(&x, &s).unwrap());
             let scaled: Vec<f64> = x.iter().map(|v| a * v).collect();
             let (d, expected) = (damage(&scaled, &s).unwrap(), a.abs().powi(5) * damage(&x, &s).unwrap());
-            // Equal ranges may round apart and pair up in another way; what is not small then is
-            // the same sum but for rounding.
+            // Equal ranges may round differently and pair up in another way; apart from small ranges the
+            // sum is then the same but for rounding.
             prop_assert!((d - expected).abs() <= 1e-12 * expected.max(f64::MIN_POSITIVE), "{d} {expected}");
         }
 

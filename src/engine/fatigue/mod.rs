@@ -21,6 +21,6 @@ pub use multi_rain::{MultiRain, direction, multi_rain};
 pub use rainflow::{Cycle, Rainflow, Residue};
 pub use report::{
     ChannelCounts, ChannelDamage, CountsReport, DamageChannel, DamageGroup, DamageReport, GroupDamage,
-    GroupTarget, TargetDamage, counts_report, damage_report,
+    GroupTarget, Omission, OmittedGroup, TargetDamage, counts_report, damage_report,
 };
 pub use turning::{Prefilter, TurningPoint, turning_points};

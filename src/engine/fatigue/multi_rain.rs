@@ -4,8 +4,8 @@
 //! used by Heindel et al. (arXiv 2107.03645), section 3.2: `d_psi(s) = d(psi_x s_x + psi_y s_y +
 //! psi_z s_z)`, largest of 500 evenly spread unit vectors `psi`.
 //!
-//! Directions go over the samples in small groups, block by block, so that a block is read from
-//! memory once a group and the projection never leaves the first-level cache.
+//! Directions are computed in small groups, block by block, so that a block is read from memory once per
+//! group and the projection never leaves the first-level cache.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -15,7 +15,7 @@ use super::damage::{DamageSettings, MinerSum, Power, WithPower, check_finite, fi
 use crate::engine::EngineError;
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 
-/// The largest damage and where it points.
+/// The largest damage and its direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct MultiRain {
     /// Palmgren-Miner sum in that direction.
@@ -35,8 +35,8 @@ pub fn direction(i: usize, n: usize) -> [f64; 3] {
 
 /// Largest damage over `settings.directions` directions of the channels x, y, z of `group`.
 ///
-/// Runs on rayon's current pool; thread count changes no bit. Of equal damages the direction with
-/// the lowest index wins.
+/// Runs on rayon's current pool; the result is bit-identical for any number of threads. Of equal damages the
+/// direction with the lowest index is returned.
 ///
 /// # Errors
 /// Settings outside their limits; unequal lengths; a sample that is not finite; damage, or a
@@ -57,8 +57,8 @@ pub fn multi_rain(group: [&[f64]; 3], settings: &DamageSettings) -> Result<Multi
     multi_rain_unchecked(group, settings, "group", 0)
 }
 
-/// For finite samples of equal length and checked settings; `what` and `channel` (of x) are for
-/// the error.
+/// [`multi_rain`] for finite samples of equal length and checked settings; `what` and `channel` (of x) name
+/// the signal in an error.
 pub(super) fn multi_rain_unchecked(
     group: [&[f64]; 3],
     settings: &DamageSettings,
@@ -80,7 +80,7 @@ pub(super) fn multi_rain_unchecked(
     Ok(MultiRain { damage: damages[best], direction: direction(best, settings.directions) })
 }
 
-/// Directions that share one reading of the samples.
+/// A group of directions for which the samples are read once.
 const AT_ONCE: usize = 16;
 
 /// Damage of each direction.
@@ -121,7 +121,7 @@ impl Directions<'_> {
         for (d, sum) in directions.iter().zip(&mut sums) {
             sum.push(project_one(d, 0));
         }
-        // Blocks share two samples: each inner sample is once the middle of three.
+        // Neighbouring blocks share two samples, so that each inner sample is the middle of three once.
         for start in (0..n.saturating_sub(2)).step_by(BLOCK - 2) {
             let span = start..(start + BLOCK).min(n);
             let block = self.group.map(|s| &s[span.clone()]);
@@ -137,7 +137,7 @@ impl Directions<'_> {
     }
 }
 
-/// Takes the samples `d . channels` into `block`; bit-equal on every instruction set.
+/// Writes the projection `d . channels` into `block`; bit-identical on every instruction set.
 struct ProjectAndTake<'a> {
     channels: [&'a [f64]; 3],
     d: [f64; 3],
@@ -348,7 +348,7 @@ mod tests {
             .collect();
         times.sort_by(f64::total_cmp);
         println!("multi_rain: {times:.3?} s, {turning} turning points in x");
-        // Wide, since other work may share the cores: an algorithm that is not O(n) takes minutes.
+        // A wide bound, since other work may share the cores: an algorithm that is not O(n) takes minutes.
         assert!(times[0] < 10.0, "{times:?} s");
     }
 }

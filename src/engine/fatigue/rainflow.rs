@@ -3,24 +3,25 @@
 //! Source: McInnes and Meehan, "Equivalence of four-point and three-point rainflow cycle counting
 //! algorithms", Int. J. Fatigue 30 (2008) 547-559. Of four consecutive turning points A, B, C, D
 //! the inner pair is a closed cycle when its range exceeds neither neighbour's:
-//! `|B-C| <= |A-B|` and `|B-C| <= |C-D|`; it is counted, taken out, and the rest looked at again.
-//! What never closes is the residue: ranges that first grow, then shrink.
+//! `|B-C| <= |A-B|` and `|B-C| <= |C-D|`. It is counted and removed, and the rest is examined again.
+//! The turning points that never close a cycle are the residue: ranges that first grow, then shrink.
 
 use serde::{Deserialize, Serialize};
 
 use super::turning::{Point, Prefilter, TurningPoint, turning_points};
 
-/// What the turning points that close no cycle count for.
+/// Treatment of the residue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Residue {
-    /// Nothing. Leaves out the largest range of the signal: damage comes out far too low.
+    /// The residue is ignored. This leaves out the largest range of the signal, so that the damage is far
+    /// too low.
     Ignore,
     /// Each range between neighbouring residue points is half a cycle (with it the four-point
     /// method gives the counts of ASTM E1049-85, section 5.4.4).
     Half,
-    /// The residue is counted as if it came twice in a row; the cycles that the second pass
-    /// closes count once each. Right for a load that repeats.
+    /// The residue is counted as if it came twice in a row, and the cycles that the second pass closes
+    /// count once each. Correct for a load that repeats.
     #[default]
     Repeated,
 }
@@ -53,7 +54,7 @@ impl Cycle {
     }
 }
 
-/// Closed cycles in the order in which they close, and what is left.
+/// Closed cycles in the order in which they close, and the residue.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rainflow {
     /// Closed cycles, each counting 1.
@@ -78,7 +79,7 @@ impl Rainflow {
         Self::of_points(&prefilter.apply(&turning_points(x)))
     }
 
-    /// What the residue counts for under `method`.
+    /// Cycles of the residue under `method`.
     pub fn residue_cycles(&self, method: Residue) -> Vec<Cycle> {
         match method {
             Residue::Ignore => Vec::new(),
@@ -96,7 +97,7 @@ impl Rainflow {
         }
     }
 
-    /// Closed cycles, then what the residue counts for.
+    /// Closed cycles, then those of the residue.
     pub fn all_cycles(&self, method: Residue) -> Vec<Cycle> {
         let mut all = self.cycles.clone();
         all.extend(self.residue_cycles(method));
@@ -112,11 +113,11 @@ pub(super) struct Stack<P> {
 }
 
 impl<P: Point> Stack<P> {
-    /// Takes the next point, and hands every cycle that it closes to `close(from, to)`.
+    /// Adds the next point, and passes every cycle that it closes to `close(from, to)`.
     ///
-    /// A point equal to the last is ignored, one that goes on in the last direction replaces it,
-    /// so that candidates for turning points, and the joint of a repeated residue, may come in
-    /// as they are.
+    /// A point equal to the last is ignored, and a point that goes on in the last direction replaces the
+    /// last one. Unfiltered candidates for turning points and the joint of a repeated residue are
+    /// therefore valid input.
     #[inline(always)]
     pub(super) fn push(&mut self, d: P, mut close: impl FnMut(P, P)) {
         let stack = &mut self.points;

@@ -43,6 +43,29 @@ pub struct DamageReport {
     /// By group name.
     #[serde(serialize_with = "as_map")]
     pub groups: Vec<(String, GroupDamage)>,
+    /// Groups of which something cannot be said.
+    pub omitted: Vec<OmittedGroup>,
+}
+
+/// A group without Multi-Rain, or without its ratio.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct OmittedGroup {
+    /// Its name.
+    pub group: String,
+    /// The channels that are missing, in the group's order.
+    pub channels: Vec<String>,
+    /// What they lack.
+    pub reason: Omission,
+}
+
+/// Why something about a group is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Omission {
+    /// Only some of its channels are predicted: there is no Multi-Rain.
+    NotPredicted,
+    /// Only some of its channels have a target: there is no ratio.
+    NoTarget,
 }
 
 /// Damage of one channel.
@@ -136,10 +159,23 @@ pub fn damage_report(
             GroupDamage { predicted: predicted.damage, direction_predicted: predicted.direction, target };
         Ok((group.name.to_owned(), damage))
     };
+    // Of a group whose channels have no target at all none was asked for.
+    let without_ratio = |group: &DamageGroup<'_>| {
+        let members = group.channels.iter().filter_map(|&c| channels.get(c));
+        let missing: Vec<String> =
+            members.filter(|c| c.target.is_none()).map(|c| c.name.to_owned()).collect();
+        let reason = Omission::NoTarget;
+        (1..group.channels.len()).contains(&missing.len()).then(|| OmittedGroup {
+            group: group.name.to_owned(),
+            channels: missing,
+            reason,
+        })
+    };
     Ok(DamageReport {
         settings: *settings,
         channels: channels.iter().enumerate().map(|(i, c)| channel_damage(i, c)).collect::<Result<_, _>>()?,
         groups: groups.iter().map(group_damage).collect::<Result<_, EngineError>>()?,
+        omitted: groups.iter().filter_map(without_ratio).collect(),
     })
 }
 
@@ -269,6 +305,9 @@ mod tests {
         assert_eq!((found.target, found.direction_target), (target.damage, target.direction));
         assert_eq!(found.ratio.ratio, Some(predicted.damage / target.damage));
         assert_eq!(report.groups[1].1.target, None, "one of its channels has no target");
+        let omitted =
+            OmittedGroup { group: "half".into(), channels: vec!["extra".into()], reason: Omission::NoTarget };
+        assert_eq!(report.omitted, [omitted]);
     }
 
     #[test]
@@ -287,7 +326,7 @@ mod tests {
         assert_eq!(
             json(Some(&x)),
             format!(
-                r#"{head}"channels":{{"b":{{"predicted":0.01,"target":0.01,"ratio":1.0}},{rest},"groups":{{}}}}"#
+                r#"{head}"channels":{{"b":{{"predicted":0.01,"target":0.01,"ratio":1.0}},{rest},"groups":{{}},"omitted":[]}}"#
             )
         );
         assert_eq!(
@@ -295,7 +334,7 @@ mod tests {
             format!(
                 concat!(
                     r#"{}"channels":{{"b":{{"predicted":0.01,"target":0.0,"ratio":null,"#,
-                    r#""reason":"target_damage_zero"}},{},"groups":{{}}}}"#
+                    r#""reason":"target_damage_zero"}},{},"groups":{{}},"omitted":[]}}"#
                 ),
                 head, rest
             )

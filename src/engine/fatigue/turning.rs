@@ -1,12 +1,12 @@
-//! Turning points of a signal, and the two filters that some counting rules put before rainflow.
+//! Turning points of a signal, and two filters that some counting rules apply before rainflow.
 //!
-//! Decided here, for every counting method:
+//! Conventions for every counting method:
 //! - The first and the last sample are turning points; without samples there is none.
 //! - A plateau is one point, at its first sample, so a constant signal has one turning point and
 //!   doubling every sample changes no value. One sample gives one point, two different samples
 //!   give two, `[1, 2, 3]` gives `[1, 3]`.
-//! - Neither hysteresis nor classes apply unless asked for: a quantiser in front of a k-th power
-//!   changes damage without a trace in the answer.
+//! - Neither hysteresis nor classes apply unless asked for: a quantiser before a k-th power changes the
+//!   damage, and nothing in the answer would show it.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +21,7 @@ pub struct TurningPoint {
     pub value: f64,
 }
 
-/// What the counting stack needs of a point, so that damage can run on bare values.
+/// A point as the counting stack sees it, so that damage can be computed on bare values too.
 pub(super) trait Point: Copy {
     /// Value in the channel's unit.
     fn value(self) -> f64;
@@ -41,8 +41,8 @@ impl Point for TurningPoint {
     }
 }
 
-/// Whether `b` may be a turning point between its neighbours: all but the inside of a strictly
-/// monotone stretch. Comparisons only, so that no difference can overflow.
+/// Whether `b` may be a turning point between its neighbours: any point but those inside a strictly
+/// monotone part. Comparisons only, so that no difference can overflow.
 #[inline(always)]
 pub(super) fn may_turn(a: f64, b: f64, c: f64) -> bool {
     let rises = (a < b) & (b < c);

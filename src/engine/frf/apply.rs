@@ -10,7 +10,7 @@ use super::Frf;
 use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
 use crate::engine::{EngineError, Signal, first_not_finite};
 
-/// An FRF made ready for repeated use.
+/// An FRF prepared for repeated use.
 ///
 /// The impulse response has `segment_len` taps from `-segment_len / 2` to `segment_len / 2 - 1`
 /// samples: it may look ahead, since FRFs between sensors need not be causal. Before its start a
@@ -138,7 +138,7 @@ impl FrfFilter {
                 block.push(part);
             }
         }
-        // Of what is not finite, the first sample of the first channel.
+        // Of all values that are not finite, the first sample of the first channel is reported.
         let not_finite = blocks
             .par_iter_mut()
             .enumerate()
@@ -188,7 +188,7 @@ impl FrfFilter {
                 *y = self.y_mean[o] + v;
             }
         }
-        // Now, while they are in the caches.
+        // Checked now, while the values are in the caches.
         outputs.iter().enumerate().find_map(|(o, output)| Some((o, first_not_finite(output)?)))
     }
 

@@ -1,4 +1,4 @@
-//! Which lines the inputs excite, and what becomes of the others.
+//! The lines that the inputs excite, and the treatment of the others.
 
 use realfft::num_complex::Complex64;
 
@@ -18,7 +18,7 @@ pub(super) struct Band {
 }
 
 impl Band {
-    /// `power[line]` is what the weakest combination of inputs has. Lines 0 and 1 take no part in
+    /// `power[line]` is the power of the weakest combination of inputs. Lines 0 and 1 take no part in
     /// the maximum: the offsets of the runs lie there, far above the noise.
     ///
     /// None when no line has power.
@@ -61,6 +61,7 @@ impl Band {
         let measured = h.to_vec();
         let value = |line: usize, at: usize| measured[line * per_line + at];
         h.fill(Complex64::default());
+        let tapers = tapers(&self.spans, n_lines);
         for (s, &(first, last)) in self.spans.iter().enumerate() {
             let mut before = first;
             for line in first..=last {
@@ -74,21 +75,9 @@ impl Band {
                     h[line * per_line + at] = value(before, at) * (1.0 - share) + value(after, at) * share;
                 }
             }
-            let width = ((last - first + 1) / 16).max(MAIN_LOBE);
-            // DC and Nyquist stay zero: a shifted phase cannot go on there, their lines are real.
-            let room_below = match s.checked_sub(1) {
-                Some(below) => (first - self.spans[below].1 - 1) / 2,
-                None => first.saturating_sub(1),
-            };
-            let room_above = match self.spans.get(s + 1) {
-                Some(above) => (above.0 - last - 1) / 2,
-                None => (n_lines - 1 - last).saturating_sub(1),
-            };
-            for (edge, width, down) in
-                [(first, width.min(room_below), true), (last, width.min(room_above), false)]
-            {
+            for (edge, width, down) in [(first, tapers[s][0], true), (last, tapers[s][1], false)] {
                 for k in 1..=width {
-                    let fade = 0.5 + 0.5 * (std::f64::consts::PI * k as f64 / (width + 1) as f64).cos();
+                    let fade = fade(k, width);
                     let line = if down { edge - k } else { edge + k };
                     for at in 0..per_line {
                         h[line * per_line + at] = value(edge, at) * fade;
@@ -97,6 +86,29 @@ impl Band {
             }
         }
     }
+}
+
+/// Lines of the taper below and above each span of excited lines.
+pub(super) fn tapers(spans: &[(usize, usize)], n_lines: usize) -> Vec<[usize; 2]> {
+    // DC and Nyquist stay zero: their lines are real, so that a phase cannot be continued there.
+    let tapers = |(s, &(first, last)): (usize, &(usize, usize))| {
+        let width = ((last - first + 1) / 16).max(MAIN_LOBE);
+        let below = match s.checked_sub(1) {
+            Some(below) => (first - spans[below].1 - 1) / 2,
+            None => first.saturating_sub(1),
+        };
+        let above = match spans.get(s + 1) {
+            Some(above) => (above.0 - last - 1) / 2,
+            None => (n_lines - 1 - last).saturating_sub(1),
+        };
+        [width.min(below), width.min(above)]
+    };
+    spans.iter().enumerate().map(tapers).collect()
+}
+
+/// What is left of a span's edge `k` lines beyond it, in a taper of `width` lines.
+pub(super) fn fade(k: usize, width: usize) -> f64 {
+    0.5 + 0.5 * (std::f64::consts::PI * k as f64 / (width + 1) as f64).cos()
 }
 
 #[cfg(test)]

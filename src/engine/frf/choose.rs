@@ -1,4 +1,5 @@
-//! Segment length and ridge by how well a held-out stretch is predicted.
+//! Choice of segment length and ridge by the prediction of held-out data: of whole runs where there are
+//! several, else of a part of the run.
 
 use std::ops::Range;
 
@@ -7,7 +8,7 @@ use super::estimate::{Means, solve};
 use super::lines::Lines;
 use super::{Estimator, FrfFilter, FrfSettings};
 use crate::engine::progress::{Watch, report};
-use crate::engine::spectral::cross_spectra;
+use crate::engine::spectral::{Record, cross_spectra};
 use crate::engine::{EngineError, Signal};
 
 /// Ridges tried when none is given.
@@ -22,25 +23,61 @@ pub(super) const ENOUGH_AVERAGES: usize = 4;
 const SHORTEST: usize = 32;
 /// Spectral matrices of one estimate may take this much when the length is ours to choose.
 const MAX_BYTES: usize = 1 << 29;
-/// Held out is one part in so many of each run: the last one, or
+/// Held out of a single run is one part in so many: the last one, or
 const FOLDS: usize = 8;
-/// each in turn when all runs together have no more samples than this. One eighth of two seconds
-/// says little, and short data cost little.
+/// The last part of each run is held out, or each part in turn when all runs together have no more samples
+/// than this: one eighth of two seconds is too little for a comparison, and short data cost little.
 const SHORT_DATA: usize = 30_000;
+/// A run that is held out of long data has at least one in so many of all samples, and half at most.
+const SHORTEST_HELD_OUT: usize = 20;
 
-/// Settings without gaps.
+/// Settings of which none is left open.
 pub(super) struct Choice {
     pub segment_len: usize,
     pub ridge: f64,
     pub warnings: Vec<String>,
 }
 
-/// One part of a run.
-fn fold_range(fold: usize, n_samples: usize) -> Range<usize> {
-    fold * n_samples / FOLDS..(fold + 1) * n_samples / FOLDS
+/// Data that are held out together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Fold {
+    /// One part in [`FOLDS`] of each run.
+    Stretch(usize),
+    /// Whole runs.
+    Runs(Vec<usize>),
 }
 
-/// Fills what `settings` leave open.
+impl Fold {
+    /// The samples that are held out of a run of `n_samples`.
+    fn range(&self, run: usize, n_samples: usize) -> Range<usize> {
+        match self {
+            Self::Stretch(fold) => fold * n_samples / FOLDS..(fold + 1) * n_samples / FOLDS,
+            Self::Runs(runs) if runs.contains(&run) => 0..n_samples,
+            Self::Runs(_) => 0..0,
+        }
+    }
+
+    /// The folds for runs of these lengths: of several runs whole ones, because the end of a run is too much
+    /// like its beginning to tell what another run will show.
+    fn all(lengths: &[usize]) -> Vec<Self> {
+        let total: usize = lengths.iter().sum();
+        let short = total <= SHORT_DATA;
+        let half = |run: &usize| 2 * lengths[*run] <= total && SHORTEST_HELD_OUT * lengths[*run] >= total;
+        if lengths.len() > 1 && short {
+            let groups = lengths.len().min(FOLDS);
+            let group = |fold: usize| (fold..lengths.len()).step_by(groups).collect();
+            return (0..groups).map(|fold| Self::Runs(group(fold))).collect();
+        }
+        if lengths.len() > 1
+            && let Some(latest) = (0..lengths.len()).rev().find(half)
+        {
+            return vec![Self::Runs(vec![latest])];
+        }
+        if short { (0..FOLDS).map(Self::Stretch).collect() } else { vec![Self::Stretch(FOLDS - 1)] }
+    }
+}
+
+/// Fills the values that `settings` leave open.
 ///
 /// # Errors
 /// [`EngineError::TooFewAverages`] when no segment length leaves more averages than inputs.
@@ -58,18 +95,18 @@ pub(super) fn choose(
     };
     let ridges: &[f64] = match &settings.ridge {
         Some(ridge) => std::slice::from_ref(ridge),
-        None if settings.estimator == Estimator::Ratio => &RIDGES[..1],
+        None if settings.estimator != Estimator::H1 => &RIDGES[..1],
         None => &RIDGES,
     };
-    let n_samples: usize = data.runs.iter().map(|(x, _)| x.n_samples()).sum();
-    let short = n_samples <= SHORT_DATA;
-    let folds = if short { 0..FOLDS } else { FOLDS - 1..FOLDS };
+    let short = data.total_samples() <= SHORT_DATA;
+    let run_lengths: Vec<usize> = (0..data.runs.len()).map(|run| data.n_samples(run)).collect();
     // Of long data, half overlap uses all but a few percent, in half the time.
     let comparing = &FrfSettings {
         overlap: if short { settings.overlap } else { settings.overlap.min(0.5) },
         ..settings.clone()
     };
-    let held_out: Vec<HeldOut<'_>> = folds.map(|fold| HeldOut::new(data, fold)).collect();
+    let held_out: Vec<HeldOut<'_>> =
+        Fold::all(&run_lengths).into_iter().map(|fold| HeldOut::new(data, fold)).collect();
     let comparable: Vec<usize> = lengths
         .iter()
         .copied()
@@ -96,8 +133,8 @@ pub(super) fn choose(
     Ok(Choice { segment_len, ridge, warnings: Vec::new() })
 }
 
-/// What is left when no stretch can be held out: the longest segment that gives more averages than
-/// inputs, and a ridge.
+/// The choice when no data can be held out: the longest segment that gives more averages than inputs, and
+/// a ridge.
 fn cautious(data: &Data<'_>, settings: &FrfSettings) -> Result<Choice, EngineError> {
     let averages = |len: usize| data.n_averages(&settings.welch(len));
     let longest = (0..usize::BITS - 1)
@@ -112,7 +149,7 @@ fn cautious(data: &Data<'_>, settings: &FrfSettings) -> Result<Choice, EngineErr
     }
     let ridge = settings.ridge.unwrap_or(match settings.estimator {
         Estimator::H1 => CAUTIOUS_RIDGE,
-        Estimator::Ratio => 0.0,
+        Estimator::Ratio | Estimator::Auto => 0.0,
     });
     let chosen = format!(
         "too few samples to compare settings on a held-out stretch: frf.segment_len {segment_len}, frf.ridge {ridge:e}"
@@ -120,7 +157,7 @@ fn cautious(data: &Data<'_>, settings: &FrfSettings) -> Result<Choice, EngineErr
     Ok(Choice { segment_len, ridge, warnings: vec![chosen] })
 }
 
-/// The comparison as far as it has come.
+/// The state of the comparison.
 struct Search<'a> {
     data: &'a Data<'a>,
     settings: &'a FrfSettings,
@@ -168,7 +205,7 @@ fn candidates(data: &Data<'_>, settings: &FrfSettings) -> Vec<usize> {
         .collect()
 }
 
-/// Sums of squares per output over the held-out stretches of all runs.
+/// Sums of squares per output over the held-out data of all runs.
 #[derive(Clone)]
 struct Score {
     error: Vec<f64>,
@@ -190,21 +227,27 @@ impl Score {
     }
 }
 
-/// One part of each run, and the working point of the rest.
+/// What is held out, and the working point of the rest.
 struct HeldOut<'a> {
     data: &'a Data<'a>,
-    fold: usize,
+    fold: Fold,
     means: Means,
 }
 
 impl<'a> HeldOut<'a> {
-    fn new(data: &'a Data<'a>, fold: usize) -> Self {
-        Self { data, fold, means: means(&data.without(|n| fold_range(fold, n))) }
+    fn new(data: &'a Data<'a>, fold: Fold) -> Self {
+        let means = means(&data.without(|run, n| fold.range(run, n)));
+        Self { data, fold, means }
+    }
+
+    /// The data without it.
+    fn rest(&self) -> Vec<Record<'a>> {
+        self.data.without(|run, n| self.fold.range(run, n))
     }
 
     /// Whether the rest gives more averages than inputs.
     fn leaves_enough(&self, settings: &FrfSettings, len: usize) -> bool {
-        let (welch, rest) = (settings.welch(len), self.data.without(|n| fold_range(self.fold, n)));
+        let (welch, rest) = (settings.welch(len), self.rest());
         let averages: usize = rest.iter().map(|s| welch.n_segments(s.x[0].len())).sum();
         averages > self.data.n_inputs
     }
@@ -220,7 +263,7 @@ impl<'a> HeldOut<'a> {
         scores: &mut [Option<Score>],
     ) -> Result<(), EngineError> {
         let data = self.data;
-        let rest = data.without(|n| fold_range(self.fold, n));
+        let rest = self.rest();
         let spectra = cross_spectra(&rest, &self.means, &settings.welch(len), data.sample_rate_hz)?;
         let lines = Lines::new(&spectra, &data.x_scale)?;
         for (&ridge, score) in ridges.iter().zip(scores) {
@@ -235,7 +278,7 @@ impl<'a> HeldOut<'a> {
             };
             let Some(score) = score else { continue };
             let filter = frf.filter()?;
-            for run in data.runs {
+            for run in 0..data.runs.len() {
                 self.add(&filter, run, longest, score)?;
             }
         }
@@ -248,12 +291,12 @@ impl<'a> HeldOut<'a> {
     fn add(
         &self,
         filter: &FrfFilter,
-        (x, y): &(&Signal, &Signal),
+        run: usize,
         longest: usize,
         score: &mut Score,
     ) -> Result<(), EngineError> {
-        let n = x.n_samples();
-        let Range { start, end } = fold_range(self.fold, n);
+        let (Record { x, y }, n) = (&self.data.runs[run], self.data.n_samples(run));
+        let Range { start, end } = self.fold.range(run, n);
         let margin = (longest / 2).min((end - start) / 4);
         let scored = start + if start == 0 { margin } else { 0 }..end - if end == n { margin } else { 0 };
         if scored.is_empty() {
@@ -261,13 +304,38 @@ impl<'a> HeldOut<'a> {
         }
         let reach = filter.taps() / 2;
         let known = start.saturating_sub(reach)..n.min(end + reach);
-        let predicted = filter.apply(&x.slice(known.clone()))?;
+        let known_x = x.iter().map(|channel| channel[known.clone()].to_vec()).collect();
+        let predicted = filter.apply(&Signal::of_checked(self.data.sample_rate_hz, known_x))?;
         for (o, mean) in self.means.y.iter().enumerate() {
-            let measured = &y.channel(o)[scored.clone()];
+            let measured = &y[o][scored.clone()];
             let found = &predicted.channel(o)[scored.start - known.start..scored.end - known.start];
             score.error[o] += measured.iter().zip(found).map(|(m, f)| (m - f).powi(2)).sum::<f64>();
             score.power[o] += measured.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_several_runs_whole_ones_are_held_out_and_of_one_a_stretch() {
+        assert_eq!(Fold::all(&[20_000]).len(), FOLDS);
+        assert_eq!(Fold::all(&[100_000]), [Fold::Stretch(FOLDS - 1)]);
+        assert_eq!(Fold::all(&[5_000, 6_000]), [Fold::Runs(vec![0]), Fold::Runs(vec![1])]);
+        assert_eq!(Fold::all(&[1_000; 10])[0], Fold::Runs(vec![0, 8]));
+        assert_eq!(Fold::all(&[100_000; 3]), [Fold::Runs(vec![2])]);
+        // The last run alone would say little, the first would leave little.
+        assert_eq!(Fold::all(&[200_000, 50_000, 1_000]), [Fold::Runs(vec![1])]);
+        assert_eq!(Fold::all(&[200_000, 1_000]), [Fold::Stretch(FOLDS - 1)]);
+    }
+
+    #[test]
+    fn a_fold_takes_whole_runs_or_a_part_of_each() {
+        let runs = Fold::Runs(vec![1]);
+        assert_eq!((runs.range(0, 80), runs.range(1, 80)), (0..0, 0..80));
+        assert_eq!(Fold::Stretch(7).range(0, 80), 70..80);
     }
 }

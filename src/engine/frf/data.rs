@@ -4,13 +4,24 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::engine::spectral::{Means, Stretch, Welch, same_shape};
+use crate::engine::spectral::{Means, Record, Welch, same_shape};
 use crate::engine::{EngineError, Signal};
+
+/// A part of one run; the parts of an estimate belong together.
+#[derive(Debug, Clone)]
+pub struct RunPart<'a> {
+    /// Inputs of the whole run.
+    pub x: &'a Signal,
+    /// Outputs of the whole run, as long.
+    pub y: &'a Signal,
+    /// The samples that count.
+    pub samples: Range<usize>,
+}
 
 /// Runs that belong together: input and output equally long, the same channels and sample rate
 /// everywhere, every channel moving in at least one run.
 pub(super) struct Data<'a> {
-    pub runs: &'a [(&'a Signal, &'a Signal)],
+    pub runs: Vec<Record<'a>>,
     pub sample_rate_hz: f64,
     pub n_inputs: usize,
     pub n_outputs: usize,
@@ -22,26 +33,31 @@ pub(super) struct Data<'a> {
 }
 
 impl<'a> Data<'a> {
-    pub fn check(runs: &'a [(&'a Signal, &'a Signal)]) -> Result<Self, EngineError> {
-        let Some((x, y)) = runs.first() else {
+    pub fn check(parts: &[RunPart<'a>]) -> Result<Self, EngineError> {
+        let Some(RunPart { x, y, .. }) = parts.first() else {
             return Err(EngineError::TooShort { what: "runs of an FRF", needed: 1, found: 0 });
         };
-        for (run_x, run_y) in runs {
-            same_shape("frf inputs", x, run_x)?;
-            same_shape("frf outputs", y, run_y)?;
-            let (expected, found) = (run_x.n_samples(), run_y.n_samples());
+        for part in parts {
+            same_shape("frf inputs", x, part.x)?;
+            same_shape("frf outputs", y, part.y)?;
+            let (expected, found) = (part.x.n_samples(), part.y.n_samples());
             if expected != found {
                 return Err(EngineError::UnequalLength { what: "frf outputs", channel: 0, expected, found });
             }
-            let (expected_hz, found_hz) = (run_x.sample_rate_hz(), run_y.sample_rate_hz());
+            let (expected_hz, found_hz) = (part.x.sample_rate_hz(), part.y.sample_rate_hz());
             if !Signal::same_rate(expected_hz, found_hz) {
                 return Err(EngineError::SampleRate { what: "frf outputs", expected_hz, found_hz });
             }
         }
-        let inputs: Vec<&Signal> = runs.iter().map(|r| r.0).collect();
-        let outputs: Vec<&Signal> = runs.iter().map(|r| r.1).collect();
-        let (x_mean, x_scale) = moments("frf inputs", &inputs)?;
-        let (y_mean, _) = moments("frf outputs", &outputs)?;
+        let cut = |signal: &'a Signal, samples: &Range<usize>| -> Vec<&'a [f64]> {
+            signal.channels().iter().map(|channel| &channel[samples.clone()]).collect()
+        };
+        let runs: Vec<Record<'a>> = parts
+            .iter()
+            .map(|part| Record { x: cut(part.x, &part.samples), y: cut(part.y, &part.samples) })
+            .collect();
+        let (x_mean, x_scale) = moments("frf inputs", &runs.iter().map(|run| &run.x).collect::<Vec<_>>())?;
+        let (y_mean, _) = moments("frf outputs", &runs.iter().map(|run| &run.y).collect::<Vec<_>>())?;
         Ok(Self {
             runs,
             sample_rate_hz: x.sample_rate_hz(),
@@ -52,36 +68,46 @@ impl<'a> Data<'a> {
         })
     }
 
-    /// All samples of all runs.
-    pub fn all(&self) -> Vec<Stretch<'a>> {
-        self.runs.iter().map(|run| part(run, 0..run.0.n_samples())).collect()
+    /// Samples of one run.
+    pub fn n_samples(&self, run: usize) -> usize {
+        self.runs[run].x[0].len()
     }
 
-    /// What is left of all runs before and after a range, `range(n_samples)`, of each.
-    pub fn without(&self, range: impl Fn(usize) -> Range<usize>) -> Vec<Stretch<'a>> {
-        let around = |run: &(&'a Signal, &'a Signal)| {
-            let n = run.0.n_samples();
-            let Range { start, end } = range(n);
+    /// Samples of all runs.
+    pub fn total_samples(&self) -> usize {
+        (0..self.runs.len()).map(|run| self.n_samples(run)).sum()
+    }
+
+    /// All samples of all runs.
+    pub fn all(&self) -> Vec<Record<'a>> {
+        self.runs.iter().map(|run| part(run, 0..run.x[0].len())).collect()
+    }
+
+    /// What is left of all runs before and after a range, `range(run, n_samples)`, of each.
+    pub fn without(&self, range: impl Fn(usize, usize) -> Range<usize>) -> Vec<Record<'a>> {
+        let around = |(index, run): (usize, &Record<'a>)| {
+            let n = run.x[0].len();
+            let Range { start, end } = range(index, n);
             [part(run, 0..start), part(run, end..n)]
         };
-        self.runs.iter().flat_map(around).collect()
+        self.runs.iter().enumerate().flat_map(around).filter(|rest| !rest.x[0].is_empty()).collect()
     }
 
     /// Segments that all runs give.
     pub fn n_averages(&self, welch: &Welch) -> usize {
-        self.runs.iter().map(|(x, _)| welch.n_segments(x.n_samples())).sum()
+        (0..self.runs.len()).map(|run| welch.n_segments(self.n_samples(run))).sum()
     }
 }
 
-fn part<'a>((x, y): &(&'a Signal, &'a Signal), range: Range<usize>) -> Stretch<'a> {
-    let cut = |s: &'a Signal| s.channels().iter().map(|c| &c[range.clone()]).collect();
-    Stretch { x: cut(x), y: cut(y) }
+fn part<'a>(run: &Record<'a>, range: Range<usize>) -> Record<'a> {
+    let cut = |channels: &[&'a [f64]]| channels.iter().map(|c| &c[range.clone()]).collect();
+    Record { x: cut(&run.x), y: cut(&run.y) }
 }
 
-/// Working point: mean of each channel over all samples of all stretches.
-pub(super) fn means(stretches: &[Stretch<'_>]) -> Means {
-    let x: Vec<&Vec<&[f64]>> = stretches.iter().map(|s| &s.x).collect();
-    let y: Vec<&Vec<&[f64]>> = stretches.iter().map(|s| &s.y).collect();
+/// Working point: mean of each channel over all samples of all records.
+pub(super) fn means(records: &[Record<'_>]) -> Means {
+    let x: Vec<&Vec<&[f64]>> = records.iter().map(|s| &s.x).collect();
+    let y: Vec<&Vec<&[f64]>> = records.iter().map(|s| &s.y).collect();
     Means { x: channel_means(&x), y: channel_means(&y) }
 }
 
@@ -97,11 +123,11 @@ fn channel_means(runs: &[&Vec<&[f64]>]) -> Vec<f64> {
 }
 
 /// Mean of each channel over all runs, and its standard deviation, each run about its own mean.
-fn moments(what: &'static str, runs: &[&Signal]) -> Result<(Vec<f64>, Vec<f64>), EngineError> {
-    let n_channels = runs.first().map_or(0, |r| r.n_channels());
+fn moments(what: &'static str, runs: &[&Vec<&[f64]>]) -> Result<(Vec<f64>, Vec<f64>), EngineError> {
+    let n_channels = runs.first().map_or(0, |run| run.len());
     let moments = |channel: usize| {
         let (mut total, mut square, mut count, mut largest) = (0.0, 0.0, 0_usize, 0.0_f64);
-        for samples in runs.iter().map(|r| r.channel(channel)) {
+        for samples in runs.iter().map(|run| run[channel]) {
             let moments = Moments::of(samples);
             total += moments.mean * samples.len() as f64;
             square += moments.square;
@@ -113,7 +139,7 @@ fn moments(what: &'static str, runs: &[&Signal]) -> Result<(Vec<f64>, Vec<f64>),
         if !(mean.is_finite() && deviation.is_finite()) {
             return Err(EngineError::NonFiniteResult { what, channel, sample: 0 });
         }
-        // What the sums' rounding leaves of a constant does not move.
+        // A deviation within the rounding of the sums is that of a constant.
         if deviation <= 1e-12 * largest {
             return Err(EngineError::DeadChannel { what, channel });
         }
@@ -124,7 +150,7 @@ fn moments(what: &'static str, runs: &[&Signal]) -> Result<(Vec<f64>, Vec<f64>),
     all.into_iter().collect()
 }
 
-/// What one reading of a run from memory gives.
+/// Sums from one pass over a run.
 struct Moments {
     mean: f64,
     /// Sum of squared distances from the mean.
@@ -155,7 +181,8 @@ impl Moments {
     }
 }
 
-/// Folds the samples from zero in eight lanes: one running value would wait for each operation.
+/// Folds the samples from zero in eight lanes, since one running value would stall on the latency of each
+/// operation.
 fn in_lanes(samples: &[f64], fold: impl Fn(f64, f64) -> f64) -> [f64; 8] {
     let mut lanes = [0.0; 8];
     let (chunks, rest) = samples.as_chunks::<8>();

@@ -5,11 +5,13 @@ use realfft::num_complex::Complex64;
 pub(super) use crate::engine::spectral::Means;
 
 use super::band::Band;
-use super::choose::{ENOUGH_AVERAGES, choose};
-use super::data::Data;
+use super::choose::choose;
+use super::data::{Data, RunPart};
 use super::lines::Lines;
-use super::{Estimator, Frf, FrfSettings};
-use crate::engine::progress::{Watch, report};
+use super::quality::{MAX_CONDITION, degrees};
+use super::warnings::random_error;
+use super::{Estimator, Frf, FrfQuality, FrfSettings};
+use crate::engine::progress::{Progress, Watch, report};
 use crate::engine::spectral::cross_spectra;
 use crate::engine::{EngineError, Signal};
 
@@ -18,60 +20,10 @@ use crate::engine::{EngineError, Signal};
 pub struct FrfEstimate {
     /// The estimate.
     pub frf: Frf,
-    /// The settings used, none left open.
-    pub settings: FrfSettings,
-    /// Ordinary coherence of each output with each input, 0..=1, `[line, output, input]`; 0 on
-    /// lines that the inputs do not excite.
-    pub ordinary_coherence: Vec<f64>,
-    /// Multiple coherence of each output with all inputs, 0..=1, `[line, output]`; 0 on lines that
-    /// the inputs do not excite.
-    pub multiple_coherence: Vec<f64>,
-    /// Condition number of `S_xx`, each input scaled to its standard deviation, `[line]`;
-    /// `f64::MAX` where it is singular.
-    pub condition: Vec<f64>,
-    /// Standard deviation of the random error of `H` (see [`FrfEstimate::random_error`]), output
-    /// unit / input unit, `[line, output, input]`; 0 on lines that the inputs do not excite.
-    pub std_error: Vec<f64>,
-    /// Segments averaged.
-    pub n_averages: usize,
-    /// Independent segments that the overlapping ones are worth.
-    pub effective_averages: f64,
+    /// Its quality, with the settings used.
+    pub quality: FrfQuality,
     /// What an engineer should know: few averages, correlated inputs, dead bands.
     pub warnings: Vec<String>,
-}
-
-impl FrfEstimate {
-    /// Radius about each `H[line, output, input]` that holds the true value with probability
-    /// `confidence`, output unit / input unit.
-    ///
-    /// With `n` independent averages of `q` inputs, `m = n - q`, and the noise spectrum
-    /// `S_yy (1 - coherence^2)` estimated from the same averages, `|H_est - H|^2 / s^2` has an
-    /// F distribution with 2 and 2 m degrees of freedom, `s^2 = S_yy (1 - coherence^2)
-    /// (S_xx^-1)_ii / m` (Bendat and Piersol, Random Data, section 9.3: the confidence limits
-    /// of multiple-input estimates, for one `H` at a time). Its quantile is closed:
-    /// `m ((1 - confidence)^(-1/m) - 1)`. Holds between DC and Nyquist, for noise at the outputs;
-    /// the bias of segments too short for a resonance, a ridge, and noise at the inputs come on
-    /// top.
-    ///
-    /// # Errors
-    /// [`EngineError::Setting`] unless 0 < confidence < 1.
-    pub fn random_error(&self, confidence: f64) -> Result<Vec<f64>, EngineError> {
-        if !(confidence > 0.0 && confidence < 1.0) {
-            return Err(EngineError::Setting {
-                setting: "confidence",
-                found: confidence.to_string(),
-                limit: "above 0 and below 1".into(),
-            });
-        }
-        let m = degrees(self.effective_averages, self.frf.n_inputs);
-        let quantile = m * ((1.0 - confidence).powf(-1.0 / m) - 1.0);
-        Ok(self.std_error.iter().map(|s| s * quantile.sqrt()).collect())
-    }
-}
-
-/// Averages left for the noise estimate; overlap can push them below one, where nothing is known.
-fn degrees(effective_averages: f64, n_inputs: usize) -> f64 {
-    (effective_averages - n_inputs as f64).max(0.5)
 }
 
 /// Estimates an FRF from runs of (inputs, outputs).
@@ -81,14 +33,55 @@ fn degrees(effective_averages: f64, n_inputs: usize) -> f64 {
 /// ([`EngineError::DeadChannel`]), settings outside their limits, no more averages than inputs
 /// ([`EngineError::TooFewAverages`]), linearly dependent inputs without a ridge
 /// ([`EngineError::DependentInputs`]), cancellation.
-pub fn estimate(
-    runs: &[(&Signal, &Signal)],
+pub fn estimate<'a>(
+    runs: &[(&'a Signal, &'a Signal)],
     settings: &FrfSettings,
     watch: Watch<'_>,
 ) -> Result<FrfEstimate, EngineError> {
+    let whole = |(x, y): &(&'a Signal, &'a Signal)| RunPart { x, y, samples: 0..x.n_samples() };
+    estimate_parts(&runs.iter().map(whole).collect::<Vec<_>>(), settings, watch)
+}
+
+/// [`estimate`] from parts of runs.
+///
+/// # Errors
+/// As [`estimate`].
+pub fn estimate_parts(
+    parts: &[RunPart<'_>],
+    settings: &FrfSettings,
+    watch: Watch<'_>,
+) -> Result<FrfEstimate, EngineError> {
+    let by = |estimator, watch: Watch<'_>| {
+        estimate_by(parts, &FrfSettings { estimator, ..settings.clone() }, watch)
+    };
+    let first = |p: Progress<'_>| watch(Progress { fraction: 0.5 * p.fraction, ..p });
+    let second = |p: Progress<'_>| watch(Progress { fraction: 0.5 + 0.5 * p.fraction, ..p });
+    let (mut found, correlated, hence) = match settings.estimator {
+        Estimator::H1 => return Ok(by(Estimator::H1, watch)?.0),
+        Estimator::Ratio => {
+            let (found, correlated) = by(Estimator::Ratio, watch)?;
+            (found, correlated, "estimator \"ratio\" is biased, use \"h1\"")
+        }
+        Estimator::Auto => {
+            let (ratio, correlated) = by(Estimator::Ratio, &first)?;
+            let found = if correlated.is_empty() { ratio } else { by(Estimator::H1, &second)?.0 };
+            report(watch, "FRF", 1.0)?;
+            (found, correlated, "estimator \"h1\" was used, since \"ratio\" is biased then")
+        }
+    };
+    found.warnings.extend(correlated.into_iter().map(|pair| format!("{pair}: {hence}")));
+    Ok(found)
+}
+
+/// An estimate by one estimator, and by the ratio the pairs of inputs that correlate.
+fn estimate_by(
+    parts: &[RunPart<'_>],
+    settings: &FrfSettings,
+    watch: Watch<'_>,
+) -> Result<(FrfEstimate, Vec<String>), EngineError> {
     settings.check()?;
     report(watch, "FRF", 0.0)?;
-    let data = Data::check(runs)?;
+    let data = Data::check(parts)?;
     let choice = choose(&data, settings, watch)?;
     let welch = settings.welch(choice.segment_len);
     let averages = data.n_averages(&welch);
@@ -103,39 +96,51 @@ pub fn estimate(
     let (frf, band) = solve(&data, &lines, means, settings.estimator, choice.ridge, choice.segment_len)?;
 
     let (nx, ny) = (data.n_inputs, data.n_outputs);
-    let mut estimate = FrfEstimate {
+    let df_hz = frf.df_hz();
+    let mut quality = FrfQuality {
         settings: FrfSettings {
             segment_len: Some(choice.segment_len),
             ridge: Some(choice.ridge),
             ..settings.clone()
         },
-        ordinary_coherence: vec![0.0; frf.h.len()],
-        multiple_coherence: vec![0.0; spectra.syy.len()],
-        condition: (0..spectra.n_lines).map(|line| lines.condition(line)).collect(),
-        std_error: vec![0.0; frf.h.len()],
-        n_averages: averages,
+        averages,
         effective_averages: spectra.effective_averages,
-        warnings: choice.warnings,
-        frf,
+        excited: band.spans.iter().map(|&(first, last)| [first, last]).collect(),
+        input_hz: (0..nx).map(|i| lines.input_band(i).map(|line| line as f64 * df_hz)).collect(),
+        coherence: vec![0.0; frf.h.len()],
+        multiple_coherence: vec![0.0; spectra.syy.len()],
+        condition: (0..spectra.n_lines).map(|line| lines.condition(line).min(MAX_CONDITION)).collect(),
+        std_error: vec![0.0; frf.h.len()],
     };
-    let m = degrees(spectra.effective_averages, nx);
+    let m = degrees(settings.estimator, spectra.effective_averages, nx);
     for line in band.lines() {
         let diagonal: Vec<f64> = (0..nx).map(|i| lines.inverse_diagonal(line, i)).collect();
         for o in 0..ny {
-            let coherence = lines.multiple_coherence(line, o);
-            let noise = spectra.syy[line * ny + o] * (1.0 - coherence);
-            estimate.multiple_coherence[line * ny + o] = coherence;
+            let multiple = lines.multiple_coherence(line, o);
+            quality.multiple_coherence[line * ny + o] = multiple;
             for (i, diagonal) in diagonal.iter().enumerate() {
                 let at = (line * ny + o) * nx + i;
-                estimate.ordinary_coherence[at] = lines.ordinary_coherence(line, o, i);
-                estimate.std_error[at] = (noise * diagonal / m).sqrt();
+                let coherence = lines.ordinary_coherence(line, o, i);
+                quality.coherence[at] = coherence;
+                // For the ratio form, the share of the other inputs is noise.
+                let (unexplained, inverse) = match settings.estimator {
+                    Estimator::H1 => (1.0 - multiple, *diagonal),
+                    Estimator::Ratio | Estimator::Auto => (1.0 - coherence, 1.0 / lines.power(line, i)),
+                };
+                quality.std_error[at] = (spectra.syy[line * ny + o] * unexplained * inverse / m).sqrt();
             }
         }
     }
+    let mut estimate = FrfEstimate { frf, quality, warnings: choice.warnings };
     estimate.frf.check()?;
+    estimate.quality.check(&estimate.frf)?;
     warn(&mut estimate, &lines, &band);
+    let correlated = match settings.estimator {
+        Estimator::H1 => Vec::new(),
+        Estimator::Ratio | Estimator::Auto => correlated(&estimate, &lines, &band),
+    };
     report(watch, "FRF", 1.0)?;
-    Ok(estimate)
+    Ok((estimate, correlated))
 }
 
 /// `H` from decomposed spectra, shaped to the excited band.
@@ -160,17 +165,17 @@ pub(super) fn solve(
         // With a ridge, what dependent inputs have in common can still be told.
         Estimator::H1 if singular => excited,
         Estimator::H1 => {
-            let power: Vec<f64> = (0..n_lines).map(|line| lines.eigenvalues[line * data.n_inputs]).collect();
+            let power: Vec<f64> = (0..n_lines).map(|line| lines.weakest(line)).collect();
             Band::new(&power).ok_or_else(dead)?
         }
-        Estimator::Ratio => {
+        Estimator::Ratio | Estimator::Auto => {
             let power: Vec<f64> = (0..n_lines).map(|line| lines.smallest_power(line)).collect();
             Band::new(&power).ok_or_else(dead)?
         }
     };
     let mut h: Vec<Complex64> = match estimator {
-        Estimator::H1 => lines.h1(ridge),
-        Estimator::Ratio => lines.ratio(ridge),
+        Estimator::H1 => lines.h1(ridge, &band)?,
+        Estimator::Ratio | Estimator::Auto => lines.ratio(ridge, &band),
     };
     band.shape(&mut h, data.n_inputs * data.n_outputs);
     let df_hz = data.sample_rate_hz / segment_len as f64;
@@ -189,16 +194,10 @@ pub(super) fn solve(
 
 /// Says what limits the estimate.
 fn warn(estimate: &mut FrfEstimate, lines: &Lines<'_>, band: &Band) {
-    let (frf, nx) = (&estimate.frf, estimate.frf.n_inputs);
+    let frf = &estimate.frf;
     let hz = |line: usize| line as f64 * frf.df_hz();
     let mut warnings = Vec::new();
-    let (averages, effective) = (estimate.n_averages, estimate.effective_averages);
-    if averages < ENOUGH_AVERAGES * nx || effective < 2.0 * nx as f64 {
-        warnings.push(format!(
-            "{averages} averages ({effective:.1} independent ones) for {nx} inputs: coherence is too high by \
-             construction and H uncertain; shorten frf.segment_len or add runs"
-        ));
-    }
+    warnings.extend(random_error(frf, &estimate.quality));
     let nyquist = frf.n_lines() - 1;
     if band.first() > 0 || band.last() < nyquist {
         let gain = if band.first() > 0 { "; the static gain is unknown and taken as zero" } else { "" };
@@ -228,22 +227,20 @@ fn warn(estimate: &mut FrfEstimate, lines: &Lines<'_>, band: &Band) {
             lines.most_dependent_input(first)
         ));
     }
-    if estimate.settings.estimator == Estimator::Ratio {
-        warnings.extend(correlated(estimate, lines, band));
-    }
     estimate.warnings.extend(warnings);
 }
 
-/// A warning for each pair of inputs whose coherence is more than averaging explains.
+/// Each pair of inputs whose coherence is more than averaging explains, with what was found and what
+/// the limit is.
 fn correlated(estimate: &FrfEstimate, lines: &Lines<'_>, band: &Band) -> Vec<String> {
     let frf = &estimate.frf;
     let excited: Vec<usize> = band.lines().collect();
-    let n = estimate.effective_averages.max(1.5);
+    let n = estimate.quality.effective_averages.max(1.5);
     // Independent inputs show a mean coherence of 1 / n, and in one of a thousand estimates a
     // peak above the second bound on any of the lines.
     let mean_bound = 0.05 + 2.0 / n;
     let peak_bound = (1.0 - (1e-3 / excited.len() as f64).powf(1.0 / (n - 1.0))).max(0.2);
-    let mut warnings = Vec::new();
+    let mut pairs = Vec::new();
     for a in 0..frf.n_inputs {
         for b in a + 1..frf.n_inputs {
             let coherence = |line: usize| lines.input_coherence(line, a, b);
@@ -252,9 +249,9 @@ fn correlated(estimate: &FrfEstimate, lines: &Lines<'_>, band: &Band) -> Vec<Str
                 continue;
             };
             if mean > mean_bound || coherence(peak) > peak_bound {
-                warnings.push(format!(
+                pairs.push(format!(
                     "input channels {a} and {b} are correlated (coherence {mean:.2} on average over {:.4} to {:.4} \
-                     Hz, {:.2} at {:.4} Hz): estimator \"ratio\" is biased, use \"h1\"",
+                     Hz, limit {mean_bound:.2}; {:.2} at {:.4} Hz, limit {peak_bound:.2})",
                     frf.usable_hz[0],
                     frf.usable_hz[1],
                     coherence(peak),
@@ -263,5 +260,5 @@ fn correlated(estimate: &FrfEstimate, lines: &Lines<'_>, band: &Band) -> Vec<Str
             }
         }
     }
-    warnings
+    pairs
 }

@@ -11,18 +11,27 @@ mod band;
 mod choose;
 mod data;
 mod estimate;
+mod inverse;
 mod lines;
+mod quality;
 mod settings;
+mod summary;
 #[cfg(test)]
 mod tests;
+mod warnings;
 
 use realfft::num_complex::Complex64;
 
 use super::EngineError;
 
 pub use apply::FrfFilter;
-pub use estimate::{FrfEstimate, estimate};
+pub use data::RunPart;
+pub use estimate::{FrfEstimate, estimate, estimate_parts};
+pub use inverse::{DEFAULT_RIDGE, FrfInverse};
+pub use quality::{FrfQuality, MAX_CONDITION};
 pub use settings::{Estimator, FrfSettings};
+pub use summary::{FrfSummary, InputSummary, MeasuredSummary, OutputSummary};
+pub use warnings::{LARGE_ERROR, LOW_COHERENCE, LOW_SHARE, low_coherence};
 
 /// A frequency response function `H[line, output, input]` with `exp(+j w t)`.
 ///

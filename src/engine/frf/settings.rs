@@ -14,6 +14,9 @@ pub enum Estimator {
     H1,
     /// `H_kl = S_kl / S_kk` (Heindel et al., section 2.1): holds for uncorrelated drives only.
     Ratio,
+    /// [`Ratio`](Self::Ratio), or [`H1`](Self::H1) with a warning where the drives correlate: what the
+    /// paper did with the drives that it had. The settings of an estimate name one of the two.
+    Auto,
 }
 
 /// Settings of an FRF estimate. What is `None` is chosen by how well a held-out stretch is
@@ -27,8 +30,10 @@ pub struct FrfSettings {
     pub overlap: f64,
     /// Estimator.
     pub estimator: Estimator,
-    /// Relative ridge: this share of the mean eigenvalue of `S_xx` is added to its diagonal, each
-    /// input scaled to its standard deviation.
+    /// Relative ridge: at every line this share of each input's in-band level (its mean spectral
+    /// density over the usable band) is added to the diagonal of `S_xx`:
+    /// `H = S_yx (S_xx + ridge * diag(level))^-1`. Lines with little excitation are damped, well
+    /// excited ones lose about the share `ridge`.
     pub ridge: Option<f64>,
 }
 

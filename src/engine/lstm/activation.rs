@@ -3,8 +3,8 @@
 //! Arguments come already multiplied: `-log2(e) a` for a sigmoid, `-2 log2(e) a` for tanh (the
 //! factors are folded into the packed weights), so that
 //! `sigmoid(a) = 1 / (1 + 2^s)` and `tanh(a) = (1 - 2^s) / (1 + 2^s)`.
-//! Both are within 2e-7 of the truth; damage grows with the fifth power of an amplitude, so less
-//! would show.
+//! Both are within 2e-7 of the exact value. Damage grows with the fifth power of an amplitude, so a
+//! larger error would show in it.
 
 use crate::engine::simd::Simd;
 
@@ -17,8 +17,8 @@ pub(super) const TANH_SCALE: f32 = -2.0 * std::f32::consts::LOG2_E;
 /// still fits.
 const LIMIT: f32 = 60.0;
 
-/// `2^f = 1 + f (c1 + f (c2 + ...))` for `|f| <= 0.5`: the polynomial of this degree whose largest
-/// relative error, 1.1e-7, is the least; `2^0` is exactly 1, so that tanh has no offset.
+/// `2^f = 1 + f (c1 + f (c2 + ...))` for `|f| <= 0.5`: the minimax polynomial of this degree, with a
+/// largest relative error of 1.1e-7. `2^0` is exactly 1, so that tanh has no offset.
 #[expect(clippy::approx_constant, reason = "near ln 2, but a coefficient that balances the error")]
 const EXP2: [f32; 6] = [1.0, 0.693_147, 0.240_222_42, 0.055_507_336, 0.009_671_513, 0.001_326_472_8];
 

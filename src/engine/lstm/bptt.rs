@@ -1,8 +1,8 @@
 //! Back-propagation through time for sixteen windows at once, in the lanes of the forward kernels.
 //!
-//! The forward pass keeps what the way back needs: step vectors `[x, 1, h]`, gates and cell states.
-//! The way back writes the errors of the gate pre-activations per step; the gradient of the weights
-//! is then one product of errors and step vectors over all steps and lanes.
+//! The forward pass keeps the step vectors `[x, 1, h]`, the gates and the cell states for the backward
+//! pass. The backward pass writes the errors of the gate pre-activations per step. The gradient of the
+//! weights is then one product of errors and step vectors over all steps and lanes.
 
 use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
@@ -13,12 +13,12 @@ use crate::engine::simd::{Kernel, LANES, Lanes, Simd};
 /// Kept per cell and step: gates i, f, g, o, the cell state and its tanh.
 const KEPT: usize = 6;
 
-/// Steps after which their share of the gradient is summed, while they are in the cache.
+/// Steps whose share of the gradient is summed at once, while they are in the cache.
 const STEPS_PER_PASS: usize = 32;
 
-/// Weights as the way there and the way back read them.
+/// Weights in the order in which the forward and the backward pass read them.
 pub(super) struct TrainWeights<const R: usize> {
-    /// For the way there.
+    /// Weights of the forward pass.
     pub forward: Packed<R>,
     back: Vec<BackBlock<R>>,
 }
@@ -63,25 +63,25 @@ impl<const R: usize> TrainWeights<R> {
     }
 }
 
-/// Errors kept per step of block `b`: of its gates, and in the last block of the outputs.
+/// Number of errors kept per step of block `b`: those of its gates and, in the last block, of the outputs.
 fn errors(shape: &Shape, b: usize) -> usize {
     shape.blocks[b].rows() + if b + 1 == shape.blocks.len() { shape.outputs } else { 0 }
 }
 
-/// Memory for sixteen windows of one length on the way there and back, used again and again.
+/// Memory for the forward and backward pass of sixteen windows of one length; it is reused.
 pub(super) struct Group {
     shape: Shape,
     steps: usize,
-    /// Steps that stay out of the loss.
+    /// Leading steps that the loss leaves out.
     burn_in: usize,
     blocks: Vec<Kept>,
-    /// `[step][output]`, what the outputs should be.
+    /// Target outputs, `[step][output]`.
     target: Vec<Lanes>,
-    /// `[window][step]` of one channel on its way into the lanes.
+    /// One channel before it is transposed into the lanes, `[window][step]`.
     rows: Vec<f32>,
     /// 1 for lanes that hold a window.
     used: Lanes,
-    /// Gradient of the loss times the scale that was asked for, in the order of the weights.
+    /// Gradient of the scaled loss, in the order of the weights.
     pub gradient: Vec<f32>,
     /// Sum of squared errors after the burn-in.
     pub squared_error: f64,
@@ -96,12 +96,12 @@ struct Kept {
     errors: Vec<Lanes>,
     /// `[step][cell]`: error that the block above sends to `h`; empty in the last block.
     above: Vec<Lanes>,
-    /// Error of each cell's state, from the step after.
+    /// Error of each cell's state, from the next step.
     dc: Vec<Lanes>,
 }
 
 impl Group {
-    /// Bytes of one group, to be checked before any is made.
+    /// Bytes of one group, to be checked before it is allocated.
     pub(super) fn bytes(shape: &Shape, steps: usize) -> usize {
         let per_step: usize = (0..shape.blocks.len())
             .map(|b| {
@@ -181,7 +181,7 @@ fn transpose(rows: &[f32], steps: usize, stride: usize, to: &mut [Lanes]) {
     }
 }
 
-/// The way there and back: fills `gradient` and `squared_error` of the group.
+/// Forward and backward pass: fills `gradient` and `squared_error` of the group.
 ///
 /// The gradient is that of `scale / 2 * sum of squared errors`.
 pub(super) struct Backprop<'a, const R: usize, const WIDE: bool> {
@@ -249,7 +249,7 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                     };
                     let at = block.inputs;
                     let z = Steps { data: &kept.z, stride, at, width: columns - at };
-                    // Outputs of step t belong to the h, and lie beside the errors, of step t + 1.
+                    // The outputs of step t are stored with the h and the errors of step t + 1.
                     let steps = (begin.max(group.burn_in) + 1, end + 1);
                     if steps.0 < steps.1 {
                         outer::<S, WIDE>(s, a, z, steps, &mut group.gradient[group.shape.fc_at()..]);
@@ -302,8 +302,8 @@ fn keep_step<S: Simd, const R: usize>(
     }
 }
 
-/// Outputs after the burn-in, their scaled errors beside those of the gates of the step after;
-/// answers the sum of squared errors over the lanes in use.
+/// Computes the outputs after the burn-in, stores their scaled errors beside those of the next step's
+/// gates, and returns the sum of squared errors over the lanes in use.
 #[inline(always)]
 fn output_errors<S: Simd, const R: usize>(s: S, weights: &[[f32; R]], group: &mut Group, scale: f32) -> f64 {
     let (block, outputs) = (group.shape.last(), group.shape.outputs);
@@ -325,7 +325,7 @@ fn output_errors<S: Simd, const R: usize>(s: S, weights: &[[f32; R]], group: &mu
     f64::from(s.sum(sum))
 }
 
-/// One step back through one block: the errors of its gates from those of the step after.
+/// One backward step of one block: the errors of its gates from those of the next step.
 #[inline(always)]
 fn step_back<S: Simd, const R: usize>(
     s: S,
@@ -341,7 +341,7 @@ fn step_back<S: Simd, const R: usize>(
     let padded = block.padded_cells();
     let cells = &kept.cells[t * padded..][..block.cells];
     let before = if t > 0 { &kept.cells[(t - 1) * padded..][..block.cells] } else { &[] };
-    // Memory is walked backwards, which the machine does not foresee.
+    // Memory is read backwards, which the processor does not prefetch.
     let soon = if t > 1 { &kept.cells[(t - 2) * padded..][..block.cells] } else { &[] };
     let above = if kept.above.is_empty() { &[][..] } else { &kept.above[t * block.cells..][..block.cells] };
     let one = s.splat(1.0);
@@ -423,7 +423,7 @@ mod tests {
                 let (narrow, blocked) =
                     (TrainWeights::<4>::new(&shape, &row), TrainWeights::<16>::new(&shape, &row));
                 for wide in [false, isa == Isa::Avx512] {
-                    // A full group of other windows before: memory is used again.
+                    // A full group of other windows runs first, since the memory is reused.
                     let outputs_before = noise(outputs, 300, 10);
                     for round in 0..2 {
                         if round == 0 {
@@ -445,7 +445,7 @@ mod tests {
                         group.squared_error
                     );
                     for (k, (found, expected)) in group.gradient.iter().zip(&gradient).enumerate() {
-                        // 1e-3 of the largest is asked; f32 leaves far less.
+                        // The bound is 1e-3 of the largest entry; the error of f32 is far smaller.
                         assert!(
                             (f64::from(*found) - expected).abs() < 2e-5 * largest,
                             "{} {blocks:?} weight {k}: {found} {expected} of {largest}",

@@ -6,7 +6,7 @@ use super::params::{BlockShape, GATES, Shape};
 use super::product::{pack, product};
 use crate::engine::simd::{Kernel, Lanes, Simd};
 
-/// Factors that the activations want in the weights, in gate order.
+/// Factors of the activations that are folded into the weights, in gate order.
 pub(super) const GATE_SCALE: [f32; GATES] = [SIGMOID_SCALE, SIGMOID_SCALE, TANH_SCALE, SIGMOID_SCALE];
 
 /// Weights in the order in which the forward kernels read them, `R` rows (`R / 4` cells) at a time.
@@ -53,7 +53,7 @@ struct BlockState<const NV: usize> {
 }
 
 impl<const NV: usize> State<NV> {
-    /// Zero, as at the start of every window.
+    /// The zero state at the start of a window.
     pub(super) fn new(shape: &Shape) -> Self {
         let blocks = shape
             .blocks
@@ -67,7 +67,7 @@ impl<const NV: usize> State<NV> {
         Self { blocks }
     }
 
-    /// Back to zero.
+    /// Sets the state to zero.
     pub(super) fn reset(&mut self, shape: &Shape) {
         for (state, block) in self.blocks.iter_mut().zip(&shape.blocks) {
             state.now[block.inputs + 1..].fill([Lanes::ZERO; NV]);
@@ -130,8 +130,8 @@ fn step_block<S: Simd, const R: usize, const NV: usize>(
     let groups = weights.chunks_exact(now.len()).zip(memory.c.chunks_exact_mut(R / GATES).zip(h));
     for (w, (c, h)) in groups {
         let a = product::<S, R, NV>(s, w, now);
-        // All states first, then all outputs: each is a long chain of operations, and the machine
-        // needs several at once.
+        // All states first, then all outputs: each is a long chain of dependent operations, and the
+        // processor runs several of them at once.
         let mut c_new = [[s.splat(0.0); NV]; R];
         for k in 0..R / GATES {
             for v in 0..NV {

@@ -31,5 +31,7 @@ mod validate;
 
 pub use net::{LstmBlock, LstmNet};
 pub use predict::{Streaming, predict};
-pub use settings::{LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule};
-pub use train::{EpochRecord, Stretch, Trained, train};
+pub use settings::{
+    HybridStart, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, WindowOffset,
+};
+pub use train::{EpochRecord, Segment, Trained, Until, train};

@@ -10,9 +10,9 @@ use crate::engine::EngineError;
 /// every tensor is PyTorch's: input (the paper's *store*), forget, cell (*in*), output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LstmBlock {
-    /// Channels that go in.
+    /// Input channels.
     pub inputs: usize,
-    /// Memory cells, and channels that come out.
+    /// Memory cells, which are also the output channels.
     pub cells: usize,
     /// `[4 * cells, inputs]`, row-major.
     pub weight_ih: Vec<f32>,
@@ -22,7 +22,7 @@ pub struct LstmBlock {
     pub bias: Vec<f32>,
 }
 
-/// Blocks in a row, then one fully connected layer without activation.
+/// Blocks in series, then one fully connected layer without activation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LstmNet {
     /// At least one block; each takes the outputs of the one before.
@@ -36,7 +36,7 @@ pub struct LstmNet {
 }
 
 impl LstmNet {
-    /// A network to start training from, as Keras would make it: Glorot-uniform input and output
+    /// A network to start training from, initialised as in Keras: Glorot-uniform input and output
     /// weights, an orthogonal recurrent start, biases zero but `forget_bias` at the forget gates.
     ///
     /// `blocks` holds the cells of each block. The same numbers come from the same `rng` state on
@@ -74,7 +74,7 @@ impl LstmNet {
         }
     }
 
-    /// Trainable numbers, one bias a gate (Heindel et al., section 4.1: {39} with 3 inputs and 3
+    /// Trainable numbers, one bias a gate (Heindel et al., section 3.5: {39} with 3 inputs and 3
     /// outputs has 6,828).
     pub fn n_parameters(&self) -> usize {
         let blocks: usize =
@@ -92,7 +92,7 @@ impl LstmNet {
         self.blocks.iter().map(|b| b.cells).collect()
     }
 
-    /// Whether shapes belong together and all weights are finite.
+    /// Checks that the shapes fit together and that all weights are finite.
     ///
     /// # Errors
     /// [`EngineError::TensorShape`] with the tensor's name, [`EngineError::Weights`] for a network
@@ -144,11 +144,11 @@ fn glorot_uniform(rows: usize, columns: usize, rng: &mut ChaCha8Rng) -> Vec<f32>
     (0..rows * columns).map(|_| rng.random_range(-limit..limit) as f32).collect()
 }
 
-/// `[rows, columns]` with orthonormal columns, `rows >= columns`: what Keras' orthogonal start is
-/// to the four gates of a block together.
+/// A matrix `[rows, columns]` with orthonormal columns, `rows >= columns`: Keras' orthogonal
+/// initialisation of the four gates of a block together.
 ///
-/// Gram-Schmidt, done twice, in plain `f64`: a matrix library would choose its kernels by the
-/// machine, and the same seed would start from other bits.
+/// Gram-Schmidt, done twice, in plain `f64`. A matrix library chooses its kernels by the machine, so that
+/// the same seed would give other bits elsewhere.
 fn orthogonal_columns(rows: usize, columns: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(columns);
     while basis.len() < columns {

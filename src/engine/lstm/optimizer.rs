@@ -1,15 +1,17 @@
-//! From a gradient to a step of the weights.
+//! Optimisers: from a gradient to a step of the weights.
 
 use serde::{Deserialize, Serialize};
 
 use super::settings::{Optimizer, Schedule};
 use crate::engine::checkpoint::floats;
 
-/// RMSProp's share of the past, Keras' default.
+/// RMSProp's decay rate, Keras' default.
 const RHO: f32 = 0.9;
-/// RMSProp's epsilon, Keras' default; added to the mean square, under the root, as Keras 3 does.
+/// RMSProp's epsilon, Keras' default; added to the root, as Keras did until its version 2.10 of 2022
+/// (`optimizer_v2/rmsprop.py`). The paper is of 2021. Later versions add it to the mean square, which
+/// shortens the steps wherever gradients are below 3e-4; PyTorch adds it to the root.
 const RMSPROP_EPSILON: f32 = 1e-7;
-/// Adam's shares of the past.
+/// Adam's decay rates.
 const BETA: [f32; 2] = [0.9, 0.999];
 /// Adam's epsilon; added to the root.
 const ADAM_EPSILON: f32 = 1e-8;
@@ -29,12 +31,12 @@ pub(super) struct Descent {
 }
 
 impl Descent {
-    /// For so many weights, without memory.
+    /// An optimiser of `weights` weights, with empty memory.
     pub(super) fn new(kind: Optimizer, weights: usize) -> Self {
         Self { kind, mean: vec![0.0; weights], square: vec![0.0; weights], steps: 0 }
     }
 
-    /// Whether its memory is one of so many weights.
+    /// Whether its memory is one of `weights` weights.
     pub(super) fn suits(&self, weights: usize) -> bool {
         self.mean.len() == weights && self.square.len() == weights
     }
@@ -47,11 +49,11 @@ impl Descent {
                 let rate = rate as f32;
                 for ((w, g), v) in weights.iter_mut().zip(gradient).zip(&mut self.square) {
                     *v = RHO * *v + (1.0 - RHO) * g * g;
-                    *w -= rate * g / (*v + RMSPROP_EPSILON).sqrt();
+                    *w -= rate * g / (v.sqrt() + RMSPROP_EPSILON);
                 }
             }
             Optimizer::Adam => {
-                // Early means are too small; both corrections go into the rate and the root.
+                // The bias corrections of both means go into the rate and into the root.
                 let unbias = BETA.map(|b| 1.0 - f64::from(b).powi(self.steps));
                 let rate = (rate / unbias[0]) as f32;
                 let root = unbias[1].sqrt().recip() as f32;
@@ -66,8 +68,8 @@ impl Descent {
     }
 }
 
-/// Scales `gradient` down to the Euclidean norm `limit` if it is longer; answers the norm that it
-/// had, which is not finite when the gradient is not.
+/// Scales `gradient` down to the Euclidean norm `limit` if it is longer. Returns the norm before, which is
+/// not finite when the gradient is not.
 pub(super) fn clip(gradient: &mut [f32], limit: Option<f64>) -> f64 {
     let norm = gradient.iter().map(|&g| f64::from(g) * f64::from(g)).sum::<f64>().sqrt();
     if let Some(limit) = limit.filter(|&limit| norm > limit) {
@@ -77,8 +79,8 @@ pub(super) fn clip(gradient: &mut [f32], limit: Option<f64>) -> f64 {
     norm
 }
 
-/// Learning rate relative to the setting: linear over `warmup` steps, then or meanwhile the
-/// schedule at `fraction` (0..1) of the whole training.
+/// Learning rate relative to the setting: a linear rise over `warmup` steps, times the schedule at
+/// `fraction` (0..1) of the whole training.
 pub(super) fn relative_rate(schedule: Schedule, warmup: usize, step: usize, fraction: f64) -> f64 {
     let warm = if step < warmup { (step + 1) as f64 / warmup as f64 } else { 1.0 };
     match schedule {
@@ -92,17 +94,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rmsprop_takes_the_steps_that_keras_defines() {
-        // v = 0.1 g^2; w -= rate g / sqrt(v + 1e-7): first and second step by hand.
-        let (mut w, g, rate) = ([1.0_f32], 0.5_f64, 0.01);
-        let mut descent = Descent::new(Optimizer::Rmsprop, 1);
-        descent.step(&mut w, &[g as f32], rate);
-        let v1 = 0.1 * g * g;
-        let expected = 1.0 - rate * g / (v1 + 1e-7).sqrt();
-        assert!((f64::from(w[0]) - expected).abs() < 1e-6);
-        descent.step(&mut w, &[-0.25], rate);
-        let v2 = 0.9 * v1 + 0.1 * 0.0625;
-        assert!((f64::from(w[0]) - (expected + rate * 0.25 / (v2 + 1e-7).sqrt())).abs() < 1e-6);
+    fn rmsprop_takes_the_steps_of_the_paper_s_keras_down_to_the_smallest_gradients() {
+        // v = 0.9 v + 0.1 g^2; w -= rate g / (sqrt v + 1e-7), by hand.
+        for size in [1.0, 1e-5] {
+            let (mut w, rate) = ([0.0_f32], 0.01);
+            let (mut v, mut expected) = (0.0_f64, 0.0_f64);
+            let mut descent = Descent::new(Optimizer::Rmsprop, 1);
+            for g in [0.5, -0.25, 2.0].map(|g: f64| g * size) {
+                v = 0.9 * v + 0.1 * g * g;
+                expected -= rate * g / (v.sqrt() + 1e-7);
+                descent.step(&mut w, &[g as f32], rate);
+                assert!((f64::from(w[0]) - expected).abs() < 1e-6, "{size}: {} {expected}", w[0]);
+            }
+        }
     }
 
     #[test]

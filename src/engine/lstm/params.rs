@@ -12,7 +12,7 @@ pub(super) const GATES: usize = 4;
 /// Sizes of one block and where its weights begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BlockShape {
-    /// Channels that go in.
+    /// Input channels.
     pub inputs: usize,
     /// Memory cells.
     pub cells: usize,
@@ -26,8 +26,8 @@ impl BlockShape {
         self.inputs + 1 + self.cells
     }
 
-    /// Cells filled up to whole groups of any blocking, so that kernels need no rest; cells that are
-    /// not there have weights, states and outputs of zero.
+    /// Number of cells, padded to whole groups of any blocking, so that kernels have no remainder. Padding
+    /// cells have weights, states and outputs of zero.
     pub(super) fn padded_cells(self) -> usize {
         self.cells.next_multiple_of(GATES)
     }
@@ -58,7 +58,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// Of a network with `inputs`, the cells of each block, and `outputs`.
+    /// The shape of a network with `inputs`, the cells of each block, and `outputs`.
     pub(super) fn new(inputs: usize, cells: &[usize], outputs: usize) -> Self {
         let (mut from, mut at) = (inputs, 0);
         let mut blocks = Vec::with_capacity(cells.len());
@@ -70,7 +70,7 @@ impl Shape {
         Self { blocks, outputs }
     }
 
-    /// Of `net`.
+    /// The shape of `net`.
     pub(super) fn of(net: &LstmNet) -> Self {
         Self::new(net.inputs(), &net.cells(), net.outputs)
     }
@@ -164,7 +164,7 @@ mod tests {
         let row = flatten(&net);
         assert_eq!(row.len(), net.n_parameters());
         assert_eq!(unflatten(&Shape::of(&net), &row), net);
-        // Cell 2, forget gate of block 0: its bias stands behind three inputs.
+        // Cell 2, forget gate of block 0: its bias comes after three inputs.
         let columns = 3 + 1 + 4;
         assert_eq!(row[(2 * 4 + 1) * columns + 3], net.blocks[0].bias[4 + 2]);
     }

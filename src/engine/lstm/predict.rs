@@ -13,11 +13,11 @@ use crate::engine::EngineError;
 use crate::engine::simd::{Isa, LANES, Lanes, dispatch};
 use crate::engine::windowing::{Weights, Windows, check_window};
 
-/// Windows of pre-roll before a stream, in which the first value is held.
+/// Length of the pre-roll before a stream, in windows; the first value is held in it.
 const PRE_ROLL_WINDOWS: usize = 2;
 
-/// Up to this many windows are worked on in groups of 16 instead of 64, so that short signals use
-/// all cores. A number of windows, not of threads: the order of sums must not hang on the machine.
+/// Up to this many windows are computed in groups of 16 instead of 64, so that short signals use all
+/// cores. The limit is a number of windows, not of threads: the order of sums must not depend on the machine.
 const SMALL: usize = 256;
 
 /// Groups of windows whose predictions are in memory at once.
@@ -27,16 +27,16 @@ const GROUPS_PER_SLAB: usize = 64;
 /// second-level cache.
 const STEPS_PER_CHUNK: usize = 64;
 
-/// Predicts a whole signal on standardised planar inputs `[channel][sample]`, any length from one
-/// sample on; answers `[output][sample]`, standardised.
+/// Predicts a whole signal from standardised planar inputs `[channel][sample]` of one sample or more.
+/// Returns `[output][sample]`, standardised.
 ///
 /// [`Recombine::Welch`] is Heindel et al., section 2.2.2 (see [`crate::engine::windowing`]);
-/// [`Recombine::Stream`] carries the state through after `2 * window_len` samples of the first value
-/// held. The result depends on the arguments and the instruction set only, bit for bit.
+/// [`Recombine::Stream`] carries the state through the signal after a pre-roll of `2 * window_len`
+/// samples in which the first value is held. The result depends on the arguments and the instruction set only, bit for bit.
 ///
 /// # Errors
-/// Weights that do not belong together, another channel count, unequal lengths, no samples, input or
-/// result that is not finite, senseless `window_len` or `hop`.
+/// Weights that do not fit together, another channel count, unequal lengths, no samples, an input or a
+/// result that is not finite, `window_len` or `hop` outside their limits.
 pub fn predict(
     net: &LstmNet,
     x: &[Vec<f32>],
@@ -92,10 +92,11 @@ fn check_result(y: &[Vec<f32>]) -> Result<(), EngineError> {
     Ok(())
 }
 
-/// Count, equal lengths and finiteness of planar channels; answers their length, at least one.
+/// Checks the count, the equal lengths and the finiteness of planar channels. Returns their length, at
+/// least one.
 ///
 /// # Errors
-/// What is wrong.
+/// The first of these that does not hold.
 pub(super) fn check_channels(
     what: &'static str,
     x: &[Vec<f32>],
@@ -190,14 +191,14 @@ fn welch<const R: usize, const NV: usize>(
         (0..windows.count()).step_by(group).map(|first| first..windows.count().min(first + group)).collect();
     let mut y = vec![vec![0.0; samples]; shape.outputs];
     for slab in groups.chunks(GROUPS_PER_SLAB) {
-        let parts: Vec<Part> = slab
+        let parts: Vec<PartialSum> = slab
             .par_iter()
             .map_init(
                 || State::<NV>::new(shape),
                 |state, group| part::<R, NV>(isa, &packed, state, x, windows, &weights, group.clone()),
             )
             .collect();
-        // Always in the order of the signal, whatever thread was first.
+        // Always in the order of the signal, whichever thread was first.
         for part in &parts {
             for (y, part_y) in y.iter_mut().zip(&part.y) {
                 y[part.from..][..part_y.len()].iter_mut().zip(part_y).for_each(|(y, p)| *y += p);
@@ -208,7 +209,7 @@ fn welch<const R: usize, const NV: usize>(
 }
 
 /// The weighted sum of some windows.
-struct Part {
+struct PartialSum {
     /// First sample.
     from: usize,
     /// `[output][sample - from]`.
@@ -223,7 +224,7 @@ fn part<const R: usize, const NV: usize>(
     windows: Windows,
     weights: &Weights,
     group: Range<usize>,
-) -> Part {
+) -> PartialSum {
     let (len, outputs, samples) = (windows.len(), packed.shape.outputs, x[0].len());
     let from = windows.start(group.start).max(0) as usize;
     let to = samples.min((windows.start(group.end - 1) + len as isize) as usize);
@@ -258,17 +259,17 @@ fn part<const R: usize, const NV: usize>(
             }
         },
     );
-    Part { from, y }
+    PartialSum { from, y }
 }
 
-/// Prediction with the state carried through, piece by piece: [`Recombine::Stream`] for signals that
-/// are not in memory as a whole. How the signal is cut changes no bit of the result.
+/// Prediction piece by piece with the state carried through: [`Recombine::Stream`] for signals that are
+/// not in memory as a whole. The result is bit-identical however the signal is cut.
 pub struct Streaming {
     isa: Isa,
     shape: Shape,
     weights: StreamWeights,
     state: StreamState,
-    /// Steps still to be made on the first value.
+    /// Steps of the pre-roll that are left.
     pre_roll: usize,
 }
 
@@ -279,10 +280,10 @@ impl std::fmt::Debug for Streaming {
 }
 
 impl Streaming {
-    /// Begins before the first sample.
+    /// A stream before its first sample.
     ///
     /// # Errors
-    /// Weights that do not belong together.
+    /// Weights that do not fit together.
     pub fn new(net: &LstmNet, window_len: usize) -> Result<Self, EngineError> {
         net.check()?;
         Ok(Self::begin(Isa::of_process()?, Shape::of(net), &flatten(net), window_len))
@@ -336,7 +337,7 @@ mod tests {
         LstmNet::init(inputs, blocks, outputs, 1.0, &mut ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// The machine's instruction sets; says which others were left out.
+    /// The machine's instruction sets. Prints the ones that it lacks.
     fn sets() -> Vec<Isa> {
         let (here, missing): (Vec<_>, Vec<_>) = Isa::ALL.into_iter().partition(|i| i.is_available());
         missing.iter().for_each(|i| println!("skipped {}: not on this machine", i.name()));
@@ -387,7 +388,7 @@ mod tests {
     #[test]
     fn many_windows_agree_with_the_twin_in_groups_of_sixtyfour() {
         let net = net(2, &[5], 3, 9);
-        // 601 windows: nine groups of 64 and a rest.
+        // 601 windows: nine groups of 64 and a remainder.
         let x = noise(2, 2400, 11);
         for isa in sets() {
             assert_agrees(isa, &net, &x, 8, 4, Recombine::Welch);

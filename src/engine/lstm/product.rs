@@ -1,4 +1,4 @@
-//! The two products that a network spends its time in, blocked for registers.
+//! The two matrix products that take most of a network's time, blocked for registers.
 
 use crate::engine::simd::{Columns, Lanes, Simd};
 
@@ -15,7 +15,7 @@ pub(super) fn product<S: Simd, const R: usize, const NV: usize>(
     let mut sum = [[s.splat(0.0); NV]; R];
     for (w, z) in weights.iter().zip(vectors) {
         if R >= 16 {
-            // A cache line a column: the machine alone does not fetch them fast enough.
+            // One cache line per column: the hardware prefetcher alone is too slow.
             s.prefetch(w, 8);
         }
         for v in 0..NV {
@@ -28,8 +28,8 @@ pub(super) fn product<S: Simd, const R: usize, const NV: usize>(
     sum
 }
 
-/// Rows of a matrix in groups of `R`, `[group][column][row of the group]`; the last group is
-/// filled up with zero rows. `value(row, column)` gives the elements.
+/// Rows of a matrix in groups of `R`, `[group][column][row of the group]`; the last group is padded
+/// with zero rows. `value(row, column)` gives the elements.
 pub(super) fn pack<const R: usize>(
     rows: usize,
     columns: usize,
@@ -65,7 +65,7 @@ pub(super) struct Steps<'a> {
 ///
 /// `gradient` is `[a.width, b.width]`, row-major. `steps` is a range `(from, to)`, short enough for
 /// its columns to stay in the second-level cache. Products of steps and lanes are summed in a fixed
-/// order. `WIDE`: the machine has registers for 4 x 6 sums.
+/// order. `WIDE`: there are registers for 4 x 6 sums.
 #[inline(always)]
 pub(super) fn outer<S: Simd, const WIDE: bool>(
     s: S,
@@ -96,7 +96,7 @@ pub(super) fn outer<S: Simd, const WIDE: bool>(
     }
 }
 
-/// All rows of `C` columns; answers `C`.
+/// All rows of `C` columns; returns `C`.
 #[inline(always)]
 fn rows<S: Simd, const R: usize, const C: usize>(
     s: S,
@@ -143,7 +143,7 @@ fn tile<S: Simd, const R: usize, const C: usize>(
             }
         }
     }
-    // By way of memory: sums that are indexed in a loop would not stay in registers above.
+    // Through memory: sums that are indexed in a loop would not stay in registers above.
     let mut stored = [[Lanes::ZERO; C]; R];
     for r in 0..R {
         for c in 0..C {

@@ -1,4 +1,4 @@
-//! The slow, obvious `f64` twin of the network that the kernels are tested against.
+//! A slow and simple `f64` implementation of the network, the reference in the tests of the kernels.
 
 use super::net::LstmNet;
 use super::params::{GATES, Shape, flatten};
@@ -14,7 +14,7 @@ pub(super) struct Twin {
     pub row: Vec<f64>,
 }
 
-/// What one block did in one step.
+/// The values of one block in one step.
 #[derive(Clone)]
 struct Step {
     /// `[x, 1, h before]`.
@@ -84,7 +84,7 @@ impl Twin {
         for (x, y) in windows {
             let steps = self.steps(x);
             let last = &steps[steps.len() - 1];
-            // Error that reaches h of the block from above, [step][cell].
+            // Error of the block's h that comes from the block above, [step][cell].
             let cells = self.shape.last().cells;
             let mut from_above = vec![vec![0.0; cells]; x.len()];
             for t in burn_in..x.len() {

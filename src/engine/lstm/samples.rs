@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::settings::{LstmSettings, Optimizer, RecombineChoice, Schedule};
+use super::settings::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
 
 /// Small settings for tests: one block of eight cells, windows of 64.
 pub(super) fn settings() -> LstmSettings {
@@ -17,10 +17,13 @@ pub(super) fn settings() -> LstmSettings {
         schedule: Schedule::Cosine,
         warmup_steps: 20,
         epochs: 4,
+        validate_every: None,
         batch_size: 40,
+        window_offset: WindowOffset::Drawn,
         burn_in: 0.25,
         clip_norm: Some(1.0),
         forget_bias: 1.0,
+        hybrid_start: HybridStart::Copy,
         recombine: RecombineChoice::Auto,
         seeds: vec![1],
     }

@@ -1,4 +1,4 @@
-//! How a network is shaped, trained and applied.
+//! Settings of a network's shape, training and application.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,8 @@ use crate::engine::windowing::check_window;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Optimizer {
-    /// RMSProp as Keras defines it (rho 0.9, epsilon 1e-7): the paper's.
+    /// RMSProp as Keras defined it when the paper was written (rho 0.9, epsilon 1e-7 added to the
+    /// root, no momentum): the paper's.
     Rmsprop,
     /// Adam (beta 0.9, 0.999, epsilon 1e-8).
     Adam,
@@ -25,7 +26,7 @@ pub enum Schedule {
     Cosine,
 }
 
-/// How window predictions become one signal.
+/// The way in which window predictions become one signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Recombine {
@@ -35,11 +36,11 @@ pub enum Recombine {
     Stream,
 }
 
-/// What a fit is told about recombination.
+/// The recombination that a fit is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecombineChoice {
-    /// The better of both on validation data.
+    /// The better of the two on validation data.
     #[default]
     Auto,
     /// [`Recombine::Welch`].
@@ -48,7 +49,32 @@ pub enum RecombineChoice {
     Stream,
 }
 
-/// All settings of the LSTM part of a fit, none left open.
+/// Where in a training run its windows begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WindowOffset {
+    /// At a sample below one hop that is drawn anew for each epoch, and every hop from there.
+    #[default]
+    Drawn,
+    /// At its first sample and every hop from there (paper, section 2.2.2).
+    Fixed,
+}
+
+/// What the network of a hybrid starts from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HybridStart {
+    /// A copy of its FRF (hybrid 1: no correction), which is left only for an epoch that is clearly
+    /// better.
+    #[default]
+    Copy,
+    /// Random weights (paper, section 2.2.1), which are no model to keep: one of the epochs is.
+    /// Networks without an FRF always start so.
+    Random,
+}
+
+/// All settings of the LSTM part of a fit, none left open. Those that came later have the value of
+/// the fits before them where a stored report lacks them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LstmSettings {
@@ -68,14 +94,24 @@ pub struct LstmSettings {
     pub warmup_steps: usize,
     /// Repetitions of the training data.
     pub epochs: usize,
+    /// Epochs from one validation to the next, each a candidate for the best; `None`: as many as
+    /// make a hundred validations of a fit.
+    #[serde(default)]
+    pub validate_every: Option<usize>,
     /// Windows per mini-batch.
     pub batch_size: usize,
-    /// Leading share of each window that stays out of the loss, 0 <= burn_in < 1.
+    /// Where in a training run its windows begin.
+    #[serde(default)]
+    pub window_offset: WindowOffset,
+    /// Leading share of each window that the loss leaves out, 0 <= burn_in < 1.
     pub burn_in: f64,
     /// The gradient is scaled down to this Euclidean norm; `None`: never.
     pub clip_norm: Option<f64>,
     /// Start value of the forget gates' biases.
     pub forget_bias: f64,
+    /// What the network of a hybrid starts from.
+    #[serde(default)]
+    pub hybrid_start: HybridStart,
     /// Recombination.
     pub recombine: RecombineChoice,
     /// One network is trained per seed; the best on validation data is kept.
@@ -96,12 +132,12 @@ pub const MAX_SEEDS: usize = 32;
 pub const MAX_BATCH: usize = 4_096;
 
 impl LstmSettings {
-    /// Samples at the start of each window that stay out of the loss.
+    /// Samples at the start of each window that the loss leaves out.
     pub fn burn_in_samples(&self) -> usize {
         ((self.burn_in * self.window_len as f64).floor() as usize).min(self.window_len - 1)
     }
 
-    /// Whether every setting is within its limits.
+    /// Checks that every setting is within its limits.
     ///
     /// # Errors
     /// [`EngineError::Setting`] with the setting's name in the contract and its limit.
@@ -136,6 +172,7 @@ impl LstmSettings {
             within(setting, (1..=most).contains(&value), value.to_string(), format!("1 to {most}"))
         };
         whole("lstm.epochs", self.epochs, MAX_EPOCHS)?;
+        whole("lstm.validate_every", self.validate_every.unwrap_or(1), MAX_EPOCHS)?;
         whole("lstm.batch_size", self.batch_size, MAX_BATCH)?;
         within(
             "lstm.burn_in",
@@ -174,7 +211,7 @@ mod tests {
     #[test]
     fn each_setting_outside_its_limits_is_refused_by_name() {
         type Spoil = fn(&mut LstmSettings);
-        let cases: [(&str, Spoil); 14] = [
+        let cases: [(&str, Spoil); 15] = [
             ("lstm.blocks", |s| s.blocks.clear()),
             ("lstm.blocks", |s| s.blocks = vec![3, 0]),
             ("lstm.blocks", |s| s.blocks = vec![MAX_CELLS + 1]),
@@ -183,6 +220,7 @@ mod tests {
             ("lstm.hop", |s| s.hop = 33),
             ("lstm.learning_rate", |s| s.learning_rate = 0.0),
             ("lstm.epochs", |s| s.epochs = 0),
+            ("lstm.validate_every", |s| s.validate_every = Some(0)),
             ("lstm.batch_size", |s| s.batch_size = MAX_BATCH + 1),
             ("lstm.burn_in", |s| s.burn_in = 1.0),
             ("lstm.burn_in", |s| s.burn_in = f64::NAN),
@@ -200,6 +238,20 @@ mod tests {
                 other => panic!("{name}: {other:?}"),
             }
         }
+    }
+
+    #[test]
+    fn a_report_from_before_a_setting_existed_says_what_was_done_then() {
+        let settings = super::super::samples::settings();
+        let mut json = serde_json::to_value(&settings).unwrap();
+        for later in ["validate_every", "window_offset", "hybrid_start"] {
+            json.as_object_mut().unwrap().remove(later).unwrap();
+        }
+        let old: LstmSettings = serde_json::from_value(json.clone()).unwrap();
+        assert_eq!((old.validate_every, old.window_offset), (None, WindowOffset::Drawn));
+        assert_eq!(old.hybrid_start, HybridStart::Copy);
+        json["forgotten"] = 1.into();
+        assert!(serde_json::from_value::<LstmSettings>(json).is_err(), "unknown fields are refused");
     }
 
     #[test]

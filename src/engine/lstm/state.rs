@@ -1,4 +1,4 @@
-//! A training in the middle of it: all that its further course depends on.
+//! The state of a training under way: all that its further course depends on.
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -7,10 +7,10 @@ use super::optimizer::Descent;
 use super::train::EpochRecord;
 use crate::engine::checkpoint::floats;
 
-/// What a training has come to after a mini-batch.
+/// The state of a training after a mini-batch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
-    /// Epoch under way, from 1; one more than there are at the end.
+    /// Epoch under way, from 1; at the end one more than the number of epochs.
     pub epoch: usize,
     /// Its mini-batches that are done.
     pub batches: usize,
@@ -18,7 +18,7 @@ pub(super) struct State {
     pub squared_error: f64,
     /// Steps of all epochs.
     pub step: usize,
-    /// Where the random numbers of this epoch begin, high and low half.
+    /// Position in the random stream at which this epoch begins, high and low half.
     pub random: [u64; 2],
     /// Weights.
     #[serde(with = "floats")]
@@ -54,13 +54,13 @@ impl State {
         }
     }
 
-    /// Notes where the random numbers of the epoch begin.
+    /// Notes the position in the random stream at which the epoch begins.
     pub(super) fn mark(&mut self, rng: &ChaCha8Rng) {
         let at = rng.get_word_pos();
         self.random = [(at >> 64) as u64, at as u64];
     }
 
-    /// Takes the random numbers up where those of the epoch begin.
+    /// Sets the random stream to the position at which the epoch begins.
     pub(super) fn resume(&self, rng: &mut ChaCha8Rng) {
         rng.set_word_pos(u128::from(self.random[0]) << 64 | u128::from(self.random[1]));
     }
@@ -70,7 +70,7 @@ impl State {
         serde_json::to_vec(self).expect("numbers and text always serialise")
     }
 
-    /// What was put by, if it is a state of a training of so many weights and epochs.
+    /// Reads a checkpoint; `None` unless it is the state of a training of so many weights and epochs.
     pub(super) fn from_bytes(bytes: &[u8], weights: usize, epochs: usize) -> Option<Self> {
         let state: Self = serde_json::from_slice(bytes).ok()?;
         let fits = state.row.len() == weights

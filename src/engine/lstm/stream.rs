@@ -8,7 +8,7 @@ use crate::engine::simd::{Kernel, LANES, Lanes, Simd};
 /// Weights for one lane a cell.
 pub(super) struct StreamWeights {
     shape: Shape,
-    /// Per block `[cells / 16][columns][gate]`, sixteen cells in the lanes, zero behind the last.
+    /// Per block `[cells / 16][columns][gate]`, sixteen cells in the lanes, zero after the last cell.
     gates: Vec<Vec<[Lanes; GATES]>>,
     /// `[outputs / 16][columns]`, sixteen outputs in the lanes.
     fc: Vec<Lanes>,
@@ -40,16 +40,16 @@ impl StreamWeights {
     }
 }
 
-/// What is carried from sample to sample.
+/// The state that is carried from sample to sample.
 pub(super) struct StreamState {
-    /// Step vectors [x, 1, h] of each block, h filled up to whole vectors.
+    /// Step vectors [x, 1, h] of each block, h padded to whole vectors.
     z: Vec<Vec<f32>>,
     c: Vec<Vec<Lanes>>,
     h: Vec<Vec<Lanes>>,
 }
 
 impl StreamState {
-    /// All zero.
+    /// The zero state.
     pub(super) fn new(shape: &Shape) -> Self {
         let z = shape.blocks.iter().map(|b| {
             let mut z = vec![0.0; b.inputs + 1 + b.cells.next_multiple_of(LANES)];
@@ -62,7 +62,7 @@ impl StreamState {
     }
 }
 
-/// The samples `x`, `[sample][input]`, into `y`, `[sample][output]`, from a state on.
+/// Computes `y`, `[sample][output]`, from the samples `x`, `[sample][input]`, and advances the state.
 pub(super) struct Stream<'a> {
     pub weights: &'a StreamWeights,
     pub state: &'a mut StreamState,
@@ -129,7 +129,7 @@ fn step<S: Simd>(
         let columns = block.columns();
         let groups = weights.gates[b].chunks_exact(columns).zip(c[b].iter_mut().zip(&mut h[b]));
         for (w, (c, h)) in groups {
-            // Even and odd columns apart: a single chain of sums would wait for itself.
+            // Even and odd columns apart: a single chain of sums would stall on its own latency.
             let (mut even, mut odd) = ([s.splat(0.0); GATES], [s.splat(0.0); GATES]);
             let (pairs, rest) = w.as_chunks::<2>();
             let (z_pairs, z_rest) = z[b][..columns].as_chunks::<2>();

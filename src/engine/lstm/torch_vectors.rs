@@ -13,9 +13,9 @@ use super::settings::Recombine;
 use crate::engine::simd::Isa;
 use crate::engine::simd::{LANES, dispatch};
 
-/// Of an output's standard deviation; the reference is exact, `f32` sums of 50 products are not.
+/// Tolerance relative to an output's standard deviation, for the rounding of `f32` sums of 50 products.
 const FORWARD: f64 = 1e-5;
-/// Of the largest gradient.
+/// Tolerance relative to the largest gradient.
 const GRADIENT: f64 = 1e-4;
 
 fn read(name: &str) -> Vec<u8> {
@@ -113,7 +113,7 @@ fn windows_and_one_steps_gradients_agree_with_pytorch() {
         assert!(std > 0.1, "an output that moves");
         let burn_in = tensor(&file, "burn_in").1[0] as usize;
         let steps = x[0][0].len();
-        // One bias a gate has the gradient of either of PyTorch's two.
+        // The one bias of a gate has the gradient of either of PyTorch's two.
         let mut expected = self::net(&file, "grad.");
         expected.blocks.iter_mut().for_each(|b| b.bias.iter_mut().for_each(|v| *v /= 2.0));
         let expected = flatten(&expected);

@@ -11,10 +11,10 @@ use super::net::LstmNet;
 use super::optimizer::{Descent, clip, relative_rate};
 use super::params::{Shape, flatten, unflatten};
 use super::predict::check_channels;
-use super::settings::LstmSettings;
+use super::settings::{HybridStart, LstmSettings, WindowOffset};
 use super::state::State;
 use super::validate::Scored;
-use crate::engine::checkpoint::Keeper;
+use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::progress::report;
 use crate::engine::simd::Isa;
 use crate::engine::simd::{LANES, dispatch};
@@ -22,23 +22,33 @@ use crate::engine::{EngineError, Watch};
 
 /// Standardised inputs and outputs of one run, planar `[channel][sample]`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Stretch {
+pub struct Segment {
     /// Inputs.
     pub x: Vec<Vec<f32>>,
     /// Outputs, as long as the inputs.
     pub y: Vec<Vec<f32>>,
-    /// First sample that validation scores; what is before is context. Training takes all.
+    /// First sample that validation scores; the samples before it are context. Training uses all.
     pub score_from: usize,
 }
 
-/// What training found.
+/// How long a network is trained.
+#[derive(Debug, Clone, Copy)]
+pub enum Until<'a> {
+    /// Over all epochs; kept are the weights of the epoch with the least error on these data.
+    Best(&'a [Segment]),
+    /// Until the end of this epoch of the settings' schedule, whose weights are kept; 0: not at all.
+    Epoch(usize),
+}
+
+/// The result of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trained {
     /// The network of the best epoch.
     pub net: LstmNet,
     /// Its epoch, from 1; 0 is the start itself.
     pub best_epoch: usize,
-    /// Its mean squared error on validation data, standardised.
+    /// Its mean squared error on validation data, standardised; on the training data of the epoch where it was
+    /// told which epoch to keep.
     pub validation_mse: f64,
     /// Every epoch that was validated.
     pub history: Vec<EpochRecord>,
@@ -55,40 +65,42 @@ pub struct EpochRecord {
     pub validation_mse: f64,
 }
 
-/// A fit is validated at least this often, or every epoch if it has fewer.
+/// A fit is validated at least this often, or every epoch if it has fewer, where the settings leave
+/// that open.
 const VALIDATIONS: usize = 100;
 
-/// The start is left only for a mean squared error this much lower (5 % in RMS): on a short validation
-/// stretch less is chance, and a hybrid's start, its FRF, is the safer model.
+/// A hybrid that starts as a copy of its FRF leaves it only for a mean squared error that is lower by this
+/// factor (5 % in RMS). On a short validation segment a smaller difference is chance, and the FRF is the
+/// safer model.
 const LEAVE_START: f64 = 0.9;
 
 /// Memory that one training may take for its mini-batch.
 const MEMORY_LIMIT: usize = 4 << 30;
 
 /// Trains a network from `start` (Heindel et al., section 2.2): windows of `window_len` every `hop`
-/// samples, reshuffled each epoch and shifted by a drawn offset below one hop (both drawn from
-/// `seed`), the mean squared error after the burn-in, the optimiser and schedule of the settings;
-/// keeps the weights of the epoch with the lowest validation error, or `start` where no epoch is
-/// clearly better.
+/// samples from the settings' window offset on, reshuffled each epoch (both drawn from `seed`), the
+/// mean squared error after the burn-in, the optimiser and schedule of the settings; keeps the weights
+/// of the epoch with the lowest validation error, or `start` where that is the copy of an FRF and no
+/// epoch is clearly better; or, told an epoch, its weights.
 ///
 /// A last incomplete window is left out. The result depends on the arguments and the instruction set
-/// only, bit for bit, whatever the number of threads. `watch` is called after every mini-batch; where
-/// it breaks, and when it is due, the state is put by as the part that is named, from which a later call with the
-/// same arguments goes on to the same result.
+/// only, bit for bit, whatever the number of threads. `watch` is called after every mini-batch. The state
+/// is saved under the given name when `watch` breaks and whenever a checkpoint is due; a later call with
+/// the same arguments goes on from it to the same result.
 ///
 /// # Errors
-/// Settings outside their limits; data whose channels do not belong together or are not finite;
-/// [`EngineError::TooShort`] for a training stretch shorter than a window and for validation without
+/// Settings outside their limits; data whose channels do not fit together or are not finite;
+/// [`EngineError::TooShort`] for a training segment shorter than a window and for validation without
 /// a sample; [`EngineError::Diverged`]; [`EngineError::Cancelled`].
 pub fn train(
-    training: &[Stretch],
-    validation: &[Stretch],
+    training: &[Segment],
+    until: Until<'_>,
     start: &LstmNet,
     (settings, seed): (&LstmSettings, u64),
-    kept: (&dyn Keeper, &str),
+    kept: (&dyn CheckpointStore, &str),
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
-    train_on(Isa::of_process()?, training, validation, start, (settings, seed), kept, watch)
+    train_on(Isa::of_process()?, training, until, start, (settings, seed), kept, watch)
 }
 
 /// [`train`] on a given instruction set.
@@ -97,17 +109,19 @@ pub fn train(
 /// As [`train`].
 pub(super) fn train_on(
     isa: Isa,
-    training: &[Stretch],
-    validation: &[Stretch],
+    training: &[Segment],
+    until: Until<'_>,
     start: &LstmNet,
     (settings, seed): (&LstmSettings, u64),
-    (keeper, part): (&dyn Keeper, &str),
+    (checkpoints, part): (&dyn CheckpointStore, &str),
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
     settings.check()?;
     start.check()?;
-    check_stretches(training, start.inputs(), start.outputs)?;
-    check_stretches(validation, start.inputs(), start.outputs)?;
+    check_segments(training, start.inputs(), start.outputs)?;
+    if let Until::Best(validation) = until {
+        check_segments(validation, start.inputs(), start.outputs)?;
+    }
     let needed = settings.window_len;
     let shortest = training.iter().map(|s| s.x[0].len()).min().unwrap_or(0);
     if shortest < needed {
@@ -129,17 +143,20 @@ pub(super) fn train_on(
             ),
         });
     }
-    let scored = Scored::new(validation, settings)?;
-    let job = Job { isa, shape, training, scored, settings, keeper, part, watch };
+    let (scored, last_epoch) = match until {
+        Until::Best(validation) => (Some(Scored::new(validation, settings)?), settings.epochs),
+        Until::Epoch(epoch) => (None, epoch.min(settings.epochs)),
+    };
+    let task = Training { isa, shape, training, scored, last_epoch, settings, checkpoints, part, watch };
     let row = flatten(start);
-    if isa == Isa::Avx512 { job.run::<16, true>(row, seed) } else { job.run::<4, false>(row, seed) }
+    if isa == Isa::Avx512 { task.run::<16, true>(row, seed) } else { task.run::<4, false>(row, seed) }
 }
 
-/// Channels, lengths and finiteness of all stretches.
-fn check_stretches(stretches: &[Stretch], inputs: usize, outputs: usize) -> Result<(), EngineError> {
-    for stretch in stretches {
-        let samples = check_channels("LSTM input", &stretch.x, inputs)?;
-        let found = check_channels("LSTM output", &stretch.y, outputs)?;
+/// Checks channels, lengths and finiteness of all segments.
+fn check_segments(segments: &[Segment], inputs: usize, outputs: usize) -> Result<(), EngineError> {
+    for segment in segments {
+        let samples = check_channels("LSTM input", &segment.x, inputs)?;
+        let found = check_channels("LSTM output", &segment.y, outputs)?;
         if found != samples {
             return Err(EngineError::UnequalLength {
                 what: "LSTM output",
@@ -153,18 +170,20 @@ fn check_stretches(stretches: &[Stretch], inputs: usize, outputs: usize) -> Resu
 }
 
 /// Everything that a training reads.
-struct Job<'a> {
+struct Training<'a> {
     isa: Isa,
     shape: Shape,
-    training: &'a [Stretch],
-    scored: Scored<'a>,
+    training: &'a [Segment],
+    /// Without it the last epoch is kept.
+    scored: Option<Scored<'a>>,
+    last_epoch: usize,
     settings: &'a LstmSettings,
-    keeper: &'a dyn Keeper,
+    checkpoints: &'a dyn CheckpointStore,
     part: &'a str,
     watch: Watch<'a>,
 }
 
-impl Job<'_> {
+impl Training<'_> {
     fn run<const R: usize, const WIDE: bool>(
         &self,
         row: Vec<f32>,
@@ -179,7 +198,7 @@ impl Job<'_> {
             .collect();
         let mut gradient = vec![0.0; row.len()];
         let per_window = ((settings.window_len - burn_in) * self.shape.outputs) as f64;
-        let validate_every = (settings.epochs / VALIDATIONS).max(1);
+        let validate_every = settings.validate_every.unwrap_or((settings.epochs / VALIDATIONS).max(1));
         let mut state = match self.kept(row.len()) {
             Some(state) => {
                 weights.set(&state.row);
@@ -188,7 +207,7 @@ impl Job<'_> {
             }
             None => {
                 // A start may be good already (a hybrid starts as its FRF): it is the one to beat.
-                let start_mse = self.scored.mse(self.isa, &weights.forward);
+                let start_mse = self.scored.as_ref().map_or(0.0, |s| s.mse(self.isa, &weights.forward));
                 if !start_mse.is_finite() {
                     return Err(EngineError::Diverged { epoch: 0 });
                 }
@@ -197,20 +216,20 @@ impl Job<'_> {
             }
         };
 
-        while state.epoch <= settings.epochs {
+        while state.epoch <= self.last_epoch {
             state.mark(&rng);
             let windows = self.windows(&mut rng);
             for (index, batch) in windows.chunks(settings.batch_size).enumerate().skip(state.batches) {
                 let scale = (2.0 / (batch.len() as f64 * per_window)) as f32;
                 let used = &mut groups[..batch.len().div_ceil(LANES)];
                 used.par_iter_mut().zip(batch.par_chunks(LANES)).for_each(|(group, windows)| {
-                    group.set_windows(windows.iter().map(|&(stretch, start)| {
-                        let stretch = &self.training[stretch];
-                        (&stretch.x[..], &stretch.y[..], start)
+                    group.set_windows(windows.iter().map(|&(segment, start)| {
+                        let segment = &self.training[segment];
+                        (&segment.x[..], &segment.y[..], start)
                     }));
                     dispatch(self.isa, Backprop::<R, WIDE> { weights: &weights, group, scale });
                 });
-                // Always in the order of the groups, whatever thread was first.
+                // Always in the order of the groups, whichever thread was first.
                 gradient.fill(0.0);
                 for group in used.iter() {
                     gradient.iter_mut().zip(&group.gradient).for_each(|(sum, g)| *sum += g);
@@ -234,9 +253,9 @@ impl Job<'_> {
             self.validate(&mut state, &weights, validate_every, windows.len() as f64 * per_window)?;
             (state.epoch, state.batches, state.squared_error) = (state.epoch + 1, 0, 0.0);
         }
-        if self.keeper.due(self.part, true) {
+        if self.checkpoints.is_due(self.part, true) {
             state.mark(&rng);
-            self.keeper.keep(self.part, state.to_bytes());
+            self.checkpoints.save(self.part, state.to_bytes());
         }
         report(self.watch, "LSTM", 1.0)?;
         Ok(Trained {
@@ -247,21 +266,21 @@ impl Job<'_> {
         })
     }
 
-    /// What an interrupted call with the same arguments has put by.
+    /// The checkpoint of an interrupted call with the same arguments.
     fn kept(&self, weights: usize) -> Option<State> {
-        State::from_bytes(&self.keeper.kept(self.part)?, weights, self.settings.epochs)
+        State::from_bytes(&self.checkpoints.load(self.part)?, weights, self.settings.epochs)
     }
 
-    /// Reports, and puts the state by when it is time to or nothing more may be done.
+    /// Reports progress, and saves the state when a checkpoint is due or the training must stop.
     fn tell(&self, state: &State, done: f64) -> Result<(), EngineError> {
         let told = report(self.watch, "LSTM", done);
-        if told.is_err() || self.keeper.due(self.part, false) {
-            self.keeper.keep(self.part, state.to_bytes());
+        if told.is_err() || self.checkpoints.is_due(self.part, false) {
+            self.checkpoints.save(self.part, state.to_bytes());
         }
         told
     }
 
-    /// Scores the epoch that has just ended, if it is its turn, and keeps the best.
+    /// Scores the epoch that has just ended, if it is one that is validated, and keeps the best.
     fn validate<const R: usize>(
         &self,
         state: &mut State,
@@ -270,33 +289,54 @@ impl Job<'_> {
         values: f64,
     ) -> Result<(), EngineError> {
         let epoch = state.epoch;
+        let Some(scored) = &self.scored else { return self.keep_last(state, values) };
         if !epoch.is_multiple_of(every) && epoch != self.settings.epochs {
             return Ok(());
         }
         let record = EpochRecord {
             epoch,
             training_mse: state.squared_error / values,
-            validation_mse: self.scored.mse(self.isa, &weights.forward),
+            validation_mse: scored.mse(self.isa, &weights.forward),
         };
         if !record.validation_mse.is_finite() || state.row.iter().any(|w| !w.is_finite()) {
             return Err(EngineError::Diverged { epoch });
         }
         state.history.push(record);
-        let leave = if state.best_epoch == 0 { LEAVE_START } else { 1.0 };
-        if record.validation_mse < leave * state.best_mse {
+        let better = match (state.best_epoch, self.settings.hybrid_start) {
+            (0, HybridStart::Copy) => record.validation_mse < LEAVE_START * state.best_mse,
+            (0, HybridStart::Random) => true,
+            _ => record.validation_mse < state.best_mse,
+        };
+        if better {
             (state.best_epoch, state.best_mse) = (epoch, record.validation_mse);
             state.best.copy_from_slice(&state.row);
         }
         Ok(())
     }
 
-    /// The windows of an epoch, `(stretch, first sample)`, in the order in which they are used.
+    /// Keeps the weights of the epoch that has just ended, if it is the last.
+    fn keep_last(&self, state: &mut State, values: f64) -> Result<(), EngineError> {
+        let epoch = state.epoch;
+        if !(state.squared_error.is_finite() && state.row.iter().all(|w| w.is_finite())) {
+            return Err(EngineError::Diverged { epoch });
+        }
+        if epoch == self.last_epoch {
+            (state.best_epoch, state.best_mse) = (epoch, state.squared_error / values);
+            state.best.copy_from_slice(&state.row);
+        }
+        Ok(())
+    }
+
+    /// The windows of an epoch, `(segment, first sample)`, in the order in which they are used.
     fn windows(&self, rng: &mut ChaCha8Rng) -> Vec<(usize, usize)> {
         let (len, hop) = (self.settings.window_len, self.settings.hop);
         let mut windows = Vec::new();
-        for (index, stretch) in self.training.iter().enumerate() {
-            let last = stretch.x[0].len() - len;
-            let offset = rng.random_range(0..=last.min(hop - 1) as u64) as usize;
+        for (index, segment) in self.training.iter().enumerate() {
+            let last = segment.x[0].len() - len;
+            let offset = match self.settings.window_offset {
+                WindowOffset::Drawn => rng.random_range(0..=last.min(hop - 1) as u64) as usize,
+                WindowOffset::Fixed => 0,
+            };
             windows.extend((offset..=last).step_by(hop).map(|start| (index, start)));
         }
         windows.shuffle(rng);

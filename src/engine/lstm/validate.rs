@@ -5,48 +5,48 @@ use rayon::prelude::*;
 use super::forward::{Packed, State};
 use super::predict::run_windows;
 use super::settings::LstmSettings;
-use super::train::Stretch;
+use super::train::Segment;
 use crate::engine::EngineError;
 use crate::engine::simd::Isa;
 use crate::engine::simd::LANES;
 
 /// Windows that score each sample of the validation data once, after a burn-in of context.
 pub(super) struct Scored<'a> {
-    stretches: &'a [Stretch],
+    segments: &'a [Segment],
     windows: Vec<Window>,
     len: usize,
-    /// Samples that are scored, over all stretches.
+    /// Samples that are scored, over all segments.
     samples: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Window {
-    stretch: usize,
-    /// First sample; before the stretch begins its first value is held.
+    segment: usize,
+    /// First sample; before the segment begins, its first value is held.
     start: isize,
-    /// First and one past the last time in the window that is scored.
+    /// First scored time in the window, and one past the last.
     scored: (usize, usize),
 }
 
 impl<'a> Scored<'a> {
-    /// Lays windows over the parts of `stretches` that are scored.
+    /// Lays windows over the scored parts of `segments`.
     ///
-    /// Where a stretch is scored from its start there is no context; the first burn-in then stays out
-    /// of the score, if that leaves at least half of the stretch.
+    /// A segment that is scored from its start has no context. Its first burn-in is then left out of the
+    /// score, if that leaves at least half of the segment.
     ///
     /// # Errors
     /// [`EngineError::TooShort`] when no sample is scored.
-    pub(super) fn new(stretches: &'a [Stretch], settings: &LstmSettings) -> Result<Self, EngineError> {
+    pub(super) fn new(segments: &'a [Segment], settings: &LstmSettings) -> Result<Self, EngineError> {
         let (len, burn_in) = (settings.window_len, settings.burn_in_samples());
         let mut windows = Vec::new();
         let mut samples = 0;
-        for (index, stretch) in stretches.iter().enumerate() {
-            let n = stretch.x[0].len();
-            let from = if n >= 2 * burn_in { stretch.score_from.max(burn_in) } else { stretch.score_from };
+        for (index, segment) in segments.iter().enumerate() {
+            let n = segment.x[0].len();
+            let from = if n >= 2 * burn_in { segment.score_from.max(burn_in) } else { segment.score_from };
             samples += n.saturating_sub(from);
             for first in (from..n).step_by(len - burn_in) {
                 windows.push(Window {
-                    stretch: index,
+                    segment: index,
                     start: first as isize - burn_in as isize,
                     scored: (burn_in, len.min(burn_in + n - first)),
                 });
@@ -55,7 +55,7 @@ impl<'a> Scored<'a> {
         if samples == 0 {
             return Err(EngineError::TooShort { what: "validation data", needed: 1, found: 0 });
         }
-        Ok(Self { stretches, windows, len, samples })
+        Ok(Self { segments, windows, len, samples })
     }
 
     /// Mean squared error over the scored samples and all outputs, standardised.
@@ -74,11 +74,11 @@ impl<'a> Scored<'a> {
                         state,
                         self.len,
                         windows.len(),
-                        |lane| (&self.stretches[windows[lane].stretch].x[..], windows[lane].start),
+                        |lane| (&self.segments[windows[lane].segment].x[..], windows[lane].start),
                         |steps, y| {
                             for (lane, window) in windows.iter().enumerate() {
                                 let (from, to) = window.scored;
-                                let wanted = &self.stretches[window.stretch].y;
+                                let wanted = &self.segments[window.segment].y;
                                 for t in steps.start.max(from)..steps.end.min(to) {
                                     let at = (window.start + t as isize) as usize;
                                     let y = &y[(t - steps.start) * outputs..][..outputs];

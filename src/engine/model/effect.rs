@@ -10,7 +10,7 @@ use crate::engine::{EngineError, Signal};
 /// Most effects that a model may have.
 pub(super) const MAX_EFFECTS: usize = 16;
 
-/// One effect and what drives it.
+/// One effect and its drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AddedEffect {
@@ -25,7 +25,8 @@ impl AddedEffect {
     /// rate.
     ///
     /// # Errors
-    /// [`EngineError::Weights`]: drives that are no inputs or come twice, and [`Augmented::check`]'s.
+    /// [`EngineError::Weights`]: drives that are not inputs or come twice, and the errors of
+    /// [`Augmented::check`].
     pub fn check(&self, inputs: usize, outputs: usize, sample_rate_hz: f64) -> Result<(), EngineError> {
         let known = self.drives.iter().enumerate().all(|(i, d)| *d < inputs && !self.drives[..i].contains(d));
         if self.drives.is_empty() || !known {
@@ -37,24 +38,66 @@ impl AddedEffect {
         self.augmented.check(self.drives.len(), outputs, sample_rate_hz)
     }
 
-    /// The response with the effect; `x` are the model's inputs behind its filter.
-    fn apply(&self, x: &Signal, response: &Signal) -> Result<Signal, EngineError> {
+    /// Its drives among the model's inputs behind its filter.
+    fn drive<'a>(&self, x: &'a Signal) -> Cow<'a, Signal> {
         let all = self.drives.iter().copied().eq(0..x.n_channels());
-        let drive = if all { Cow::Borrowed(x) } else { Cow::Owned(x.select(&self.drives)) };
-        self.augmented.apply(&drive, response)
+        if all { Cow::Borrowed(x) } else { Cow::Owned(x.select(&self.drives)) }
     }
 }
 
-/// The response with all effects, each found on what came before it.
+/// The response with all effects, each of which was found on the model with those before it.
 ///
 /// # Errors
-/// A free run that runs away.
+/// A free run that diverges.
 pub(super) fn apply_all(
     effects: &[AddedEffect],
     x: &Signal,
     response: Signal,
 ) -> Result<Signal, EngineError> {
-    effects.iter().try_fold(response, |response, effect| effect.apply(x, &response))
+    Ok(fold(effects, x, response, false)?.0)
+}
+
+/// The response with all effects, and what they add to the linear cores that they were found on, both
+/// `[output, sample]`. `x` are the model's inputs behind its filter, `response` the model's own without its
+/// effects. No effects add nothing: `None`.
+///
+/// # Errors
+/// A free run that diverges; signals that are not the effects'.
+pub fn apply_effects(
+    effects: &[AddedEffect],
+    x: &Signal,
+    response: Signal,
+) -> Result<(Signal, Option<Signal>), EngineError> {
+    fold(effects, x, response, true)
+}
+
+/// Applies one effect after the other, and sums what they add where a later one or the caller asks for it.
+fn fold(
+    effects: &[AddedEffect],
+    x: &Signal,
+    mut response: Signal,
+    wanted: bool,
+) -> Result<(Signal, Option<Signal>), EngineError> {
+    let mut added: Option<Signal> = None;
+    for (i, effect) in effects.iter().enumerate() {
+        let needed = wanted || effects[i + 1..].iter().any(|later| later.augmented.on_effects());
+        let drive = effect.drive(x);
+        let next = effect.augmented.apply(&drive, &response, added.as_ref())?;
+        if needed {
+            let own = effect.augmented.addition(&drive, &response, added.as_ref())?;
+            added = Some(match added {
+                Some(added) => sum(&added, &own)?,
+                None => own,
+            });
+        }
+        response = next;
+    }
+    Ok((response, added))
+}
+
+fn sum(a: &Signal, b: &Signal) -> Result<Signal, EngineError> {
+    let of = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| a + b).collect();
+    Signal::new(a.sample_rate_hz(), a.channels().iter().zip(b.channels()).map(of).collect())
 }
 
 #[cfg(test)]
@@ -66,7 +109,7 @@ mod tests {
     use crate::engine::diagnosis::{Effect, Input, diagnose};
     use crate::engine::frf::Frf;
     use crate::engine::model::{
-        InputRange, ModelKind, Predictor, Preprocess, RigModel, from_safetensors, to_safetensors,
+        InputRange, ModelKind, Predictor, Preprocess, RigModel, VersionKind, from_safetensors, to_safetensors,
     };
     use crate::engine::progress::unwatched;
 
@@ -94,8 +137,9 @@ mod tests {
             sample_rate_hz: RATE,
             preprocess: Preprocess { low_pass_hz: Some(60.0), band_pass_hz: None },
             frf: Some(frf),
+            frf_quality: None,
             lstm: None,
-            range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6 }; 2],
+            range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6, band_hz: None }; 2],
             effects,
         }
     }
@@ -113,10 +157,10 @@ mod tests {
         let x = inputs(8.0);
         let filtered = model(Vec::new()).preprocess.apply(&x).unwrap();
         let bare = model(Vec::new()).predict(&x).unwrap();
-        let once = effect().augmented.apply(&filtered.select(&[1]), &bare).unwrap();
+        let once = effect().augmented.apply(&filtered.select(&[1]), &bare, None).unwrap();
         assert_ne!(once, bare);
         assert_eq!(model(vec![effect()]).predict(&x).unwrap(), once);
-        let twice = effect().augmented.apply(&filtered.select(&[1]), &once).unwrap();
+        let twice = effect().augmented.apply(&filtered.select(&[1]), &once, None).unwrap();
         assert_eq!(model(vec![effect(), effect()]).predict(&x).unwrap(), twice);
     }
 
@@ -138,6 +182,77 @@ mod tests {
         let first = predictor.next(&mut prediction).unwrap().unwrap();
         let rest = predictor.rest(&mut prediction, &unwatched).unwrap();
         assert_eq!([first.channel(0), rest.channel(0)].concat(), whole.channel(0));
+    }
+
+    /// The file with another metadata block.
+    fn with_metadata(file: &[u8], edit: impl FnOnce(&mut serde_json::Value)) -> Vec<u8> {
+        let (length, rest) = file.split_first_chunk::<8>().unwrap();
+        let (header, tensors) = rest.split_at(u64::from_le_bytes(*length) as usize);
+        let mut header: serde_json::Value = serde_json::from_slice(header).unwrap();
+        let text = header["__metadata__"]["rigcast"].as_str().unwrap();
+        let mut metadata: serde_json::Value = serde_json::from_str(text).unwrap();
+        edit(&mut metadata);
+        header["__metadata__"]["rigcast"] = metadata.to_string().into();
+        let header = serde_json::to_vec(&header).unwrap();
+        [&(header.len() as u64).to_le_bytes()[..], &header, tensors].concat()
+    }
+
+    #[test]
+    fn a_file_with_effects_is_of_kind_adopted_and_one_from_before_that_kind_is_read() {
+        let model = model(vec![effect()]);
+        assert_eq!(model.version_kind(), VersionKind::Adopted);
+        let file = to_safetensors(&model);
+        let x = inputs(8.0);
+        let same = |file: &[u8]| {
+            let read = from_safetensors(file).unwrap();
+            assert_eq!(read, model);
+            assert_eq!(read.predict(&x).unwrap(), model.predict(&x).unwrap(), "bit by bit");
+        };
+        same(&file);
+        let mut kind = serde_json::Value::Null;
+        let before = with_metadata(&file, |metadata| {
+            kind = metadata["kind"].take();
+            metadata["kind"] = "frf".into();
+            assert_eq!(metadata.as_object_mut().unwrap().remove("base").unwrap()["kind"], "frf");
+        });
+        assert_eq!(kind, "adopted");
+        same(&before);
+
+        let refused = |file: &[u8], edit: fn(&mut serde_json::Value)| {
+            from_safetensors(&with_metadata(file, edit)).unwrap_err().to_string()
+        };
+        let error = refused(&file, |m| drop(m.as_object_mut().unwrap().remove("base")));
+        assert!(error.contains("base is missing"), "{error}");
+        let error = refused(&file, |m| m["base"]["kind"] = "adopted".into());
+        assert!(error.contains("frf, lstm, hybrid1, hybrid2"), "{error}");
+        let error = refused(&file, |m| drop(m.as_object_mut().unwrap().remove("effects")));
+        assert!(error.contains("adopted has at least one"), "{error}");
+        let error = refused(&file, |m| m["kind"] = "frf".into());
+        assert!(error.contains("only kind adopted has one"), "{error}");
+    }
+
+    #[test]
+    fn an_effect_found_on_effects_runs_with_what_they_add() {
+        let x = inputs(8.0);
+        let bare = model(Vec::new());
+        let (filtered, response) = (bare.preprocess.apply(&x).unwrap(), bare.predict(&x).unwrap());
+        let apply = |effects: &[AddedEffect]| apply_effects(effects, &filtered, response.clone()).unwrap();
+        assert_eq!(apply(&[]), (response.clone(), None));
+        let effect = effect();
+        let (once, added) = apply(std::slice::from_ref(&effect));
+        let added = added.unwrap();
+        // The model is no linear core: it keeps what the effect is added to.
+        for ((y, before), added) in once.channel(0).iter().zip(response.channel(0)).zip(added.channel(0)) {
+            assert!((y - before - added).abs() < 1e-9 * (1.0 + y.abs()), "{y} {before} {added}");
+        }
+        let (twice, both) = apply(&[effect.clone(), effect.clone()]);
+        let mut json = serde_json::to_value(&effect.augmented).unwrap();
+        json["on_effects"] = true.into();
+        let on_effects = AddedEffect { augmented: serde_json::from_value(json).unwrap(), ..effect.clone() };
+        let (further, all) = apply(&[effect.clone(), on_effects.clone()]);
+        assert_ne!(further, twice, "the second spring bends by the motion that the first one leaves");
+        assert_ne!(all, both);
+        assert_eq!(model(vec![effect, on_effects]).predict(&x).unwrap(), further);
     }
 
     #[test]

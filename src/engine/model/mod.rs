@@ -2,10 +2,18 @@
 
 mod effect;
 mod fit;
+mod fit_data;
+mod fit_network;
+mod fit_report;
+mod kind;
+#[cfg(test)]
+mod paper;
 mod predict;
 mod preprocess;
 mod scaler;
+mod score;
 mod settings;
+mod split;
 mod start;
 #[cfg(test)]
 mod tests;
@@ -15,46 +23,24 @@ mod weights;
 use std::ops::Range;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-use super::frf::Frf;
+use super::frf::{Frf, FrfQuality, FrfSummary};
 use super::lstm::{LstmNet, Recombine};
 use super::{EngineError, Signal};
 
-pub use effect::AddedEffect;
-pub use fit::{FitData, FitReport, Fitted, Pair, Validation, fit, fit_resumable, hold_out_from};
+pub use effect::{AddedEffect, apply_effects};
+pub use fit::{Fitted, fit, fit_resumable};
+pub use fit_data::{FitData, Pair};
+pub use fit_report::{Comparison, FitReport, SeedReport};
+pub use kind::{ModelKind, VersionKind};
 pub use predict::{Prediction, Predictor};
 pub use preprocess::Preprocess;
 pub use scaler::Scaler;
-pub use settings::{FitSettings, LstmOptions, Preset};
+pub use score::{CONTEXT_SAMPLES, SectionScore, Squares, with_context};
+pub use settings::{FitSettings, LstmOptions, Preset, Task};
+pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule};
 pub use trust::{InputRange, Trust, TrustSpan};
 pub use weights::{from_safetensors, to_safetensors};
-
-/// Which parts a model has and how they combine (Heindel et al., section 2.3).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ModelKind {
-    /// `y = FRF(x)`.
-    Frf,
-    /// `y = LSTM(x)`.
-    Lstm,
-    /// `y = FRF(x) + LSTM(x)`, the LSTM trained on the FRF's error.
-    Hybrid1,
-    /// `y = LSTM(x, FRF(x))`.
-    Hybrid2,
-}
-
-impl ModelKind {
-    /// Its name in the contract.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Frf => "frf",
-            Self::Lstm => "lstm",
-            Self::Hybrid1 => "hybrid1",
-            Self::Hybrid2 => "hybrid2",
-        }
-    }
-}
 
 /// The LSTM part of a model with everything that its prediction depends on.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,7 +62,7 @@ pub struct LstmPart {
 /// A fitted or imported model, ready to predict.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigModel {
-    /// Kind.
+    /// Its parts and how they combine, without its effects.
     pub kind: ModelKind,
     /// Names of the input channels, in order.
     pub inputs: Vec<String>,
@@ -88,27 +74,40 @@ pub struct RigModel {
     pub preprocess: Preprocess,
     /// Present for all kinds but `lstm`.
     pub frf: Option<Frf>,
+    /// Quality of its FRF; absent in weights made elsewhere or by earlier versions.
+    pub frf_quality: Option<FrfQuality>,
     /// Present for all kinds but `frf`.
     pub lstm: Option<LstmPart>,
-    /// What each input did in the training data; empty when unknown (imported weights).
+    /// Range of each input in the training data; empty when unknown (imported weights).
     pub range: Vec<InputRange>,
     /// Effects that were found on top of it, the first found first.
     pub effects: Vec<AddedEffect>,
 }
 
 impl RigModel {
-    /// Response to `x`, whose channels are the model's inputs in order; as long as `x`. Whoever
-    /// predicts more than once with a model makes a [`Predictor`] of it.
+    /// What kind of version it makes: `adopted` if it has effects.
+    pub fn version_kind(&self) -> VersionKind {
+        if self.effects.is_empty() { self.kind.into() } else { VersionKind::Adopted }
+    }
+
+    /// Response to `x`, whose channels are the model's inputs in order; as long as `x`. For several
+    /// predictions with one model a [`Predictor`] is faster.
     ///
     /// # Errors
     /// Another channel count or sample rate, no samples, a result that is not finite.
     pub fn predict(&self, x: &Signal) -> Result<Signal, EngineError> {
         predict::whole(self, x)
     }
+
+    /// Its FRF in a few figures, if it has one.
+    pub fn frf_summary(&self) -> Option<FrfSummary> {
+        let quality = self.frf_quality.as_ref();
+        self.frf.as_ref().map(|frf| FrfSummary::of(frf, quality, &self.inputs, &self.outputs))
+    }
 }
 
-/// What the network sees of a range of samples: the standardised inputs, for hybrid 2 followed by
-/// FRF(x), of which `linear` is that range.
+/// The network's inputs for a range of samples: the standardised inputs, for hybrid 2 followed by FRF(x),
+/// of which `linear` is that range.
 fn network_inputs(
     scaler: &Scaler,
     kind: ModelKind,

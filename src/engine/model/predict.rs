@@ -1,5 +1,5 @@
-//! Predictions piece by piece: of an hour of signal only a few minutes' worth of intermediate
-//! results are in memory at once.
+//! Predictions piece by piece, so that the intermediate results of an hour of signal are never in memory
+//! all at once.
 //!
 //! A piece is computed from the inputs around it. An FRF needs half its taps on either side. Windows
 //! of a network that reach into the piece begin up to a window length before it, and are the same
@@ -16,7 +16,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::trust::{self, Trust};
+use super::trust::{self, BandWatch, Trust};
 use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
 use crate::engine::frf::FrfFilter;
 use crate::engine::lstm::{self, Recombine, Streaming};
@@ -27,18 +27,19 @@ use crate::engine::{EngineError, Signal};
 /// Most samples of a piece.
 const PIECE_SAMPLES: usize = 1 << 18;
 
-/// Nothing of a prediction is left.
+/// The error after the last piece of a prediction.
 const ALL_GIVEN: EngineError = EngineError::TooShort { what: "rest of the drive", needed: 1, found: 0 };
 
-/// Most windows that a piece is made of, those included that only reach into it: whole groups of
+/// Most windows of a piece, including those that only reach into it. The number gives whole groups of
 /// windows on any number of threads.
 const PIECE_WINDOWS: usize = 2048;
 
-/// A model made ready for repeated use.
+/// A model prepared for repeated use.
 #[derive(Debug, Clone)]
 pub struct Predictor {
     model: RigModel,
     filter: Option<FrfFilter>,
+    band: Option<BandWatch>,
 }
 
 /// A prediction under way.
@@ -55,13 +56,14 @@ pub struct Prediction {
 }
 
 impl Predictor {
-    /// Makes `model` ready.
+    /// Prepares `model`.
     ///
     /// # Errors
     /// An FRF whose fields do not belong together.
     pub fn new(model: RigModel) -> Result<Self, EngineError> {
         let filter = model.frf.as_ref().map(|frf| frf.filter()).transpose()?;
-        Ok(Self { model, filter })
+        let band = BandWatch::new(&model);
+        Ok(Self { model, filter, band })
     }
 
     /// The model.
@@ -69,8 +71,8 @@ impl Predictor {
         &self.model
     }
 
-    /// Operations (a multiplication, an addition) of the network for `samples` samples: what most
-    /// of a prediction's time goes into. 0 without a network.
+    /// Number of multiplications and additions in the network for `samples` samples, which take most of a
+    /// prediction's time. 0 without a network.
     pub fn network_work(&self, samples: usize) -> f64 {
         let Some(part) = &self.model.lstm else { return 0.0 };
         let steps = match part.recombine {
@@ -118,14 +120,14 @@ impl Predictor {
         rest(&self.model, self.filter.as_ref(), prediction, watch)
     }
 
-    /// Where the inputs of a prediction leave what the model was fitted on.
+    /// Where the inputs of a prediction leave the range that the model was fitted on.
     pub fn trust(&self, prediction: &Prediction) -> Trust {
-        trust::trust(&self.model.inputs, &self.model.range, &prediction.x)
+        trust::trust(&self.model.inputs, &self.model.range, self.band.as_ref(), &prediction.x)
     }
 }
 
 impl PartialEq for Predictor {
-    /// The filter follows from the model.
+    /// The rest follows from the model.
     fn eq(&self, other: &Self) -> bool {
         self.model == other.model
     }
@@ -262,11 +264,11 @@ fn piece(
         return Ok(None);
     }
     // Windows that reach into the piece, and the network's inputs from the first of them on.
-    let lead = match &model.lstm {
-        Some(part) if stream.is_none() => lead(part),
+    let warm_up = match &model.lstm {
+        Some(part) if stream.is_none() => warm_up(part),
         _ => 0,
     };
-    let from = range.start.saturating_sub(lead);
+    let from = range.start.saturating_sub(warm_up);
     let linear = filter.map(|filter| linear(filter, x, from..range.end)).transpose()?;
     let channels = match &model.lstm {
         None => linear.ok_or_else(|| EngineError::Weights("a model has an FRF or an LSTM".into()))?,
@@ -299,13 +301,13 @@ fn piece(
 /// Samples of a piece; with a network a multiple of its hop, so that windows keep their places.
 fn piece_len(part: Option<&LstmPart>) -> usize {
     let Some(part) = part else { return PIECE_SAMPLES };
-    let most = PIECE_WINDOWS.saturating_sub(1 + lead(part) / part.hop);
+    let most = PIECE_WINDOWS.saturating_sub(1 + warm_up(part) / part.hop);
     part.hop * (PIECE_SAMPLES / part.hop).min(most).max(1)
 }
 
-/// Samples before a piece at which windows begin that reach into it: a multiple of the hop, and at
-/// least a window, beyond which the first window's half before the start weighs nothing.
-fn lead(part: &LstmPart) -> usize {
+/// Samples before a piece from which on windows reach into it: a multiple of the hop, and at least one
+/// window, beyond which the half of the first window before the start has no weight.
+fn warm_up(part: &LstmPart) -> usize {
     part.window_len.next_multiple_of(part.hop)
 }
 

@@ -4,12 +4,12 @@ use rayon::prelude::*;
 use realfft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::{EngineError, Signal, first_not_finite};
+use crate::engine::{EngineError, Signal, first_not_finite, rounded};
 
 /// Zero-phase filters over a whole signal, by FFT. Both may be set.
 ///
-/// A pass band ends in half a cosine over its last 5 % of frequency, inside the band: at and
-/// beyond the limit nothing is left, and the ends of a signal ring less than behind a brick wall.
+/// A pass band ends in half a cosine over its last 5 % of frequency, inside the band: nothing passes at
+/// and beyond the limit, and the ends of a signal ring less than with a rectangular gain.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Preprocess {
@@ -44,7 +44,7 @@ impl Preprocess {
             return Err(EngineError::Setting {
                 setting: "preprocess.low_pass_hz",
                 found: hz.to_string(),
-                limit: format!("above 0 and below half the sample rate, {nyquist} Hz"),
+                limit: format!("above 0 and below half the sample rate, {} Hz", rounded(nyquist, 10)),
             });
         }
         if let Some([low, high]) = self.band_pass_hz
@@ -53,7 +53,10 @@ impl Preprocess {
             return Err(EngineError::Setting {
                 setting: "preprocess.band_pass_hz",
                 found: format!("[{low}, {high}]"),
-                limit: format!("two rising frequencies above 0 and below half the sample rate, {nyquist} Hz"),
+                limit: format!(
+                    "two rising frequencies above 0 and below half the sample rate, {} Hz",
+                    rounded(nyquist, 10)
+                ),
             });
         }
         Ok(())
@@ -61,8 +64,8 @@ impl Preprocess {
 
     /// The filtered signal, as long as `x`.
     ///
-    /// Before the transform both ends are continued by their point reflection, which fades into a
-    /// smooth bridge from the last value to the first: nothing of one end reaches the other.
+    /// Before the transform both ends are continued by their point reflection, which fades into a smooth
+    /// bridge from the last value to the first, so that neither end influences the other.
     ///
     /// # Errors
     /// Those of [`Preprocess::check`], no samples, a result that is not finite.

@@ -1,5 +1,7 @@
 //! Standardisation per channel.
 
+use std::ops::Range;
+
 use crate::engine::Signal;
 
 /// Mean and standard deviation per channel: `z = (v - mean) / std`.
@@ -12,17 +14,17 @@ pub struct Scaler {
 }
 
 impl Scaler {
-    /// Scaler of all samples of several signals taken together (Heindel et al., section 2.2.1:
+    /// Scaler of some samples of several signals taken together (Heindel et al., section 2.2.1:
     /// "collectively standardized"). A channel that does not move is only centred (std 1).
     ///
     /// # Panics
-    /// If `signals` is empty.
-    pub fn of(signals: &[&Signal]) -> Self {
-        let n: usize = signals.iter().map(|s| s.n_samples()).sum();
+    /// If `parts` is empty.
+    pub fn of(parts: &[(&Signal, Range<usize>)]) -> Self {
+        let n: usize = parts.iter().map(|(_, samples)| samples.len()).sum();
         let n = n.max(1) as f64;
         let (mut mean, mut std) = (Vec::new(), Vec::new());
-        for channel in 0..signals[0].n_channels() {
-            let each = || signals.iter().flat_map(|s| s.channel(channel));
+        for channel in 0..parts[0].0.n_channels() {
+            let each = || parts.iter().flat_map(|(s, samples)| &s.channel(channel)[samples.clone()]);
             let m = each().sum::<f64>() / n;
             let variance = each().map(|v| (v - m) * (v - m)).sum::<f64>() / n;
             let moves = variance.sqrt() > 1e-12 * m.abs();
@@ -53,7 +55,7 @@ mod tests {
     fn two_runs_are_scaled_as_one() {
         let a = Signal::new(1.0, vec![vec![1.0, 3.0], vec![5.0, 5.0]]).unwrap();
         let b = Signal::new(1.0, vec![vec![5.0, 7.0], vec![5.0, 5.0]]).unwrap();
-        let scaler = Scaler::of(&[&a, &b]);
+        let scaler = Scaler::of(&[(&a, 0..2), (&b, 0..2)]);
         assert_eq!(scaler.mean, [4.0, 5.0]);
         assert_eq!(scaler.std, [5.0_f64.sqrt(), 1.0]);
         let z = scaler.standardise(0, a.channel(0));

@@ -1,22 +1,57 @@
-//! What a client may say about a fit, and the presets that say the rest.
+//! Settings of a fit that a client may give, and the presets that supply the rest.
 
 use serde::{Deserialize, Serialize};
 
 use super::ModelKind;
 use super::preprocess::Preprocess;
 use crate::engine::EngineError;
-use crate::engine::frf::FrfSettings;
-use crate::engine::lstm::{LstmSettings, Optimizer, RecombineChoice, Schedule};
+use crate::engine::frf::{Estimator, FrfSettings};
+use crate::engine::lstm::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
 
-/// Where values come from that a request leaves open.
+/// The source of values that a request leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// Ours: the most accurate model in a few minutes.
+    /// The default: the most accurate model in a few minutes.
     #[default]
     Default,
-    /// The source paper's settings (section 3.3).
+    /// The source paper's settings and its way of training, nothing of ours where the paper speaks.
+    ///
+    /// Of the paper: blocks, epochs and learning rate per kind and task (sections 3.3 and 3.4);
+    /// windows of 256 samples every 128, from the first sample of each run (2.2.2); random weights as
+    /// Keras draws them, for hybrids too (2.2.1); the mean squared error of whole windows; RMSProp as
+    /// Keras defined it then, at a constant rate; mini-batches reshuffled each epoch; three starts, of
+    /// which validation data choose one; `welch` recombination with the window that begins half a
+    /// length before the start; `H_kl = S_kl / S_kk` (2.1).
+    ///
+    /// Ours, because the paper is silent: mini-batches of 32 windows (Keras' default); the validation
+    /// error, which is that of whole windows laid end to end from a zero state, after each epoch, and
+    /// the best epoch by it; the last incomplete window of a run left out of training, and inputs held
+    /// at their last value beyond the end of a signal in prediction; of the FRF the segments (a Hann
+    /// window, 75 % overlap, the length by held-out prediction) and H1 where the drives correlate, for
+    /// which the ratio does not hold.
     Paper,
+}
+
+/// What a model is fitted for. The paper's settings differ between the two.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Task {
+    /// Responses from drives (paper, section 3.3).
+    #[default]
+    Forward,
+    /// Anything else, such as forces from displacements (paper, section 3.4).
+    VirtualSensing,
+}
+
+impl Preset {
+    /// FRF settings where a request leaves them open.
+    pub fn frf(self) -> FrfSettings {
+        match self {
+            Self::Default => FrfSettings::default(),
+            Self::Paper => FrfSettings { estimator: Estimator::Auto, ..FrfSettings::default() },
+        }
+    }
 }
 
 /// LSTM settings as a request may give them: what is `None` comes from the preset.
@@ -41,7 +76,11 @@ pub struct LstmOptions {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub epochs: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub validate_every: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub batch_size: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub window_offset: Option<WindowOffset>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burn_in: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -49,16 +88,20 @@ pub struct LstmOptions {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub forget_bias: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub hybrid_start: Option<HybridStart>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub recombine: Option<RecombineChoice>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<Vec<u64>>,
 }
 
-/// Everything that a fit is told but its data.
+/// Everything that a fit needs but its data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitSettings {
     /// Kind of model.
     pub kind: ModelKind,
+    /// What it is for.
+    pub task: Task,
     /// Names of the input channels.
     pub inputs: Vec<String>,
     /// Names of the output channels.
@@ -77,9 +120,10 @@ pub struct FitSettings {
 const DEFAULT_STEPS: usize = 6000;
 
 impl LstmOptions {
-    /// Fills what is open from `preset` for a fit of `kind` on runs of `run_lens` samples.
+    /// Fills the open values from `preset` for a fit of `kind` for `task` on runs of `run_lens` samples.
     ///
-    /// The default preset's epochs follow from the data: as many as make about 6000 steps.
+    /// The default preset's epochs follow from the data: as many as make about 6000 steps. A network
+    /// without an FRF has none to start as a copy of.
     ///
     /// # Errors
     /// [`EngineError::Setting`] for values outside their limits.
@@ -87,11 +131,12 @@ impl LstmOptions {
         &self,
         preset: Preset,
         kind: ModelKind,
+        task: Task,
         run_lens: &[usize],
     ) -> Result<LstmSettings, EngineError> {
         let base = match preset {
             Preset::Default => ours(),
-            Preset::Paper => papers(kind),
+            Preset::Paper => papers(kind, task),
         };
         let window_len = self.window_len.unwrap_or(base.window_len);
         let mut settings = LstmSettings {
@@ -103,10 +148,16 @@ impl LstmOptions {
             schedule: self.schedule.unwrap_or(base.schedule),
             warmup_steps: self.warmup_steps.unwrap_or(base.warmup_steps),
             epochs: base.epochs,
+            validate_every: self.validate_every.or(base.validate_every),
             batch_size: self.batch_size.unwrap_or(base.batch_size),
+            window_offset: self.window_offset.unwrap_or(base.window_offset),
             burn_in: self.burn_in.unwrap_or(base.burn_in),
             clip_norm: self.clip_norm.or(base.clip_norm),
             forget_bias: self.forget_bias.unwrap_or(base.forget_bias),
+            hybrid_start: match kind {
+                ModelKind::Hybrid1 | ModelKind::Hybrid2 => self.hybrid_start.unwrap_or(base.hybrid_start),
+                ModelKind::Lstm | ModelKind::Frf => HybridStart::Random,
+            },
             recombine: self.recombine.unwrap_or(base.recombine),
             seeds: self.seeds.clone().unwrap_or(base.seeds),
         };
@@ -132,12 +183,12 @@ impl LstmOptions {
     ///
     /// # Errors
     /// [`EngineError::Setting`] for values outside their limits.
-    pub fn check(&self, preset: Preset, kind: ModelKind) -> Result<(), EngineError> {
-        self.resolve(preset, kind, &[]).map(drop)
+    pub fn check(&self, preset: Preset, kind: ModelKind, task: Task) -> Result<(), EngineError> {
+        self.resolve(preset, kind, task, &[]).map(drop)
     }
 }
 
-/// Starting point: a plain recipe that worked on measured benchmarks (README, "Settings").
+/// Starting point: a plain recipe that worked on measured benchmarks (docs/fits.md, "Settings").
 fn ours() -> LstmSettings {
     LstmSettings {
         blocks: vec![39],
@@ -149,34 +200,48 @@ fn ours() -> LstmSettings {
         warmup_steps: 100,
         // Set by `resolve`.
         epochs: 1,
+        validate_every: None,
         batch_size: 32,
+        window_offset: WindowOffset::Drawn,
         burn_in: 0.25,
         clip_norm: Some(1.0),
         forget_bias: 1.0,
+        hybrid_start: HybridStart::Copy,
         recombine: RecombineChoice::Auto,
         seeds: vec![1, 2, 3],
     }
 }
 
-/// Heindel et al., section 3.3 (forward prediction); batch size and forget bias, of which the
-/// paper is silent, are Keras' defaults.
-fn papers(kind: ModelKind) -> LstmSettings {
-    let (blocks, epochs, learning_rate) = match kind {
-        ModelKind::Hybrid1 => (vec![25, 25], 75, 3e-3),
-        ModelKind::Hybrid2 => (vec![39], 800, 1e-4),
-        ModelKind::Lstm | ModelKind::Frf => (vec![39], 253, 2e-4),
+/// Heindel et al., sections 2.2, 3.3 and 3.4; [`Preset::Paper`] names each setting's source.
+fn papers(kind: ModelKind, task: Task) -> LstmSettings {
+    let (blocks, epochs, learning_rate) = match (task, kind) {
+        (Task::Forward, ModelKind::Lstm | ModelKind::Frf) => (vec![39], 253, 2e-4),
+        (Task::Forward, ModelKind::Hybrid1) => (vec![25, 25], 75, 3e-3),
+        (Task::Forward, ModelKind::Hybrid2) => (vec![39], 800, 1e-4),
+        (Task::VirtualSensing, ModelKind::Lstm | ModelKind::Frf) => (vec![29], 501, 2e-4),
+        (Task::VirtualSensing, ModelKind::Hybrid1) => (vec![39], 402, 1e-4),
+        (Task::VirtualSensing, ModelKind::Hybrid2) => (vec![39], 501, 2e-4),
     };
     LstmSettings {
         blocks,
         epochs,
         learning_rate,
+        window_len: 256,
+        hop: 128,
+        window_offset: WindowOffset::Fixed,
         optimizer: Optimizer::Rmsprop,
         schedule: Schedule::Constant,
         warmup_steps: 0,
+        // Keras' default.
+        batch_size: 32,
+        validate_every: Some(1),
         burn_in: 0.0,
         clip_norm: None,
+        // Keras' `unit_forget_bias`.
+        forget_bias: 1.0,
+        hybrid_start: HybridStart::Random,
         recombine: RecombineChoice::Welch,
-        ..ours()
+        seeds: vec![1, 2, 3],
     }
 }
 
@@ -185,18 +250,56 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_paper_preset_is_the_papers() {
-        let s = LstmOptions::default().resolve(Preset::Paper, ModelKind::Hybrid2, &[100_000]).unwrap();
-        assert_eq!((s.blocks.as_slice(), s.epochs, s.learning_rate), (&[39][..], 800, 1e-4));
-        assert_eq!((s.window_len, s.hop, s.optimizer), (256, 128, Optimizer::Rmsprop));
-        let s = LstmOptions::default().resolve(Preset::Paper, ModelKind::Hybrid1, &[100_000]).unwrap();
-        assert_eq!((s.blocks.as_slice(), s.epochs, s.learning_rate), (&[25, 25][..], 75, 3e-3));
+    fn the_paper_preset_has_the_network_of_each_kind_and_task() {
+        use {ModelKind as Kind, Task::Forward, Task::VirtualSensing};
+        for (task, kind, blocks, epochs, rate) in [
+            (Forward, Kind::Lstm, &[39][..], 253, 2e-4),
+            (Forward, Kind::Hybrid1, &[25, 25], 75, 3e-3),
+            (Forward, Kind::Hybrid2, &[39], 800, 1e-4),
+            (VirtualSensing, Kind::Lstm, &[29], 501, 2e-4),
+            (VirtualSensing, Kind::Hybrid1, &[39], 402, 1e-4),
+            (VirtualSensing, Kind::Hybrid2, &[39], 501, 2e-4),
+        ] {
+            let s = LstmOptions::default().resolve(Preset::Paper, kind, task, &[100_000]).unwrap();
+            assert_eq!(
+                (&s.blocks[..], s.epochs, s.learning_rate),
+                (blocks, epochs, rate),
+                "{task:?} {kind:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_paper_preset_trains_in_the_way_of_the_paper_and_the_default_in_ours() {
+        for kind in [ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2] {
+            for task in [Task::Forward, Task::VirtualSensing] {
+                let s = LstmOptions::default().resolve(Preset::Paper, kind, task, &[100_000]).unwrap();
+                assert_eq!((s.window_len, s.hop, s.window_offset), (256, 128, WindowOffset::Fixed));
+                assert_eq!(
+                    (s.optimizer, s.schedule, s.warmup_steps),
+                    (Optimizer::Rmsprop, Schedule::Constant, 0)
+                );
+                assert_eq!((s.burn_in, s.clip_norm, s.validate_every), (0.0, None, Some(1)));
+                assert_eq!((s.hybrid_start, s.forget_bias), (HybridStart::Random, 1.0));
+                assert_eq!((s.recombine, s.seeds.len()), (RecombineChoice::Welch, 3));
+                let s = LstmOptions::default().resolve(Preset::Default, kind, task, &[100_000]).unwrap();
+                assert_eq!((s.window_offset, s.validate_every), (WindowOffset::Drawn, None));
+                let copies = kind != ModelKind::Lstm;
+                assert_eq!(s.hybrid_start == HybridStart::Copy, copies, "{kind:?}");
+            }
+        }
+        assert_eq!(Preset::Paper.frf(), FrfSettings { estimator: Estimator::Auto, ..FrfSettings::default() });
+        assert_eq!(Preset::Default.frf(), FrfSettings::default());
     }
 
     #[test]
     fn default_epochs_fall_as_data_grow_and_stay_within_bounds() {
-        let epochs =
-            |n: usize| LstmOptions::default().resolve(Preset::Default, ModelKind::Lstm, &[n]).unwrap().epochs;
+        let epochs = |n| {
+            LstmOptions::default()
+                .resolve(Preset::Default, ModelKind::Lstm, Task::Forward, &[n])
+                .unwrap()
+                .epochs
+        };
         assert_eq!(epochs(1_000), 1000);
         assert!(epochs(60_000) > epochs(600_000));
         assert_eq!(epochs(100_000_000), 10);
@@ -204,10 +307,11 @@ mod tests {
 
     #[test]
     fn a_senseless_value_is_refused_by_name() {
-        let refused = |options: LstmOptions| match options.check(Preset::Default, ModelKind::Lstm) {
-            Err(EngineError::Setting { setting, .. }) => setting,
-            other => panic!("{other:?}"),
-        };
+        let refused =
+            |options: LstmOptions| match options.check(Preset::Default, ModelKind::Lstm, Task::Forward) {
+                Err(EngineError::Setting { setting, .. }) => setting,
+                other => panic!("{other:?}"),
+            };
         let none = LstmOptions::default;
         assert_eq!(refused(LstmOptions { hop: Some(129), ..none() }), "lstm.hop");
         assert_eq!(refused(LstmOptions { hop: Some(0), ..none() }), "lstm.hop");

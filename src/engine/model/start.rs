@@ -1,20 +1,20 @@
-//! Where training starts: a hybrid begins as its FRF, not as noise beside it.
+//! The start of training: by default a hybrid begins as its FRF, not at random.
 //!
-//! The paper (section 2.3) says that hybrid 2 "can now simply be a copy of the FRF prediction or
-//! a modification by the LSTM". Starting from that copy, a fit on few or nearly linear data can
+//! The paper starts at random ([`HybridStart::Random`]). It says (section 2.3) that hybrid 2 "can now
+//! simply be a copy of the FRF prediction or a modification by the LSTM". Starting from that copy, a fit on few or nearly linear data can
 //! only leave it for something that is better on validation data.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{ModelKind, Scaler};
-use crate::engine::lstm::{LstmNet, LstmSettings};
+use crate::engine::lstm::{HybridStart, LstmNet, LstmSettings};
 
 /// Size of the copied signal inside the cells, in standard deviations: `tanh` bends three of them
 /// by less than 1 % twice.
 const COPY_SCALE: f64 = 0.05;
 
-/// Pre-activation of gates that stand open; the logistic function is 0.982 there.
+/// Pre-activation of open gates; the logistic function is 0.982 there.
 const OPEN: f32 = 4.0;
 
 /// Pre-activation of a forget gate that lets 0.25 % of the last value through.
@@ -25,6 +25,9 @@ pub(super) fn start(kind: ModelKind, x: &Scaler, y: &Scaler, settings: &LstmSett
     let (inputs, outputs) = (x.mean.len(), y.mean.len());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut net = LstmNet::init(inputs, &settings.blocks, outputs, settings.forget_bias, &mut rng);
+    if settings.hybrid_start == HybridStart::Random {
+        return net;
+    }
     match kind {
         ModelKind::Frf | ModelKind::Lstm => {}
         // FRF(x) + 0.
@@ -39,8 +42,8 @@ pub(super) fn start(kind: ModelKind, x: &Scaler, y: &Scaler, settings: &LstmSett
     net
 }
 
-/// Turns the first cells of each block into a pass-through of the FRF's channels, which are the
-/// last inputs, and lets the fully connected layer read nothing else. Networks with fewer cells
+/// Makes the first cells of each block a pass-through of the FRF's channels, which are the last inputs,
+/// and lets the fully connected layer read nothing else. Networks with fewer cells
 /// than outputs stay as they are.
 fn copy_linear(net: &mut LstmNet, x: &Scaler, y: &Scaler) {
     let outputs = net.outputs;
@@ -77,11 +80,11 @@ fn copy_linear(net: &mut LstmNet, x: &Scaler, y: &Scaler) {
 mod tests {
     use super::*;
     use crate::engine::lstm::{Recombine, predict};
-    use crate::engine::model::{LstmOptions, Preset};
+    use crate::engine::model::{LstmOptions, Preset, Task};
 
     fn settings(blocks: Vec<usize>, kind: ModelKind) -> LstmSettings {
         let options = LstmOptions { blocks: Some(blocks), ..LstmOptions::default() };
-        options.resolve(Preset::Default, kind, &[1000]).unwrap()
+        options.resolve(Preset::Default, kind, Task::Forward, &[1000]).unwrap()
     }
 
     fn wave(n: usize, f: f64) -> Vec<f64> {
@@ -117,5 +120,19 @@ mod tests {
         let z = vec![wave(300, 0.3).into_iter().map(|v| v as f32).collect()];
         let out = predict(&net, &z, 64, 32, Recombine::Welch).unwrap();
         assert!(y.restore(0, &out[0]).iter().all(|v| v.abs() < 1e-6));
+    }
+
+    #[test]
+    fn a_hybrid_of_the_paper_starts_at_random_like_a_network_without_an_frf() {
+        let x = Scaler { mean: vec![0.0, 3.0], std: vec![1.0, 2.0] };
+        let y = Scaler { mean: vec![2.5], std: vec![2.2] };
+        for kind in [ModelKind::Hybrid1, ModelKind::Hybrid2] {
+            let paper = LstmOptions::default().resolve(Preset::Paper, kind, Task::Forward, &[1000]).unwrap();
+            let random = start(ModelKind::Lstm, &x, &y, &paper, 1);
+            assert_eq!(start(kind, &x, &y, &paper, 1), random);
+            assert_ne!(start(kind, &x, &y, &paper, 2), random);
+            let copy = LstmSettings { hybrid_start: HybridStart::Copy, ..paper };
+            assert_ne!(start(kind, &x, &y, &copy, 1), random);
+        }
     }
 }

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use realfft::num_complex::Complex64;
 
 use super::*;
-use crate::engine::frf::FrfSettings;
+use crate::engine::frf::{FrfQuality, FrfSettings};
 use crate::engine::lstm;
 use crate::engine::progress::{Progress, unwatched};
 
@@ -48,14 +48,14 @@ fn pair(n: usize, seed: u64) -> Pair {
     Pair { x: Signal::new(FS, vec![x]).unwrap(), y: Signal::new(FS, vec![y]).unwrap() }
 }
 
-fn data() -> FitData {
-    let (training, validation) = pair(12_000, 1).hold_out();
-    FitData { training: vec![training], frf: None, validation: vec![validation] }
+pub(super) fn data() -> FitData {
+    FitData::of_training(vec![pair(12_000, 1)])
 }
 
-fn settings(kind: ModelKind) -> FitSettings {
+pub(super) fn settings(kind: ModelKind) -> FitSettings {
     FitSettings {
         kind,
+        task: Task::Forward,
         inputs: names("x", 1),
         outputs: names("y", 1),
         preprocess: Preprocess::default(),
@@ -94,6 +94,18 @@ fn made_up(kind: ModelKind) -> RigModel {
         x_mean: draw(inputs),
         y_mean: draw(outputs),
     };
+    let pairs = lines * outputs * inputs;
+    let quality = FrfQuality {
+        settings: FrfSettings { segment_len: Some(segment_len), ridge: Some(1e-4), ..FrfSettings::default() },
+        averages: 12,
+        effective_averages: 7.25,
+        excited: vec![[0, 2], [4, 7]],
+        input_hz: vec![[0.5, 40.0], [0.0, 49.5]],
+        coherence: (0..pairs).map(|i| i as f64 / pairs as f64).collect(),
+        multiple_coherence: (0..lines * outputs).map(|i| 1.0 / (1.0 + i as f64)).collect(),
+        condition: (0..lines).map(|line| 10.0_f64.powi(line as i32)).collect(),
+        std_error: (0..pairs).map(|i| 0.01 * i as f64).collect(),
+    };
     let net_inputs = inputs + if kind == ModelKind::Hybrid2 { outputs } else { 0 };
     let mut net_rng = ChaCha8Rng::seed_from_u64(8);
     let positive = |v: Vec<f64>| v.into_iter().map(|v| v.abs() + 0.1).collect();
@@ -112,8 +124,9 @@ fn made_up(kind: ModelKind) -> RigModel {
         sample_rate_hz: FS,
         preprocess: Preprocess { low_pass_hz: Some(30.0), band_pass_hz: None },
         frf: (kind != ModelKind::Lstm).then_some(frf),
+        frf_quality: (kind != ModelKind::Lstm).then_some(quality),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
-        range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0 }; inputs],
+        range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0, band_hz: None }; inputs],
         effects: Vec::new(),
     }
 }
@@ -154,7 +167,7 @@ fn a_tensor_that_the_kind_does_not_have_is_named() {
     let mut model = made_up(ModelKind::Hybrid1);
     model.kind = ModelKind::Lstm;
     let error = from_safetensors(&to_safetensors(&model)).unwrap_err().to_string();
-    assert!(error.contains("frf.freq_hz"), "{error}");
+    assert!(error.contains("frf."), "{error}");
     model.kind = ModelKind::Hybrid1;
     model.frf = None;
     let error = from_safetensors(&to_safetensors(&model)).unwrap_err().to_string();
@@ -284,6 +297,66 @@ fn a_result_that_is_not_finite_has_its_place_in_the_whole_drive() {
 }
 
 #[test]
+fn a_quality_that_cannot_be_one_is_refused_by_name() {
+    let refused = |change: fn(&mut FrfQuality)| {
+        let mut model = made_up(ModelKind::Frf);
+        change(model.frf_quality.as_mut().unwrap());
+        from_safetensors(&to_safetensors(&model)).unwrap_err().to_string()
+    };
+    for (change, named) in [
+        ((|q| q.coherence[3] = 1.5) as fn(&mut FrfQuality), "frf.coherence: value 3"),
+        (|q| q.multiple_coherence[0] = -0.1, "frf.multiple_coherence: value 0"),
+        (|q| q.condition[1] = 0.5, "frf.condition: value 1"),
+        (|q| q.std_error[5] = f64::NAN, "frf.std_error: value 5"),
+        (|q| q.averages = 0, "frf.averages"),
+        (|q| q.effective_averages = 13.0, "frf.effective_averages"),
+        (|q| q.excited = vec![[0, 9]], "frf.excited"),
+        (|q| q.excited = vec![[3, 5], [5, 6]], "frf.excited"),
+        (|q| q.input_hz.truncate(1), "frf.input_hz"),
+        (|q| q.input_hz[0] = [10.0, 50.1], "frf.input_hz"),
+        (|q| q.settings.ridge = Some(-1.0), "frf.ridge"),
+    ] {
+        let found = refused(change);
+        assert!(found.contains(named), "{named}: {found}");
+    }
+    // The tensors without the block that says how they came about.
+    let whole = to_safetensors(&made_up(ModelKind::Frf));
+    let header = usize::try_from(u64::from_le_bytes(*whole.first_chunk().unwrap())).unwrap();
+    let text = std::str::from_utf8(&whole[8..8 + header]).unwrap();
+    let cut = text.replacen(r#"\"frf\":{"#, r#"\"fra\":{"#, 1);
+    assert_ne!(cut, text);
+    let file = [&whole[..8], cut.as_bytes(), &whole[8 + header..]].concat();
+    assert!(from_safetensors(&file).unwrap_err().to_string().contains("fra"));
+    let mut bare = made_up(ModelKind::Frf);
+    bare.frf_quality = None;
+    let bytes = to_safetensors(&bare);
+    assert!(bytes.len() < whole.len());
+    assert_eq!(from_safetensors(&bytes).unwrap(), bare, "weights without it stay as they were");
+}
+
+#[test]
+fn a_fit_keeps_what_its_frf_is_worth_and_tells_of_low_coherence_by_name() {
+    let mut data = data();
+    // The lag's response drowns in noise.
+    for pair in &mut data.training {
+        let n = pair.y.n_samples();
+        let y = pair.y.channel(0).iter().zip(noise(n, 99)).map(|(y, e)| y + 2.0 * e).collect();
+        pair.y = Signal::new(FS, vec![y]).unwrap();
+    }
+    let fitted = fit(&data, &settings(ModelKind::Frf), &unwatched).unwrap();
+    let output = &settings(ModelKind::Frf).outputs[0];
+    let told: Vec<&String> =
+        fitted.report.warnings.iter().filter(|w| w.contains("multiple coherence below")).collect();
+    assert!(told.len() == 1 && told[0].starts_with(output.as_str()), "{:?}", fitted.report.warnings);
+    let again = from_safetensors(&to_safetensors(&fitted.model)).unwrap();
+    assert_eq!(again, fitted.model);
+    let summary = again.frf_summary().unwrap().measured.unwrap();
+    assert_eq!(Some(summary.averages), fitted.report.frf_averages);
+    assert!(summary.outputs[0].coherence_median < 0.8, "{summary:?}");
+    assert_eq!(made_up(ModelKind::Lstm).frf_summary(), None);
+}
+
+#[test]
 fn senseless_drives_are_refused_by_name() {
     let model = made_up(ModelKind::Hybrid2);
     let channels = |n: usize, c: usize| vec![vec![0.0; n]; c];
@@ -336,9 +409,11 @@ fn what_was_reported_is_what_the_model_does() {
     let data = data();
     let fitted = fit(&data, &settings(ModelKind::Hybrid2), &unwatched).unwrap();
     let again = from_safetensors(&to_safetensors(&fitted.model)).unwrap();
-    let v = &data.validation[0];
-    let y = again.predict(&v.pair.x).unwrap();
-    let (p, m) = (&y.channel(0)[v.score_from..], &v.pair.y.channel(0)[v.score_from..]);
+    // The last tenth, after real context.
+    let scored = 10_800..12_000;
+    let known = with_context(&scored);
+    let y = again.predict(&data.training[0].x.slice(known.clone())).unwrap();
+    let (p, m) = (&y.channel(0)[scored.start - known.start..], &data.training[0].y.channel(0)[scored]);
     let square = |v: f64| v * v;
     let error: f64 = p.iter().zip(m).map(|(p, m)| square(p - m)).sum();
     let rms = (error / m.iter().map(|m| square(*m)).sum::<f64>()).sqrt();
@@ -357,7 +432,7 @@ fn the_frf_part_may_have_runs_of_its_own() {
         fitted.model.frf.unwrap().h[3].norm()
     };
     let all = gain(&data);
-    data.frf = Some(vec![small]);
+    data = data.with_frf_runs(vec![small]);
     assert!(gain(&data) > 1.08 * all, "the rig is softer at small level");
 }
 
@@ -386,7 +461,7 @@ fn dead_channels_and_missing_data_are_refused() {
             EngineError::TooShort { what: "training runs", .. }
         ));
         assert!(matches!(
-            refused(FitData { validation: vec![], ..data() }),
+            refused(FitData { split: FitSplit::ValidationHalves, ..data() }),
             EngineError::TooShort { what: "validation data", .. }
         ));
     }
@@ -416,9 +491,45 @@ fn a_linear_fit_leaves_the_working_point_where_it_is() {
         x: Signal::new(FS, vec![p.x.channel(0).iter().map(|v| v + dx).collect()]).unwrap(),
         y: Signal::new(FS, vec![p.y.channel(0).iter().map(|v| v + dy).collect()]).unwrap(),
     };
-    let (training, validation) = shift(pair(12_000, 1), 50.0, -20.0).hold_out();
-    let data = FitData { training: vec![training], frf: None, validation: vec![validation] };
+    let data = FitData::of_training(vec![shift(pair(12_000, 1), 50.0, -20.0)]);
     let model = fit(&data, &settings(ModelKind::Frf), &unwatched).unwrap().model;
     let y = model.predict(&Signal::new(FS, vec![vec![50.0; 400]]).unwrap()).unwrap();
     assert!(y.channel(0).iter().all(|v| (v + 20.0).abs() < 0.3), "{:?}", &y.channel(0)[..3]);
+}
+
+/// Two runs, of which the second is left out.
+fn two_runs() -> FitData {
+    FitData::of_training(vec![pair(12_000, 1), pair(9_000, 2)])
+}
+
+#[test]
+fn the_scores_are_those_of_a_model_that_has_not_seen_the_run_and_the_model_has_seen_it() {
+    let data = two_runs();
+    let mut settings = settings(ModelKind::Hybrid2);
+    settings.lstm.epochs = Some(60);
+    let fitted = fit(&data, &settings, &unwatched).unwrap();
+    let comparison = fitted.report.comparison.as_ref().unwrap();
+    assert_eq!((comparison.rule, comparison.refitted), (SplitRule::LeftOutRuns, true));
+    assert_eq!(comparison.scores.len(), 1);
+    assert_eq!(fitted.report.validation_rms[0], comparison.scores[0].outputs[0].rms());
+    assert!((fitted.report.training_s - 210.0).abs() < 1e-9, "both runs, whole");
+    assert!((fitted.report.validation_s - 90.0).abs() < 1e-9);
+
+    // The model has seen it, the scores have not.
+    let predicted = fitted.model.predict(&data.training[1].x).unwrap();
+    let after = Squares::of(predicted.channel(0), data.training[1].y.channel(0));
+    assert!(after.rms() <= Some(1.1 * fitted.report.validation_rms[0].unwrap()));
+    assert_ne!(Some(after), comparison.scores[0].outputs.first().copied());
+}
+
+#[test]
+fn what_compares_is_scored_with_and_without_the_filter() {
+    let data = two_runs();
+    let mut settings = settings(ModelKind::Frf);
+    settings.preprocess = Preprocess { low_pass_hz: Some(5.0), band_pass_hz: None };
+    let fitted = fit(&data, &settings, &unwatched).unwrap();
+    let score = &fitted.report.comparison.unwrap().scores[0];
+    let (filtered, recorded) = (score.outputs[0], score.recorded.as_ref().unwrap()[0]);
+    assert!(recorded.measured > filtered.measured && recorded.error > filtered.error);
+    assert_eq!(fitted.report.validation_rms[0], filtered.rms());
 }

@@ -1,7 +1,9 @@
 //! Models as safetensors files.
 //!
 //! Tensors: `frf.freq_hz [line]`, `frf.re`, `frf.im [line, output, input]`, optionally
-//! `frf.x_mean`, `frf.y_mean`; per block i `lstm.{i}.weight_ih [4 cells, inputs]`,
+//! `frf.x_mean`, `frf.y_mean`; with the metadata block `frf` the quality of its estimate,
+//! `frf.coherence [line, output, input]`, `frf.multiple_coherence [line, output]`,
+//! `frf.condition [line]`, `frf.std_error [line, output, input]`; per block i `lstm.{i}.weight_ih [4 cells, inputs]`,
 //! `lstm.{i}.weight_hh [4 cells, cells]`, `lstm.{i}.bias [4 cells]` in gate order i, f, g, o;
 //! `fc.weight [outputs, cells]`, `fc.bias`; `x.mean`, `x.std`, `y.mean`, `y.std`.
 //! PyTorch's own names (`lstm.weight_ih_l0`, two biases) are read too. The metadata key `rigcast`
@@ -14,16 +16,17 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use super::effect::MAX_EFFECTS;
-use super::{AddedEffect, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use super::{AddedEffect, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind};
 use crate::engine::EngineError;
-use crate::engine::frf::Frf;
+use crate::engine::frf::{Frf, FrfQuality, FrfSettings};
 use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
+use crate::engine::wording::plain;
 
 /// Version of names and meanings in the file.
 const SCHEMA: u32 = 1;
 
-/// Longest header of a file that is read, far above the names and shapes of any model: a header takes
-/// up to fifty times its size in memory.
+/// Longest header that is read, far above the names and shapes of any model. A parsed header takes up to
+/// fifty times its size in memory.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Bound on sizes read from a file, far above any sensible network.
@@ -34,7 +37,11 @@ const MAX_CHANNELS: usize = 128;
 #[serde(deny_unknown_fields)]
 struct Metadata {
     schema: u32,
-    kind: ModelKind,
+    kind: VersionKind,
+    /// Kind `adopted`: the model beneath the effects, whose tensors the file holds. Files of before that
+    /// kind name the base's in its place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    base: Option<Base>,
     inputs: Vec<String>,
     outputs: Vec<String>,
     sample_rate_hz: f64,
@@ -51,12 +58,51 @@ struct Metadata {
     /// Band that the FRF's data excited; left out: all lines.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     usable_hz: Option<[f64; 2]>,
-    /// What the inputs did in the training data, for trust; left out: unknown.
+    /// How the FRF was estimated; left out: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    frf: Option<FrfMetadata>,
+    /// Range of the inputs in the training data, for trust; left out: unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     range: Vec<InputRange>,
     /// Effects that diagnoses found.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     effects: Vec<AddedEffect>,
+}
+
+/// The model beneath adopted effects.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Base {
+    kind: ModelKind,
+}
+
+impl Metadata {
+    /// Kind of the model whose tensors the file holds.
+    fn model_kind(&self) -> Result<ModelKind, EngineError> {
+        match (ModelKind::try_from(self.kind), &self.base) {
+            (Ok(kind), None) => Ok(kind),
+            (Ok(kind), Some(_)) => {
+                Err(wrong(format!("base: only kind adopted has one, this is {}", kind.as_str())))
+            }
+            (Err(_), None) => Err(wrong("base is missing: kind adopted names that of the model beneath")),
+            (Err(_), Some(_)) if self.effects.is_empty() => {
+                Err(wrong("effects: kind adopted has at least one"))
+            }
+            (Err(_), Some(base)) => Ok(base.kind),
+        }
+    }
+}
+
+/// How an FRF was estimated: the part of [`FrfQuality`] that is no tensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FrfMetadata {
+    settings: FrfSettings,
+    averages: usize,
+    effective_averages: f64,
+    /// Lines, first and last of each stretch.
+    excited: Vec<[usize; 2]>,
+    input_hz: Vec<[f64; 2]>,
 }
 
 /// Serialises a model; the same model always gives the same bytes.
@@ -74,6 +120,17 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
         f64s("frf.im", shape, &mut frf.h.iter().map(|h| h.im));
         f64s("frf.x_mean", vec![frf.n_inputs], &mut frf.x_mean.iter().copied());
         f64s("frf.y_mean", vec![frf.n_outputs], &mut frf.y_mean.iter().copied());
+        if let Some(quality) = &model.frf_quality {
+            let (lines, outputs) = (frf.n_lines(), frf.n_outputs);
+            let full = vec![lines, outputs, frf.n_inputs];
+            let mut all = |name: &str, shape: Vec<usize>, values: &[f64]| {
+                f64s(name, shape, &mut values.iter().copied());
+            };
+            all("frf.coherence", full.clone(), &quality.coherence);
+            all("frf.multiple_coherence", vec![lines, outputs], &quality.multiple_coherence);
+            all("frf.condition", vec![lines], &quality.condition);
+            all("frf.std_error", full, &quality.std_error);
+        }
     }
     if let Some(lstm) = &model.lstm {
         for (axis, scaler) in [("x", &lstm.x), ("y", &lstm.y)] {
@@ -101,7 +158,8 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
     }
     let metadata = Metadata {
         schema: SCHEMA,
-        kind: model.kind,
+        kind: model.version_kind(),
+        base: (!model.effects.is_empty()).then_some(Base { kind: model.kind }),
         inputs: model.inputs.clone(),
         outputs: model.outputs.clone(),
         sample_rate_hz: model.sample_rate_hz,
@@ -110,6 +168,13 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
         recombine: model.lstm.as_ref().map(|l| l.recombine),
         preprocess: model.preprocess,
         usable_hz: model.frf.as_ref().map(|f| f.usable_hz),
+        frf: model.frf_quality.as_ref().filter(|_| model.frf.is_some()).map(|quality| FrfMetadata {
+            settings: quality.settings.clone(),
+            averages: quality.averages,
+            effective_averages: quality.effective_averages,
+            excited: quality.excited.clone(),
+            input_hz: quality.input_hz.clone(),
+        }),
         range: model.range.clone(),
         effects: model.effects.clone(),
     };
@@ -122,10 +187,10 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
         .expect("views are consistent and the header is small")
 }
 
-/// Reads a model, ours or made elsewhere.
+/// Reads a model from a file of this service or of another program.
 ///
 /// # Errors
-/// [`EngineError::Weights`] for files, metadata or values that make no sense, and
+/// [`EngineError::Weights`] for files, metadata or values that are not a model's, and
 /// [`EngineError::TensorShape`] naming the tensor whose shape does not fit.
 pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
     check_header_len(bytes)?;
@@ -135,22 +200,32 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         .as_ref()
         .and_then(|m| m.get("rigcast"))
         .ok_or_else(|| wrong("the metadata key `rigcast` is missing"))?;
-    let meta: Metadata =
-        serde_json::from_str(text).map_err(|e| wrong(format!("metadata key `rigcast`: {e}")))?;
+    let meta: Metadata = serde_json::from_str(text)
+        .map_err(|e| wrong(format!("metadata key `rigcast`: {}", unreadable_json(&e))))?;
     drop(header);
+    let kind = meta.model_kind()?;
     check(&meta)?;
     let mut file =
         File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
-    let frf = if meta.kind == ModelKind::Lstm { None } else { Some(file.frf(&meta)?) };
-    let lstm = if meta.kind == ModelKind::Frf { None } else { Some(file.lstm(&meta)?) };
+    let frf = if kind == ModelKind::Lstm { None } else { Some(file.frf(&meta)?) };
+    // A model without an FRF is told first of the tensors that it does not have.
+    let frf_quality = match &frf {
+        Some(frf) => file.quality(meta.frf.clone(), Some(frf))?,
+        None => None,
+    };
+    let lstm = if kind == ModelKind::Frf { None } else { Some(file.lstm(&meta, kind)?) };
     file.all_read()?;
+    if frf.is_none() && meta.frf.is_some() {
+        return Err(wrong("metadata key `rigcast`: frf: the model has no FRF"));
+    }
     Ok(RigModel {
-        kind: meta.kind,
+        kind,
         inputs: meta.inputs,
         outputs: meta.outputs,
         sample_rate_hz: meta.sample_rate_hz,
         preprocess: meta.preprocess,
         frf,
+        frf_quality,
         lstm,
         range: meta.range,
         effects: meta.effects,
@@ -161,11 +236,17 @@ fn wrong(message: impl Into<String>) -> EngineError {
     EngineError::Weights(message.into())
 }
 
+/// The place of a parser's error within the metadata says little; what was expected says it.
+fn unreadable_json(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    plain(text.split(" at line ").next().unwrap_or(&text))
+}
+
 fn unreadable(error: SafeTensorError) -> EngineError {
     wrong(format!("not a readable safetensors file: {error}"))
 }
 
-/// Looks at the length of the header before anything is made of it.
+/// Checks the length of the header before it is parsed.
 fn check_header_len(bytes: &[u8]) -> Result<(), EngineError> {
     match bytes.first_chunk() {
         Some(length) if u64::from_le_bytes(*length) > MAX_HEADER_BYTES => {
@@ -187,12 +268,13 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
             return Err(wrong(format!("{what}: 1 to {MAX_CHANNELS} channel names are needed")));
         }
         if let Some(i) = (1..names.len()).find(|&i| names[..i].contains(&names[i])) {
-            return Err(wrong(format!("{what}: channel {:?} stands twice", names[i])));
+            return Err(wrong(format!("{what}: channel {:?} comes twice", names[i])));
         }
     }
     if !meta.range.is_empty() && meta.range.len() != meta.inputs.len() {
         return Err(wrong(format!("range: {} entries for {} inputs", meta.range.len(), meta.inputs.len())));
     }
+    check_bands(meta)?;
     if meta.effects.len() > MAX_EFFECTS {
         return Err(wrong(format!("effects: {}, at most {MAX_EFFECTS} are read", meta.effects.len())));
     }
@@ -200,6 +282,23 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
         effect.check(meta.inputs.len(), meta.outputs.len(), meta.sample_rate_hz)?;
     }
     meta.preprocess.check(meta.sample_rate_hz)
+}
+
+/// Bands are two frequencies that do not fall, from zero to half the sample rate.
+fn check_bands(meta: &Metadata) -> Result<(), EngineError> {
+    let nyquist = meta.sample_rate_hz / 2.0;
+    let whole = meta.usable_hz.into_iter().map(|band| ("usable_hz".to_owned(), band));
+    let inputs = meta.range.iter().enumerate();
+    let inputs = inputs.filter_map(|(i, range)| Some((format!("range[{i}].band_hz"), range.band_hz?)));
+    for (what, [from, to]) in whole.chain(inputs) {
+        // The last line of an FRF may lie beyond by rounding.
+        if !(0.0 <= from && from <= to && to <= nyquist * (1.0 + 1e-6)) {
+            return Err(wrong(format!(
+                "{what} is [{from}, {to}]: two frequencies from 0 to {nyquist} Hz, the first not above the second, are needed"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// A file's tensors, and which of them a model has taken.
@@ -288,7 +387,43 @@ impl File<'_> {
         })
     }
 
-    fn lstm(&mut self, meta: &Metadata) -> Result<LstmPart, EngineError> {
+    /// Quality of the file's FRF: complete or absent.
+    fn quality(
+        &mut self,
+        meta: Option<FrfMetadata>,
+        frf: Option<&Frf>,
+    ) -> Result<Option<FrfQuality>, EngineError> {
+        let tensor = ["coherence", "multiple_coherence", "condition", "std_error"]
+            .into_iter()
+            .map(|part| format!("frf.{part}"))
+            .find(|name| self.has(name));
+        let (meta, frf) = match (meta, frf, tensor) {
+            (Some(meta), Some(frf), _) => (meta, frf),
+            (Some(_), None, _) => return Err(wrong("metadata key `rigcast`: frf: the model has no FRF")),
+            (None, Some(_), Some(name)) => {
+                return Err(wrong(format!(
+                    "tensor {name} needs the block `frf` in the metadata key `rigcast`"
+                )));
+            }
+            (None, ..) => return Ok(None),
+        };
+        let (lines, outputs, inputs) = (Some(frf.n_lines()), Some(frf.n_outputs), Some(frf.n_inputs));
+        let quality = FrfQuality {
+            settings: meta.settings,
+            averages: meta.averages,
+            effective_averages: meta.effective_averages,
+            excited: meta.excited,
+            input_hz: meta.input_hz,
+            coherence: self.values("frf.coherence", &[lines, outputs, inputs])?.1,
+            multiple_coherence: self.values("frf.multiple_coherence", &[lines, outputs])?.1,
+            condition: self.values("frf.condition", &[lines])?.1,
+            std_error: self.values("frf.std_error", &[lines, outputs, inputs])?.1,
+        };
+        quality.check(frf)?;
+        Ok(Some(quality))
+    }
+
+    fn lstm(&mut self, meta: &Metadata, kind: ModelKind) -> Result<LstmPart, EngineError> {
         let window_len = meta.window_len.ok_or_else(|| wrong("window_len is missing"))?;
         let hop = meta.hop.unwrap_or(window_len / 2);
         if !(2..=65_536).contains(&window_len) || hop == 0 || hop > window_len / 2 {
@@ -297,7 +432,7 @@ impl File<'_> {
             )));
         }
         let n_outputs = meta.outputs.len();
-        let n_inputs = meta.inputs.len() + if meta.kind == ModelKind::Hybrid2 { n_outputs } else { 0 };
+        let n_inputs = meta.inputs.len() + if kind == ModelKind::Hybrid2 { n_outputs } else { 0 };
         let mut blocks: Vec<LstmBlock> = Vec::new();
         loop {
             let i = blocks.len();
@@ -367,7 +502,7 @@ impl File<'_> {
         }
     }
 
-    /// A tensor that nothing reads is a mistake of the writer: a misspelt name, another kind.
+    /// Refuses tensors that the model does not use: a misspelt name, or another kind of model.
     fn all_read(&self) -> Result<(), EngineError> {
         match self.tensors.names().into_iter().filter(|n| !self.read.contains(*n)).min() {
             Some(name) => Err(wrong(format!("tensor {name} is not part of a model of this kind"))),

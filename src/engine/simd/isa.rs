@@ -1,4 +1,4 @@
-//! Which instruction set the kernels use: the best of the machine unless `RIGCAST_ISA` says otherwise.
+//! The instruction set of the kernels: the best of the machine unless `RIGCAST_ISA` names another.
 
 use std::sync::OnceLock;
 
@@ -10,7 +10,7 @@ pub const ISA_VARIABLE: &str = "RIGCAST_ISA";
 /// Instruction set of the kernels. The LSTM's results agree within rounding; on one set they are bit-equal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Isa {
-    /// What every machine of the target has; no fused multiply-add.
+    /// The set that every machine of the target has; no fused multiply-add.
     Portable,
     /// AVX2, FMA, BMI1 and BMI2.
     Avx2,
@@ -44,7 +44,7 @@ impl Isa {
         }
     }
 
-    /// The set that `wish` names, or without one the fastest that the machine has.
+    /// The set that `wish` names or, without one, the fastest set of the machine.
     ///
     /// # Errors
     /// An unknown name, or a set that this machine lacks.
@@ -64,7 +64,7 @@ impl Isa {
         if isa.is_available() { Ok(isa) } else { Err(refuse("an instruction set that this machine has")) }
     }
 
-    /// What this process uses; the environment is read once.
+    /// The set of this process; the environment is read once.
     ///
     /// # Errors
     /// [`ISA_VARIABLE`] names something unknown, or a set that this machine lacks.

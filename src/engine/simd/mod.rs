@@ -1,12 +1,12 @@
-//! Sixteen `f32` lanes on each instruction set, and the door through which kernels enter one.
+//! Sixteen `f32` lanes on each instruction set, and the dispatch of kernels to one of them.
 //!
-//! `unsafe` stands here and in `x86` only. It is sound because a `Simd` token
-//! of an instruction set can be made in `dispatch` only, after the machine was asked for it, and
-//! because `Columns` checks its bounds before the first step.
+//! `unsafe` is used here and in `x86` only. It is sound because a `Simd` token of an instruction set is
+//! made in `dispatch` only, after a check that the machine has the set, and because `Columns` checks its
+//! bounds before the first step.
 //!
-//! Plain loops become kernels too, with the token left alone: the compiler then vectorises them for
-//! that instruction set. Rust never fuses a product and a sum by itself, so their bits are the same
-//! on every set.
+//! Plain loops can be kernels too, without using the token: the compiler then vectorises them for that
+//! instruction set. Rust never fuses a product and a sum by itself, so that their results are
+//! bit-identical on every set.
 //!
 //! Everything that runs on a token is `#[inline(always)]` and free of closures, so that it ends up
 //! inside the one function that carries the `target_feature` attribute.
@@ -88,12 +88,11 @@ pub(super) trait Simd: Copy {
 
     /// The same value in all lanes.
     fn splat(self, a: f32) -> Self::V;
-    /// From memory.
+    /// Loads sixteen values.
     fn load(self, from: &Lanes) -> Self::V;
-    /// To memory.
+    /// Stores sixteen values.
     fn store(self, to: &mut Lanes, a: Self::V);
-    /// Asks for the memory `ahead` elements behind `from`, which will be read soon; any address will
-    /// do.
+    /// Prefetches the memory `ahead` elements after `from`. Any address is allowed.
     #[inline(always)]
     fn prefetch<T>(self, _from: &T, _ahead: usize) {}
     /// `a + b`.
@@ -126,12 +125,12 @@ pub(super) trait Simd: Copy {
         }
         mask
     }
-    /// Moves the values whose bit is set to the front of `to`, in order; behind them `to` is left open.
+    /// Moves the values whose bit is set to the front of `to`, in order. The rest of `to` is unspecified.
     #[inline(always)]
     fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
         let mut n = 0;
         for (i, value) in values.into_iter().enumerate() {
-            // Written either way: a branch on data costs more.
+            // Written in either case: a branch on data costs more.
             to[n] = value;
             n += usize::from(mask >> i & 1);
         }
@@ -140,9 +139,9 @@ pub(super) trait Simd: Copy {
 
 /// Work that runs on some instruction set. `run` must be `#[inline(always)]`.
 pub(super) trait Kernel {
-    /// What comes out.
+    /// Result of the work.
     type Out;
-    /// Blocked for 32 registers, so made for AVX-512 only; the others need no code for it.
+    /// Whether the kernel is blocked for 32 registers, so that it is compiled for AVX-512 only.
     const WIDE: bool;
     /// Does the work.
     fn run<S: Simd>(self, simd: S) -> Self::Out;
@@ -151,7 +150,8 @@ pub(super) trait Kernel {
 /// Runs `kernel` on `isa`.
 ///
 /// # Panics
-/// If the machine lacks `isa`: [`Isa::choose`] never answers such a one, so that would be our bug.
+/// If the machine lacks `isa`. [`Isa::choose`] never returns such a set, so that this is a defect of the
+/// caller.
 pub(super) fn dispatch<K: Kernel>(isa: Isa, kernel: K) -> K::Out {
     assert!(isa.is_available(), "this machine lacks {}", isa.name());
     if K::WIDE {

@@ -4,11 +4,11 @@ use wide::{f32x4, i32x4};
 
 use super::{LANES, Lanes, Simd};
 
-/// What the compiler's target has for certain.
+/// The vector type that every machine of the compiler's target has.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
 
-/// Adding 1.5 * 2^23 leaves no bits for the fraction.
+/// Adding 1.5 * 2^23 rounds to an integer: no bits are left for the fraction.
 const TO_INTEGER: f32 = 12_582_912.0;
 
 /// One quarter of the lanes after another.

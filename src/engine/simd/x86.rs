@@ -4,27 +4,27 @@ use std::arch::x86_64::*;
 
 use super::{Kernel, Lanes, Simd};
 
-/// Whether this machine has all that [`on_avx2`] may use.
+/// Whether this machine has all features that [`on_avx2`] uses.
 pub(super) fn has_avx2() -> bool {
     use std::arch::is_x86_feature_detected as has;
     has!("avx2") && has!("fma") && has!("bmi1") && has!("bmi2")
 }
 
-/// Whether this machine has all that [`on_avx512`] may use.
+/// Whether this machine has all features that [`on_avx512`] uses.
 pub(super) fn has_avx512() -> bool {
     use std::arch::is_x86_feature_detected as has;
     has_avx2() && has!("avx512f") && has!("avx512vl") && has!("avx512dq") && has!("avx512bw")
 }
 
 /// # Safety
-/// The machine must have what [`has_avx2`] asks for.
+/// The machine must have the features that [`has_avx2`] checks.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn on_avx2<K: Kernel>(kernel: K) -> K::Out {
     kernel.run(Avx2(()))
 }
 
 /// # Safety
-/// The machine must have what [`has_avx512`] asks for.
+/// The machine must have the features that [`has_avx512`] checks.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn on_avx512<K: Kernel>(kernel: K) -> K::Out {
     kernel.run(Avx512(()))
@@ -128,7 +128,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn limit(self, a: Self::V, limit: f32) -> Self::V {
-        // min and max answer their second operand when one is NaN.
+        // min and max return their second operand when one is NaN.
         op!({
             let (lo, hi) = (_mm256_set1_ps(-limit), _mm256_set1_ps(limit));
             (_mm256_max_ps(lo, _mm256_min_ps(hi, a.0)), _mm256_max_ps(lo, _mm256_min_ps(hi, a.1)))
@@ -149,7 +149,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn recip(self, a: Self::V) -> Self::V {
-        // A true division: the estimate of this instruction set differs between makers.
+        // A true division: the estimate of this instruction set differs between processor makers.
         op!({
             let one = _mm256_set1_ps(1.0);
             (_mm256_div_ps(one, a.0), _mm256_div_ps(one, a.1))
@@ -174,7 +174,7 @@ impl Simd for Avx2 {
     fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
         let (low, high) = (mask & 15, mask >> 4);
         let from = values.as_ptr();
-        // The high half comes at most behind four values of the low half.
+        // The high half is stored after at most four values of the low half.
         let behind = to[low.count_ones() as usize..].as_mut_ptr();
         op!({
             let order = |mask: u8| _mm256_load_si256(std::ptr::from_ref(&ORDER[usize::from(mask)]).cast());
@@ -230,7 +230,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn limit(self, a: Self::V, limit: f32) -> Self::V {
-        // min answers its second operand when one is NaN; scaling by any 2^-n is fine here.
+        // min returns its second operand when one is NaN; scaling by any 2^-n is fine here.
         op!(_mm512_min_ps(_mm512_set1_ps(limit), a))
     }
     #[inline(always)]
@@ -265,7 +265,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn compress(self, values: [f64; 8], mask: u8, to: &mut [f64; 8]) {
-        // Not the instruction that compresses into memory, which some makers have in microcode only.
+        // Not the instruction that compresses into memory, which is slow microcode on some processors.
         op!({
             let picked = _mm512_maskz_compress_pd(mask, _mm512_loadu_pd(values.as_ptr()));
             _mm512_storeu_pd(to.as_mut_ptr(), picked);

@@ -1,4 +1,4 @@
-//! The one loop that all averaged spectra share.
+//! The averaging loop of all spectra.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -22,17 +22,16 @@ pub(super) struct Sums {
     pub effective_averages: f64,
 }
 
-/// Lines that lie together: what a tile holds of all channels stays in the first-level cache while
-/// all pairs are multiplied.
+/// Lines per tile: a tile of all channels stays in the first-level cache while all pairs are multiplied.
 const TILE: usize = 64;
 /// Segments whose products are added at a time, their sum in registers.
 const AT_ONCE: usize = 4;
-/// Segments transformed before their products are added: the sums travel through the caches once a
+/// Segments transformed before their products are added: the sums pass through the caches once per
 /// batch.
 const BATCH: usize = 16;
 /// Memory that the spectra of a batch may take; beyond it a batch has fewer segments.
 const BATCH_BYTES: usize = 1 << 23;
-/// Parts that are summed independently; a constant, so that no bit depends on the thread count.
+/// Parts that are summed independently; a constant, so that the result is the same for any thread count.
 const PARTS: usize = 8;
 /// Memory that the parts' sums may take; beyond it there are fewer parts.
 const PART_BYTES: usize = 1 << 28;
@@ -62,13 +61,14 @@ pub(super) fn accumulate(
 
     let spare = Mutex::new(Vec::new());
     let fft = RealFftPlanner::<f64>::new().plan_fft_forward(len);
-    let job = Job { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len), fft };
+    let averaging =
+        Averaging { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len), fft };
     let tiles = welch.n_lines().div_ceil(TILE);
     let bytes = size_of::<Tile>() * pairs.len() * tiles;
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
     let bound = |part: usize| part * segments.len() / parts;
     let sums: Vec<Vec<Tile>> =
-        (0..parts).into_par_iter().map(|p| job.sum(&segments[bound(p)..bound(p + 1)])).collect();
+        (0..parts).into_par_iter().map(|p| averaging.sum(&segments[bound(p)..bound(p + 1)])).collect();
 
     let mut sums = sums.into_iter();
     let mut total = sums.next().expect("at least one part");
@@ -85,7 +85,7 @@ pub(super) fn accumulate(
     };
     let mut re: Vec<Vec<f64>> = (0..pairs.len()).map(|pair| lines(pair, 0)).collect();
     let mut im: Vec<Vec<f64>> = (0..pairs.len()).map(|pair| lines(pair, 1)).collect();
-    let power: f64 = job.window.iter().map(|w| w * w).sum();
+    let power: f64 = averaging.window.iter().map(|w| w * w).sum();
     let scale = 1.0 / (sample_rate_hz * power * segments.len() as f64);
     for (pair, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
         for (line, (re, im)) in re.iter_mut().zip(im).enumerate() {
@@ -101,10 +101,10 @@ pub(super) fn accumulate(
     Ok(Sums { re, im, df_hz: sample_rate_hz / len as f64, n_averages: segments.len(), effective_averages })
 }
 
-struct Job<'a> {
+struct Averaging<'a> {
     isa: Isa,
-    /// Memory of parts that are done, for the next ones: new memory costs the kernel as much as
-    /// the sums.
+    /// Memory of finished parts, reused by the next ones: the kernel takes as long to provide new memory as
+    /// the sums take.
     spare: Mutex<Vec<Vec<Tile>>>,
     runs: &'a [Source<'a>],
     offsets: &'a [f64],
@@ -117,7 +117,7 @@ struct Job<'a> {
 /// Real and imaginary parts of some lines; beyond the last line anything finite.
 type Tile = [[f64; TILE]; 2];
 
-impl Job<'_> {
+impl Averaging<'_> {
     /// Sums over `segments`, `[tile, pair]`.
     fn sum(&self, segments: &[(usize, usize)]) -> Vec<Tile> {
         let (tiles, channels) = (self.welch.n_lines().div_ceil(TILE), self.offsets.len());
@@ -126,7 +126,7 @@ impl Job<'_> {
         let mut scratch = fft.make_scratch_vec();
         let per_segment = tiles * channels * size_of::<Tile>();
         let batch_len = BATCH.min(BATCH_BYTES / per_segment.max(1)).clamp(1, segments.len());
-        // [tile, segment, channel]; what another part has left there is written over.
+        // [tile, segment, channel]; the values of the last part are overwritten.
         let mut spectra = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
         spectra.resize(tiles * batch_len * channels, [[0.0; TILE]; 2]);
         let mut sums = vec![[[0.0; TILE]; 2]; tiles * self.pairs.len()];
@@ -137,7 +137,7 @@ impl Job<'_> {
                     fft.process_with_scratch(&mut input, &mut output, &mut scratch)
                         .expect("buffers are the plan's own");
                     let tiles = spectra.iter_mut().skip(b * channels + c).step_by(batch_len * channels);
-                    dispatch(self.isa, Split { spectrum: &output, tiles });
+                    dispatch(self.isa, Halves { spectrum: &output, tiles });
                 }
             }
             let tiles = spectra.chunks(batch_len * channels).zip(sums.chunks_mut(self.pairs.len()));
@@ -181,13 +181,13 @@ impl Kernel for WindowSegment<'_> {
     }
 }
 
-/// A spectrum to tiles, real and imaginary parts apart.
-struct Split<'a, T> {
+/// Copies a spectrum to tiles, real and imaginary parts apart.
+struct Halves<'a, T> {
     spectrum: &'a [Complex64],
     tiles: T,
 }
 
-impl<'a, T: Iterator<Item = &'a mut Tile>> Kernel for Split<'_, T> {
+impl<'a, T: Iterator<Item = &'a mut Tile>> Kernel for Halves<'_, T> {
     type Out = ();
     const WIDE: bool = false;
 

@@ -28,8 +28,8 @@ pub struct CrossSpectra {
     pub syy: Vec<f64>,
 }
 
-/// Stretches of one run: input channels, output channels, all equally long.
-pub(crate) struct Stretch<'a> {
+/// A record of a run or of a part of it: input channels and output channels, all equally long.
+pub(crate) struct Record<'a> {
     pub x: Vec<&'a [f64]>,
     pub y: Vec<&'a [f64]>,
 }
@@ -40,12 +40,12 @@ pub(crate) struct Means {
     pub y: Vec<f64>,
 }
 
-/// Spectra averaged over the segments of all stretches, each channel transformed once a segment.
+/// Spectra averaged over the segments of all records, each channel transformed once a segment.
 ///
 /// # Errors
 /// Settings outside their limits, no whole segment, values whose square overflows.
 pub(crate) fn cross_spectra(
-    stretches: &[Stretch<'_>],
+    records: &[Record<'_>],
     means: &Means,
     welch: &Welch,
     sample_rate_hz: f64,
@@ -53,7 +53,7 @@ pub(crate) fn cross_spectra(
     welch.check()?;
     let (nx, ny, lines) = (means.x.len(), means.y.len(), welch.n_lines());
     let sources: Vec<Source<'_>> =
-        stretches.iter().map(|s| s.x.iter().chain(&s.y).copied().collect()).collect();
+        records.iter().map(|s| s.x.iter().chain(&s.y).copied().collect()).collect();
     let offsets: Vec<f64> = means.x.iter().chain(&means.y).copied().collect();
     let triangle = (0..nx).flat_map(|i| (i..nx).map(move |j| (i, j)));
     let cross = (0..ny).flat_map(|o| (0..nx).map(move |i| (nx + o, i)));

@@ -2,8 +2,8 @@
 //!
 //! Conventions: transforms with `exp(-j w t)` (so that an FRF has `exp(+j w t)`), periodic Hann
 //! window, one-sided densities in unit^2/Hz (all lines but DC and Nyquist count double), lines at
-//! `line * df_hz`. `S_ab` is the average of `A * conj(B)`. Segments never straddle runs. The sum
-//! order depends on sizes alone: the thread count changes no bit.
+//! `line * df_hz`. `S_ab` is the average of `A * conj(B)`. Segments never straddle runs. The order
+//! of sums depends on sizes alone, so that the result is bit-identical for any thread count.
 
 mod accumulate;
 mod cross;
@@ -13,12 +13,12 @@ mod tests;
 use serde::{Deserialize, Serialize};
 
 use super::{EngineError, Signal};
-use accumulate::{Source, accumulate};
+use accumulate::accumulate;
 
 pub use cross::CrossSpectra;
-pub(crate) use cross::{Means, Stretch, cross_spectra};
+pub(crate) use cross::{Means, Record, cross_spectra};
 
-/// What is subtracted from each segment before its transform.
+/// The value that is subtracted from each segment before its transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Detrend {
@@ -29,7 +29,7 @@ pub enum Detrend {
     Constant,
 }
 
-/// How a signal is cut into segments (Welch 1967; Bendat and Piersol, Random Data, section 11.5).
+/// Segmentation of a signal (Welch 1967; Bendat and Piersol, Random Data, section 11.5).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Welch {
@@ -37,12 +37,12 @@ pub struct Welch {
     pub segment_len: usize,
     /// Fraction that neighbouring segments share, 0 <= overlap <= [`Welch::MAX_OVERLAP`].
     pub overlap: f64,
-    /// What is subtracted from each segment.
+    /// The value that is subtracted from each segment.
     pub detrend: Detrend,
 }
 
 impl Welch {
-    /// Beyond this, segments repeat each other and cost time without adding information.
+    /// Largest overlap: beyond it, segments cost time and add hardly any information.
     pub const MAX_OVERLAP: f64 = 0.95;
 
     /// Checks the settings.
@@ -83,9 +83,9 @@ impl Welch {
         self.segment_len / 2 + 1
     }
 
-    /// How many independent segments `n_segments` overlapping ones of one run are worth when the
-    /// spectrum is white (Welch 1967, eq. 9): between the number that do not share a sample and
-    /// `n_segments`.
+    /// Number of independent segments that gives the same variance as `n_segments` overlapping ones of one
+    /// run when the spectrum is white (Welch 1967, eq. 9). It lies between the number of segments that
+    /// share no sample and `n_segments`.
     pub fn effective_averages(&self, n_segments: usize) -> f64 {
         let (window, hop) = (hann(self.segment_len), self.hop());
         let power: f64 = window.iter().map(|w| w * w).sum();
@@ -122,11 +122,21 @@ pub fn psd(runs: &[&Signal], welch: &Welch) -> Result<Psd, EngineError> {
     for run in runs {
         same_shape("runs of a spectrum", first, run)?;
     }
-    let sources: Vec<Source<'_>> =
+    let parts: Vec<Vec<&[f64]>> =
         runs.iter().map(|run| run.channels().iter().map(Vec::as_slice).collect()).collect();
-    let offsets = vec![0.0; first.n_channels()];
-    let pairs: Vec<(usize, usize)> = (0..first.n_channels()).map(|c| (c, c)).collect();
-    let sums = accumulate(&sources, &offsets, welch, first.sample_rate_hz(), &pairs)?;
+    psd_of_parts(&parts, first.sample_rate_hz(), welch)
+}
+
+/// The same over parts of runs, `[part][channel]`, at least one part, each with the same channels.
+pub(crate) fn psd_of_parts(
+    parts: &[Vec<&[f64]>],
+    sample_rate_hz: f64,
+    welch: &Welch,
+) -> Result<Psd, EngineError> {
+    welch.check()?;
+    let offsets = vec![0.0; parts[0].len()];
+    let pairs: Vec<(usize, usize)> = (0..parts[0].len()).map(|c| (c, c)).collect();
+    let sums = accumulate(parts, &offsets, welch, sample_rate_hz, &pairs)?;
     Ok(Psd { df_hz: sums.df_hz, n_averages: sums.n_averages, density: sums.re })
 }
 

@@ -1,11 +1,11 @@
-//! Truth from outside: a naive DFT that shares no code with the fast path, and closed forms.
+//! References: a naive DFT that shares no code with the fast path, and closed forms.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use realfft::num_complex::Complex64;
 
-use super::cross::{Means, Stretch};
+use super::cross::{Means, Record};
 use super::*;
 
 fn noise(seed: u64, n: usize) -> Vec<f64> {
@@ -70,7 +70,7 @@ fn the_fast_path_equals_a_naive_dft_for_even_and_odd_segments() {
                 let found = psd(&[&runs[0], &runs[1]], &welch).unwrap();
                 let found: Vec<Complex64> = found.density[0].iter().map(|&p| p.into()).collect();
                 if segment_len == 1 {
-                    // One sample is all of its spectrum.
+                    // The spectrum of one sample is that sample.
                     let power = long.iter().chain(&short).map(|v| v * v).sum::<f64>() / 1033.0;
                     assert_close(&found, &[(power / fs).into()]);
                 } else {
@@ -89,14 +89,14 @@ fn cross_spectra_equal_a_naive_dft_in_every_pair() {
     let welch = Welch { segment_len: 128, overlap: 0.75, detrend: Detrend::None };
     let means = Means { x: vec![0.3, -0.2, 0.0], y: vec![1.0, 0.0] };
     let parts = [0..600, 600..1500];
-    let stretches: Vec<Stretch<'_>> = parts
+    let records: Vec<Record<'_>> = parts
         .iter()
-        .map(|r| Stretch {
+        .map(|r| Record {
             x: channels[..3].iter().map(|c| &c[r.clone()]).collect(),
             y: channels[3..].iter().map(|c| &c[r.clone()]).collect(),
         })
         .collect();
-    let found = cross_spectra(&stretches, &means, &welch, fs).unwrap();
+    let found = cross_spectra(&records, &means, &welch, fs).unwrap();
     assert_eq!((found.n_lines, found.n_inputs, found.n_outputs), (65, 3, 2));
 
     let offsets = [0.3, -0.2, 0.0, 1.0, 0.0];

@@ -1,4 +1,4 @@
-//! Which effects of the bench are simulated, and how strongly.
+//! The effects of the bench and their strengths.
 
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +52,7 @@ impl Effects {
         Self { sensor_noise: 1.0, preload: 1.0, ..Self::none() }
     }
 
-    /// Everything off: the bare linear bench without noise and preload.
+    /// Everything off: the linear bench without noise and preload.
     pub fn none() -> Self {
         Self {
             progressive_stiffness: 0.0,

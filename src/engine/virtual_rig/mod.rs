@@ -3,8 +3,8 @@
 //! It stands for the bench of Heindel et al. (arXiv 2107.03645, sec. 3.1): force controlled, 1 kHz, one
 //! drive (force command, kN) per axis, three displacements (mm) and three forces (kN) as responses. It
 //! is deterministic: a rig seed draws the physical parameters ([`VirtualRig::parameters`]), a run seed the drive
-//! ([`drives`]), a sensor seed the sensor noise. Parameters are set by data sheets and textbooks, never by
-//! what a model makes of the data.
+//! ([`drives`]), a sensor seed the sensor noise. Parameters come from data sheets and textbooks, never from
+//! the results of a model.
 //!
 //! # Equations
 //!
@@ -64,7 +64,7 @@ mod programme;
 pub use channels::{CHANNELS, RigChannel};
 pub use effects::{Effects, MAX_STRENGTH};
 pub use parameters::{AXES, AxisParameters, BenchParameters, Parameter};
-pub use programme::{ProgrammeRun, ProgrammeSettings, RunKind, RunSplit, programme};
+pub use programme::{ProgrammeRun, ProgrammeSettings, programme};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -130,7 +130,7 @@ impl VirtualRig {
         self.effects
     }
 
-    /// What the axes share.
+    /// Parameters that the axes share.
     pub fn bench(&self) -> &BenchParameters {
         &self.bench
     }
@@ -162,7 +162,7 @@ impl VirtualRig {
     ///
     /// # Errors
     /// Another number of channels or sample rate, no sample, a command beyond [`DRIVE_LIMIT_KN`], and
-    /// [`EngineError::NonFiniteResult`] should the simulation run away.
+    /// [`EngineError::NonFiniteResult`] should the simulation diverge.
     pub fn simulate(&self, drive: &Signal, sensor_seed: u64) -> Result<Signal, EngineError> {
         let mut responses = self.simulate_exact(drive, SUBSTEPS)?;
         self.add_sensor_noise(&mut responses, sensor_seed);

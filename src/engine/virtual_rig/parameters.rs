@@ -57,9 +57,9 @@ pub struct Parameter {
     pub nominal: f64,
     /// Upper end of the range.
     pub high: f64,
-    /// What it is.
+    /// Meaning of the parameter.
     pub meaning: &'static str,
-    /// Where value and range come from.
+    /// Source of value and range.
     pub source: &'static str,
 }
 
@@ -108,7 +108,7 @@ macro_rules! parameters {
 }
 
 parameters! {
-    /// What the three axes share.
+    /// Parameters that the three axes share.
     BenchParameters, 1 {
         /// Supply pressure.
         supply_pressure_mpa ["MPa"] = [range(20.5, 21.0, 21.5)],

@@ -253,7 +253,7 @@ impl Plant {
         rate
     }
 
-    /// What the sensors see without noise: strokes (m), then inertia-compensated strut forces (N).
+    /// Sensor readings without noise: strokes (m), then inertia-compensated strut forces (N).
     #[inline]
     pub fn measured(&self, s: &State) -> (Vec3, Vec3) {
         (self.strokes(&s.0[row::Q]), self.forces(s).measured)
@@ -268,7 +268,7 @@ struct Forces {
     mount_rate: Vec3,
     /// Rate of each actuator's stroke, m/s.
     stroke_rate: Vec3,
-    /// What accelerates the fixture, N.
+    /// Force that accelerates the fixture, N.
     net: Vec3,
     /// Inertia-compensated strut forces, N.
     measured: Vec3,

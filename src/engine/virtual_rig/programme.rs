@@ -8,54 +8,7 @@ use super::drives::{
     MAX_DURATION_S, MIN_DURATION_S, MixedNoise, NoiseRegion, SERVICE_OFFSET_KN, ServiceLoad, ServiceShape,
     Sine, Sweep, check, draw_stretches, linear_noise, mixed_noise, service_load, sine, stitched, sweep,
 };
-use crate::engine::{EngineError, Signal};
-
-/// What kind of run a drive makes, in the contract's words.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RunKind {
-    /// White-pink noise.
-    Noise,
-    /// Service load.
-    Service,
-    /// Sine.
-    Sine,
-    /// Sweep.
-    Sweep,
-}
-
-impl RunKind {
-    /// The contract's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Noise => "noise",
-            Self::Service => "service",
-            Self::Sine => "sine",
-            Self::Sweep => "sweep",
-        }
-    }
-}
-
-/// What a run is for, in the contract's words.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RunSplit {
-    /// Sets weights.
-    Training,
-    /// Sets settings, and chooses among trained nets.
-    Validation,
-    /// Never enters a fit.
-    Test,
-}
-
-impl RunSplit {
-    /// The contract's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Training => "training",
-            Self::Validation => "validation",
-            Self::Test => "test",
-        }
-    }
-}
+use crate::engine::{EngineError, RunKind, Signal, Split};
 
 /// One run to make on the bench.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +18,7 @@ pub struct ProgrammeRun {
     /// Kind.
     pub kind: RunKind,
     /// Split.
-    pub split: RunSplit,
+    pub split: Split,
     /// `linear` (small and centred: the FRF's), `mixed`, `n1`, `n2`, `sl`, `sl-minus`, `sl-plus`, `sine`,
     /// `sweep`; service loads also carry their shape's name.
     pub tags: Vec<&'static str>,
@@ -160,7 +113,7 @@ fn noise_runs(settings: &ProgrammeSettings, seed: u64) -> Result<Vec<ProgrammeRu
     };
     for index in 0..run_count("programme.linear_min", settings.linear_min, run_s)? {
         let drive = linear_noise(run_s, seed_for(seed, Purpose::Linear, index))?;
-        push(format!("linear-{:02}", index + 1), RunSplit::Training, "linear", drive);
+        push(format!("linear-{:02}", index + 1), Split::Training, "linear", drive);
     }
     let n_runs = run_count("programme.training_min", settings.training_min, run_s)?;
     let per_run = ((run_s / stretch_s).floor() as usize).max(1);
@@ -168,20 +121,20 @@ fn noise_runs(settings: &ProgrammeSettings, seed: u64) -> Result<Vec<ProgrammeRu
         draw_stretches(n_runs * per_run, NoiseRegion::Interior, seed_for(seed, Purpose::Training, n_runs));
     for (index, part) in stretches.chunks(per_run).enumerate() {
         let drive = stitched(run_s, part, seed_for(seed, Purpose::Training, index))?;
-        push(format!("noise-{:02}", index + 1), RunSplit::Training, "mixed", drive);
+        push(format!("noise-{:02}", index + 1), Split::Training, "mixed", drive);
     }
     let mixed = |duration_s, region| MixedNoise { duration_s, stretch_s, region };
     let drive = mixed_noise(
         &mixed(settings.validation_min * 60.0, NoiseRegion::Interior),
         seed_for(seed, Purpose::Validation, 0),
     )?;
-    push("validation-noise".into(), RunSplit::Validation, "mixed", drive);
+    push("validation-noise".into(), Split::Validation, "mixed", drive);
     let drive = mixed_noise(&mixed(2.0 * run_s, NoiseRegion::Interior), seed_for(seed, Purpose::N1, 0))?;
-    push("test-n1".into(), RunSplit::Test, "n1", drive);
+    push("test-n1".into(), Split::Test, "n1", drive);
     let drive = mixed_noise(&mixed(2.0 * run_s, NoiseRegion::Boundary), seed_for(seed, Purpose::N2, 0))?;
-    push("test-n2".into(), RunSplit::Test, "n2", drive);
+    push("test-n2".into(), Split::Test, "n2", drive);
     let drive = linear_noise(run_s, seed_for(seed, Purpose::LinearTest, 0))?;
-    push("test-linear".into(), RunSplit::Test, "linear", drive);
+    push("test-linear".into(), Split::Test, "linear", drive);
     Ok(runs)
 }
 
@@ -200,16 +153,16 @@ fn service_runs(settings: &ProgrammeSettings, seed: u64) -> Result<Vec<Programme
     for shape in [first, second] {
         for scale in VALIDATION_SCALES {
             let name = format!("validation-{}-{scale:.1}", shape.name());
-            push(name, RunSplit::Validation, "sl", shape, load(shape, scale, 0.0)?);
+            push(name, Split::Validation, "sl", shape, load(shape, scale, 0.0)?);
         }
     }
     for scale in TEST_SCALES {
-        push(format!("test-sl-{scale:.1}"), RunSplit::Test, "sl", third, load(third, scale, 0.0)?);
+        push(format!("test-sl-{scale:.1}"), Split::Test, "sl", third, load(third, scale, 0.0)?);
     }
     for (name, tag, offset) in
         [("test-sl-minus", "sl-minus", -SERVICE_OFFSET_KN), ("test-sl-plus", "sl-plus", SERVICE_OFFSET_KN)]
     {
-        push(name.into(), RunSplit::Test, tag, third, load(third, OFFSET_SCALE, offset)?);
+        push(name.into(), Split::Test, tag, third, load(third, OFFSET_SCALE, offset)?);
     }
     Ok(runs)
 }
@@ -218,7 +171,7 @@ fn tone_runs(settings: &ProgrammeSettings) -> Result<[ProgrammeRun; 2], EngineEr
     let tone = |name: &str, kind, tag, drive| ProgrammeRun {
         name: name.into(),
         kind,
-        split: RunSplit::Test,
+        split: Split::Test,
         tags: vec![tag],
         drive,
     };

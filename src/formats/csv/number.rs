@@ -1,18 +1,18 @@
 //! Numbers in cells.
 
-/// A cell without the blanks around it.
+/// A cell without surrounding blanks.
 pub(super) fn trim(cell: &[u8]) -> &[u8] {
     cell.trim_ascii()
 }
 
-/// The number in a cell; NaN and infinities count as numbers, whoever takes them refuses them.
+/// The number in a cell. NaN and infinities are read as numbers and refused later.
 pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     let cell = trim(cell);
     let text = std::str::from_utf8(cell).ok()?;
     if !decimal_comma || !cell.contains(&b',') {
         return text.parse().ok();
     }
-    // 1.234,5 may be a thousand or a typing error: refused.
+    // 1.234,5 may be a thousand or a typing error, so that it is refused.
     if cell.contains(&b'.') || cell.iter().filter(|&&b| b == b',').count() > 1 {
         return None;
     }

@@ -1,8 +1,8 @@
-//! Rows of cells with the line on which each stands.
+//! Rows of cells with their line numbers.
 //!
-//! csv-core splits rows and cells. Its own line numbers lag behind in files with CRLF, and it passes
-//! over empty lines; so lines are counted here, and empty ones seen. A row of more cells than a file
-//! may have is counted and not kept. Of the file no more is kept than a piece.
+//! csv-core splits rows and cells. Its own line numbers lag behind in files with CRLF, and it skips empty
+//! lines. This module therefore counts lines itself and finds empty ones. A row with more cells than a file
+//! may have is counted and not kept. Only a piece of the file is in memory.
 
 use std::io::Read;
 
@@ -16,10 +16,10 @@ pub(super) struct Rows<R> {
     bytes: Bytes<R>,
     reader: Reader,
     separator: u8,
-    /// Text of the current row's cells, one behind the other, and where each ends.
+    /// Text of the current row's cells, one after the other, and the end of each.
     text: Vec<u8>,
     ends: Vec<usize>,
-    /// Cells of the current row, be they kept or not.
+    /// Cells of the current row, kept or not.
     len: usize,
     /// Line of the current row, from 1; 0 before the first.
     row: u64,
@@ -27,7 +27,7 @@ pub(super) struct Rows<R> {
     width: usize,
 }
 
-/// Cells of a row; none of a row that has too many.
+/// Cells of a row; empty for a row that has too many.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cells<'r> {
     text: &'r [u8],
@@ -36,7 +36,7 @@ pub(super) struct Cells<'r> {
 }
 
 impl<'r> Cells<'r> {
-    /// How many the row has.
+    /// Number of cells.
     pub(super) fn len(self) -> usize {
         self.len
     }
@@ -49,10 +49,10 @@ impl<'r> Cells<'r> {
 }
 
 impl<R: Read> Rows<R> {
-    /// Before the first row of a file.
+    /// A reader before the first row of a file.
     ///
     /// # Errors
-    /// What reading it says.
+    /// Errors of the file system.
     pub(super) fn new(file: R) -> std::io::Result<Self> {
         let mut bytes = Bytes::new(file)?;
         let separator = bytes.separator()?;
@@ -61,7 +61,7 @@ impl<R: Read> Rows<R> {
             reader: ReaderBuilder::new().delimiter(separator).build(),
             separator,
             text: vec![0; 1024],
-            // One more than may be, to see that it is too many.
+            // One more than allowed, so that too many are noticed.
             ends: vec![0; MAX_CHANNELS + 1],
             len: 0,
             row: 0,
@@ -74,7 +74,7 @@ impl<R: Read> Rows<R> {
         self.bytes.before + self.bytes.passed as u64
     }
 
-    /// What separates cells.
+    /// Separator of cells.
     pub(super) fn separator(&self) -> u8 {
         self.separator
     }
@@ -82,7 +82,7 @@ impl<R: Read> Rows<R> {
     /// Goes to the next row; false at the end.
     ///
     /// # Errors
-    /// `csv.ragged_row` for an empty line between two rows; what reading the file says.
+    /// `csv.ragged_row` for an empty line between two rows; errors of the file system.
     pub(super) fn next(&mut self) -> Result<bool, ReadError> {
         // The csv crate ends a row at the CR of a CRLF.
         if self.bytes.after_cr && self.bytes.peek()? == Some(b'\n') {
@@ -107,12 +107,12 @@ impl<R: Read> Rows<R> {
         Ok(true)
     }
 
-    /// Takes the next row apart; false at the end.
+    /// Splits the next row; false at the end.
     fn split(&mut self) -> std::io::Result<bool> {
         self.len = 0;
         let (mut kept, mut text_len) = (0, 0);
         loop {
-            // None left tells csv-core that the file ends.
+            // No bytes tell csv-core that the file ends.
             self.bytes.peek()?;
             let (result, read, written, ended) = self.reader.read_record(
                 self.bytes.left(),
@@ -145,7 +145,7 @@ impl<R: Read> Rows<R> {
         self.row
     }
 
-    /// Text of a cell of the current row, without the blanks around it.
+    /// Text of a cell of the current row, without surrounding blanks.
     ///
     /// # Errors
     /// `csv.encoding`.
@@ -160,15 +160,15 @@ struct Bytes<R> {
     piece: Vec<u8>,
     /// Bytes of the file before the piece.
     before: u64,
-    /// Bytes of the piece that were passed.
+    /// Bytes of the piece that were consumed.
     passed: usize,
-    /// Line ends passed, the one of a CR that was passed last excepted.
+    /// Line ends consumed, without that of a CR that was consumed last.
     lines: u64,
     after_cr: bool,
 }
 
 impl<R: Read> Bytes<R> {
-    /// Behind the byte order mark, if there is one.
+    /// A reader after the byte order mark, if there is one.
     fn new(file: R) -> std::io::Result<Self> {
         let mut bytes = Self { file, piece: Vec::new(), before: 0, passed: 0, lines: 0, after_cr: false };
         bytes.more()?;
@@ -178,14 +178,14 @@ impl<R: Read> Bytes<R> {
         Ok(bytes)
     }
 
-    /// Adds up to a piece behind what there is; false at the end of the file.
+    /// Reads up to a piece more; false at the end of the file.
     fn more(&mut self) -> std::io::Result<bool> {
         let before = self.piece.len();
         let read = (&mut self.file).take(PIECE as u64).read_to_end(&mut self.piece);
         read.map(|_| self.piece.len() > before)
     }
 
-    /// Bytes at hand that were not passed yet; after [`Bytes::peek`] none only at the end.
+    /// Bytes in memory that were not consumed yet; after [`Bytes::peek`] empty only at the end.
     fn left(&self) -> &[u8] {
         &self.piece[self.passed..]
     }
@@ -201,7 +201,7 @@ impl<R: Read> Bytes<R> {
         Ok(self.left().first().copied())
     }
 
-    /// Goes past `n` bytes at hand.
+    /// Consumes `n` bytes in memory.
     fn pass(&mut self, n: usize) {
         for &byte in &self.piece[self.passed..self.passed + n] {
             self.lines += u64::from(byte == b'\n' || self.after_cr);
@@ -216,8 +216,8 @@ impl<R: Read> Bytes<R> {
         Ok(1 + self.lines + u64::from(lone_cr))
     }
 
-    /// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so
-    /// that one column may have decimal commas. As much of the file is kept as that row takes.
+    /// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so that a
+    /// single column may have decimal commas. Reads the whole first row into memory.
     fn separator(&mut self) -> std::io::Result<u8> {
         const SEPARATORS: [u8; 3] = *b"\t;,";
         let (mut at, mut quoted, mut begun) = (self.passed, false, false);

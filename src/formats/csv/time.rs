@@ -1,17 +1,17 @@
-//! The time column: which it is, and the sample rate that it gives.
+//! The time column and the sample rate that it gives.
 
 use crate::formats::FormatError;
 
 /// A column of times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TimeColumn {
-    /// Place among the columns of the file.
+    /// Index among the columns of the file.
     pub(super) column: usize,
     /// Seconds per unit.
     scale: f64,
 }
 
-/// Steps that tell which one is usual, spread over the file.
+/// Number of steps, spread over the file, from which the usual step is found.
 const STEPS: usize = 10_000;
 
 /// Largest deviation of a step, relative to it.
@@ -60,7 +60,7 @@ impl TimeColumn {
     pub(super) fn sample_rate_hz(&self, times: &[f64], first_row: u64) -> Result<Option<f64>, FormatError> {
         let [first, .., last] = times else { return Ok(None) };
         let step = (last - first) / (times.len() - 1) as f64;
-        // Against the grid and not step by step: rounded times may not drift.
+        // Compared with the grid and not step by step: rounded times may not drift.
         let even = step > 0.0
             && step.is_finite()
             && times
@@ -79,10 +79,10 @@ impl TimeColumn {
             let step = w[1] - w[0];
             step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs()
         };
-        // When every step is fair the times drift: then the last row is the farthest off.
+        // When every step is within the limit the times drift, and the last row is the farthest off.
         let place = times.windows(2).position(uneven).unwrap_or(times.len() - 2);
         Err(FormatError::CsvUnevenTime {
-            // Rows of samples follow each other line by line: a number holds no line end.
+            // Rows of samples are consecutive lines, since a number holds no line end.
             row: first_row + place as u64 + 1,
             column: self.column + 1,
             step_s: usual * self.scale,

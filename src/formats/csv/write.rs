@@ -1,4 +1,4 @@
-//! CSV out.
+//! Writing CSV.
 
 use std::io::Write;
 
@@ -11,7 +11,7 @@ use crate::formats::{ChannelAt, FormatError};
 /// number, such as `1`, is written in brackets.
 ///
 /// # Errors
-/// `run.*` codes where the channels make no run: names, units and channels differ in number,
+/// `run.*` codes where the channels are not a run: names, units and channels differ in number,
 /// unequal lengths, numbers that are not finite. `csv.header` for a channel named like a number.
 pub fn write(
     names: &[String],
@@ -41,7 +41,7 @@ pub fn write(
         .filter(|units| units.iter().any(|u| !u.is_empty()))
         .map(|units| units.iter().map(|u| unit_cell(u)).collect());
     let texts = || names.iter().chain(units.iter().flatten());
-    // The reader takes the separator from the first row, so another one may not stand there bare.
+    // The reader takes the separator from the first row, so that any other one must be quoted there.
     let quotes = if texts().any(|t| t.contains(['\t', ';'])) {
         csv::QuoteStyle::Always
     } else {
@@ -57,7 +57,7 @@ pub fn write(
     for sample in 0..samples {
         for (index, channel) in channels.iter().enumerate() {
             let separator = if index == 0 { "" } else { "," };
-            // Debug writes 1e300 where Display writes 301 digits; both read back as they were.
+            // Debug writes 1e300 where Display writes 301 digits; both read back exactly.
             write!(file, "{separator}{:?}", channel[sample]).expect(fits);
         }
         file.push(b'\n');
@@ -65,7 +65,7 @@ pub fn write(
     Ok(file)
 }
 
-/// A unit as it reads back: the reader takes brackets off, and numbers for samples.
+/// A unit in a form that reads back: the reader removes brackets, and takes numbers for samples.
 fn unit_cell(unit: &str) -> String {
     if number(unit.as_bytes(), true).is_some() || without_brackets(unit) != unit {
         format!("[{unit}]")

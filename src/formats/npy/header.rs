@@ -1,4 +1,4 @@
-//! The header of an NPY file, checked against the bytes behind it.
+//! The header of an NPY file, checked against the bytes after it.
 
 use std::ops::Range;
 
@@ -6,7 +6,7 @@ use super::{Dtype, Order};
 use crate::formats::error::excerpt;
 use crate::formats::{FormatError, check_channel_count};
 
-/// What an NPY header says; its sizes agree with the bytes behind it.
+/// The content of an NPY header; its sizes agree with the bytes after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
     /// Type of the numbers.
@@ -19,11 +19,11 @@ pub struct Header {
     pub samples: usize,
     /// Channels.
     pub channels: usize,
-    /// Where the numbers begin, in bytes from the start of the file.
+    /// Offset of the numbers from the start of the file, bytes.
     pub data_offset: usize,
 }
 
-/// Bytes from the start of a file that tell how long its header is.
+/// Bytes at the start of a file that give the length of its header.
 pub(super) const START: usize = 12;
 
 /// Reads and checks the header of a whole file.
@@ -35,7 +35,7 @@ pub fn header(file: &[u8]) -> Result<Header, FormatError> {
     check(&file[text.clone()], text.end, (file.len() - text.end) as u64)
 }
 
-/// Where the text of the header lies, of a file of `len` bytes that begins like this.
+/// Range of the header's text in a file of `len` bytes with this beginning.
 pub(super) fn text(file: &[u8], len: u64) -> Result<Range<usize>, FormatError> {
     let Some((b"\x93NUMPY", rest)) = file.split_at_checked(6) else {
         return Err(FormatError::NpyHeader("the file does not begin with the magic bytes of NPY"));
@@ -84,12 +84,12 @@ pub(super) fn check(text: &[u8], data_offset: usize, found: u64) -> Result<Heade
         return Err(FormatError::NpyTrailing { expected, found });
     }
     let order = if fortran { Order::Fortran } else { Order::C };
-    // Both are at least 1 and their product is at most the length of a slice: they fit.
+    // Both are at least 1 and their product is at most the length of a slice, so that they fit.
     let (samples, channels) = (samples as usize, channels as usize);
     Ok(Header { dtype, big_endian, order, samples, channels, data_offset })
 }
 
-/// Type and byte order of a `descr` such as `<f8`; anything else is refused as it stands.
+/// Type and byte order of a `descr` such as `<f8`; anything else is refused.
 fn dtype(descr: &str) -> Result<(Dtype, bool), FormatError> {
     let refuse = || FormatError::NpyDtype { found: excerpt(descr) };
     let big_endian = match descr.as_bytes().first() {
@@ -107,7 +107,7 @@ fn dtype(descr: &str) -> Result<(Dtype, bool), FormatError> {
     Ok((dtype, big_endian))
 }
 
-/// The three fields of a header, before their values are judged.
+/// The three fields of a header, before their values are checked.
 struct Fields {
     /// A plain type, or the text of a structured one.
     descr: String,

@@ -1,4 +1,4 @@
-//! Computes a prediction and writes it: all of it off the async threads.
+//! Computes a prediction and writes the answer, off the async threads.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -11,32 +11,34 @@ use super::inputs::{Drive, Target};
 use super::request::Include;
 use super::stages::Stages;
 use crate::compute::Class;
-use crate::domain::Rig;
-use crate::engine::fatigue::{DamageChannel, DamageGroup, DamageReport, DamageSettings, damage_report};
+use crate::domain::{Base, Rig};
+use crate::engine::fatigue::{
+    DamageChannel, DamageGroup, DamageReport, DamageSettings, Omission, OmittedGroup, damage_report,
+};
 use crate::engine::metrics::{self, ChannelErrors, ErrorSettings};
-use crate::engine::model::{ModelKind, Predictor, RigModel, TrustSpan};
-use crate::engine::{EngineError, Progress, Signal};
+use crate::engine::model::{Predictor, Preprocess, RigModel, TrustSpan, VersionKind};
+use crate::engine::{EngineError, Progress, Signal, rounded};
 use crate::formats;
+use crate::http::body::signals::write_json;
 use crate::http::deadline::{self, Deadline};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::signals::write_json;
 use crate::http::{codes, errors, json};
 use crate::models::LoadedModel;
 
-/// Most operations of a network (multiplications, additions) that count as short work: some 50 ms on
+/// Largest number of a network's multiplications and additions that count as short work: some 50 ms on
 /// two cores, about four minutes of signal for a network of the paper's size.
 const SHORT_WORK: f64 = 8e9;
 
-/// Everything that a prediction needs; it waits for nothing.
+/// All inputs of a prediction, in memory.
 #[derive(Debug)]
-pub struct Job {
+pub struct PredictionTask {
     /// The rig.
     pub rig: Rig,
     /// The model.
     pub model: Arc<LoadedModel>,
     /// Its inputs.
     pub drive: Drive,
-    /// What is wanted.
+    /// The target.
     pub target: Option<Target>,
     /// Parts of the answer.
     pub include: Include,
@@ -55,12 +57,12 @@ pub struct Computed {
     pub media_type: &'static str,
     /// Samples predicted, all outputs together.
     pub samples: u64,
-    /// Share of samples at which every input is inside what the model was fitted on, if that is
-    /// known.
+    /// Share of samples at which every input is inside the range that the model was fitted on, if that
+    /// range is known.
     pub inside: Option<f64>,
 }
 
-/// Trust, unknown for imported weights that do not say what they were fitted on.
+/// Trust; unknown for imported weights without a range.
 #[derive(Debug, Serialize)]
 struct TrustAnswer {
     inside: Option<f64>,
@@ -70,18 +72,38 @@ struct TrustAnswer {
 /// Errors by channel name.
 #[derive(Debug, Serialize)]
 struct ErrorReport {
-    settings: ErrorSettings,
+    settings: ComparisonSettings,
     channels: BTreeMap<String, ChannelErrors>,
 }
 
+/// How a prediction was compared with its target.
 #[derive(Debug, Serialize)]
-struct ModelName<'a> {
+struct ComparisonSettings {
+    #[serde(flatten)]
+    errors: ErrorSettings,
+    /// The model's filter, which the target has passed before the comparison.
+    preprocess: Preprocess,
+}
+
+/// Damage, and the filter that the target has passed, if there are both.
+#[derive(Debug, Serialize)]
+struct DamageAnswer {
+    #[serde(flatten)]
+    report: DamageReport,
+    #[serde(skip_serializing_if = "Preprocess::is_none")]
+    preprocess: Preprocess,
+}
+
+#[derive(Debug, Serialize)]
+struct ModelAnswer<'a> {
     version: u32,
-    kind: ModelKind,
+    kind: VersionKind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    base: Option<&'a Base>,
     sha256: &'a str,
 }
 
-impl Job {
+impl PredictionTask {
     /// A prediction whose drive came as NPY: no target, no settings.
     pub fn of_npy(rig: Rig, model: Arc<LoadedModel>, drive: Drive, media_type: &'static str) -> Self {
         let include = Include { response: true, damage: false, errors: false, trust: true };
@@ -90,15 +112,10 @@ impl Job {
 
     /// The kind of model, as a metric's label.
     pub fn kind(&self) -> &'static str {
-        match self.model.model().kind {
-            ModelKind::Frf => "frf",
-            ModelKind::Lstm => "lstm",
-            ModelKind::Hybrid1 => "hybrid1",
-            ModelKind::Hybrid2 => "hybrid2",
-        }
+        self.model.model().version_kind().as_str()
     }
 
-    /// Whether somebody waits for it or it takes long.
+    /// Short or long work, by the size of drive and network.
     pub fn class(&self) -> Class {
         let inputs = self.model.model().inputs.len();
         class(&self.model.predictor, self.drive.n_samples(inputs))
@@ -120,6 +137,10 @@ impl Job {
             check_length(&drive, &target.signal)?;
         }
         let outputs = &model.outputs;
+        let target = match target {
+            Some(target) if include.damage || include.errors => Some(filtered(target, &model.preprocess)?),
+            _ => None,
+        };
         let refuse = |error: EngineError| errors::engine(&error, outputs, "/drive/channels");
         let mut prediction = predictor
             .begin(drive)
@@ -131,7 +152,7 @@ impl Job {
         let samples = (n * outputs.len()) as u64;
         let inside = trust.inside;
         if media_type == NPY {
-            // Each piece is written and forgotten: an hour of response is in memory once.
+            // Each piece is written and dropped, so that an hour of response is in memory once.
             let mut npy = formats::npy::Writer::new(n, outputs.len());
             while let Some(piece) = predictor.next(&mut prediction).map_err(refuse)? {
                 npy.write(piece.channels()).map_err(|error| errors::format(&error, outputs))?;
@@ -149,17 +170,24 @@ impl Job {
         };
         drop(prediction);
         stages.end("simulate");
-        let name = ModelName { version: loaded.version, kind: model.kind, sha256: &loaded.sha256 };
+        let name = ModelAnswer {
+            version: loaded.version,
+            kind: model.version_kind(),
+            base: loaded.base.as_ref(),
+            sha256: &loaded.sha256,
+        };
         let mut answer = json::Object::new();
         answer.add("model", &name)?;
         if include.response {
             write_json(answer.field("response"), outputs, &response);
         }
         if include.damage {
-            answer.add("damage", &damages(&rig, outputs, &response, target.as_ref(), &damage)?)?;
+            let report = damages(&rig, outputs, &response, target.as_ref(), &damage)?;
+            let preprocess = if target.is_some() { model.preprocess } else { Preprocess::default() };
+            answer.add("damage", &DamageAnswer { report, preprocess })?;
         }
         if let Some(target) = target.as_ref().filter(|_| include.errors) {
-            answer.add("errors", &distances(outputs, &response, target)?)?;
+            answer.add("errors", &distances(outputs, &response, target, model.preprocess)?)?;
         }
         if include.trust {
             answer.add("trust", &trust)?;
@@ -203,8 +231,8 @@ fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
     if Signal::same_rate(found_hz, expected_hz) {
         return Ok(());
     }
-    let limit = format!("{expected_hz} Hz");
-    let detail = format!("{at} is {found_hz} Hz; the model was fitted at {limit}.");
+    let limit = format!("{} Hz", rounded(expected_hz, 10));
+    let detail = format!("{at} is {} Hz; the model was fitted at {limit}.", rounded(found_hz, 10));
     Err(Problem::new(codes::PREDICT_SAMPLE_RATE, detail).with(FieldError::new(at, limit)))
 }
 
@@ -215,6 +243,14 @@ fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
     let limit = format!("{} samples, as many as the drive", drive.n_samples());
     let detail = format!("The target has {} samples; it must have {limit}.", target.n_samples());
     Err(Problem::new(codes::PREDICT_UNEQUAL_LENGTHS, detail).with(FieldError::new("/target/channels", limit)))
+}
+
+/// The target behind the model's filter, as in its fit: the model predicts nothing else.
+fn filtered(target: Target, preprocess: &Preprocess) -> Answer<Target> {
+    let Target { names, signal } = target;
+    let signal =
+        preprocess.apply_to(signal).map_err(|error| errors::engine(&error, &names, "/target/channels"))?;
+    Ok(Target { names, signal })
 }
 
 /// Damage of every output, and Multi-Rain of every group of the rig whose channels are outputs.
@@ -235,34 +271,52 @@ fn damages(
         .zip(response.channels())
         .map(|(name, predicted)| DamageChannel { name, predicted, target: wanted(name) })
         .collect();
-    let groups = groups(rig, outputs);
-    let groups: Vec<DamageGroup<'_>> =
-        groups.iter().map(|&(name, channels)| DamageGroup { name, channels }).collect();
-    damage_report(&channels, &groups, settings).map_err(|error| errors::engine(&error, outputs, ""))
+    let (groups, omitted) = groups(rig, outputs);
+    let mut report =
+        damage_report(&channels, &groups, settings).map_err(|error| errors::engine(&error, outputs, ""))?;
+    report.omitted.extend(omitted);
+    Ok(report)
 }
 
-/// Groups by name with the places of their channels among the outputs, in the rig's order.
-fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> Vec<(&'a str, [usize; 3])> {
-    let mut members: Vec<(&str, Vec<usize>)> = Vec::new();
+/// Groups with the places of their channels among the outputs, in the rig's order; and those of which
+/// only a part is among them.
+fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> (Vec<DamageGroup<'a>>, Vec<OmittedGroup>) {
+    let mut members: Vec<(&str, Vec<&str>)> = Vec::new();
     for channel in &rig.channels {
         let Some(group) = channel.group.as_deref() else { continue };
-        let Some(place) = outputs.iter().position(|name| *name == channel.name) else { continue };
         match members.iter_mut().find(|(name, _)| *name == group) {
-            Some((_, places)) => places.push(place),
-            None => members.push((group, vec![place])),
+            Some((_, names)) => names.push(&channel.name),
+            None => members.push((group, vec![&channel.name])),
         }
     }
-    members.into_iter().filter_map(|(name, places)| Some((name, places.try_into().ok()?))).collect()
+    let (mut whole, mut partial) = (Vec::new(), Vec::new());
+    for (name, members) in members {
+        let place = |member: &&str| outputs.iter().position(|output| output == member);
+        let places: Vec<usize> = members.iter().filter_map(place).collect();
+        if let Ok(channels) = <[usize; 3]>::try_from(&places[..]) {
+            whole.push(DamageGroup { name, channels });
+        } else if !places.is_empty() {
+            let missing = members.iter().filter(|member| place(member).is_none());
+            let channels = missing.map(|member| (*member).to_owned()).collect();
+            partial.push(OmittedGroup { group: name.to_owned(), channels, reason: Omission::NotPredicted });
+        }
+    }
+    (whole, partial)
 }
 
 /// Errors of the outputs that have a target.
-fn distances(outputs: &[String], response: &Signal, target: &Target) -> Answer<ErrorReport> {
+fn distances(
+    outputs: &[String],
+    response: &Signal,
+    target: &Target,
+    preprocess: Preprocess,
+) -> Answer<ErrorReport> {
     let places: Vec<usize> =
         target.names.iter().filter_map(|name| outputs.iter().position(|output| output == name)).collect();
     let found = metrics::errors(&target.signal, &response.select(&places))
         .map_err(|error| errors::engine(&error, &target.names, "/target/channels"))?;
     let channels = target.names.iter().cloned().zip(found.channels).collect();
-    Ok(ErrorReport { settings: found.settings, channels })
+    Ok(ErrorReport { settings: ComparisonSettings { errors: found.settings, preprocess }, channels })
 }
 
 #[cfg(test)]
@@ -272,7 +326,7 @@ mod tests {
 
     use super::*;
     use crate::engine::lstm::{LstmNet, Recombine};
-    use crate::engine::model::{LstmPart, Preprocess, Scaler};
+    use crate::engine::model::{LstmPart, ModelKind, Preprocess, Scaler};
 
     /// A network of three inputs and six outputs at 1 kHz, windows of 256.
     fn network(cells: usize, hop: usize) -> Predictor {
@@ -288,6 +342,7 @@ mod tests {
             sample_rate_hz: 1000.0,
             preprocess: Preprocess::default(),
             frf: None,
+            frf_quality: None,
             lstm: Some(part),
             range: Vec::new(),
             effects: Vec::new(),

@@ -1,4 +1,4 @@
-//! From what was sent to the signals that a model takes.
+//! Turns the drive and target of a request into signals for the model.
 
 use bytes::Bytes;
 
@@ -6,13 +6,13 @@ use super::request::Source;
 use crate::domain::RigId;
 use crate::engine::{EngineError, Signal};
 use crate::formats;
+use crate::http::body::signals::Channels;
 use crate::http::paths::no_run;
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::signals::Channels;
 use crate::http::{Shared, codes, errors};
 use crate::models::LoadedModel;
 
-/// A model's inputs, as far as they can be had without much work.
+/// A model's inputs; an NPY body is parsed later, off the async threads.
 #[derive(Debug)]
 pub enum Drive {
     /// In the order of the model's inputs.
@@ -35,11 +35,11 @@ impl Drive {
         }
     }
 
-    /// Samples of each input, as far as an array's bytes can tell before they are parsed.
+    /// Samples of each input; for an unparsed NPY body an upper bound from its bytes.
     pub fn n_samples(&self, inputs: usize) -> usize {
         match self {
             Self::Signal(signal) => signal.n_samples(),
-            // Two bytes a number is the shortest type there is.
+            // The shortest type has two bytes a number.
             Self::Npy { bytes, .. } => {
                 formats::npy::header(bytes).map_or(bytes.len() / (2 * inputs.max(1)), |header| header.samples)
             }
@@ -67,7 +67,7 @@ pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedMod
     for name in wanted {
         samples.push(channels.take(name).ok_or_else(|| missing(name, "/drive"))?);
     }
-    // A run holds more than the inputs; a client that sends more has something else in mind.
+    // A run may hold other channels too; in signals of the request they are a mistake.
     if !from_run && let Some((name, _)) = channels.0.first() {
         return Err(unknown(name, "/drive", "an input of the model"));
     }
@@ -98,7 +98,7 @@ pub async fn target(http: &Shared, rig: &RigId, source: Source, model: &LoadedMo
     Ok(Target { names, signal })
 }
 
-/// Sample rate and channels of a source, and whether a run holds them.
+/// Sample rate and channels of a source, and whether the source is a run.
 async fn resolve(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer<(f64, Channels, bool)> {
     match source {
         Source { run: Some(id), sample_rate_hz: None, channels: None } => {
@@ -125,7 +125,7 @@ async fn resolve(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer
 
 fn signal(rate: f64, samples: Vec<Vec<f64>>, names: &[String], at: &str) -> Answer<Signal> {
     let signal = Signal::new(rate, samples).map_err(|error| match error {
-        // The engine knows the setting, not whose it is.
+        // The engine does not know the field that the setting came from.
         EngineError::Setting { limit, .. } => {
             let detail = format!("{at}/sample_rate_hz is {rate}; it must be {limit}.");
             Problem::new(codes::BODY_INVALID_VALUE, detail)

@@ -1,7 +1,7 @@
 //! Predictions: a drive in, the response out, with damage, errors and trust.
 //!
-//! [`request`] says what may be asked, [`inputs`] turns it into the signals that a model takes,
-//! [`answer`] computes and writes.
+//! [`request`] reads the request, [`inputs`] makes signals for the model, [`answer`] computes and writes
+//! the answer.
 
 mod answer;
 mod inputs;
@@ -17,16 +17,16 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
+use super::body::signals::header_names;
 use super::deadline::Deadline;
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
-use super::signals::header_names;
 use super::{Shared, body, codes, json, negotiate};
-use crate::domain::{ModelName, Rig, RigId};
+use crate::domain::{ModelRef, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
-use answer::{Computed, Job};
+use answer::{Computed, PredictionTask};
 use inputs::Drive;
 use request::{NpyQuery, PredictRequest};
 use stages::Stages;
@@ -58,7 +58,7 @@ pub async fn predict(
                 None => None,
             };
             stages.end("load");
-            let job = Job {
+            let task = PredictionTask {
                 rig,
                 model,
                 drive,
@@ -67,7 +67,7 @@ pub async fn predict(
                 damage: request.damage.unwrap_or_default(),
                 media_type,
             };
-            compute(&http, job, stages).await
+            compute(&http, task, stages).await
         }
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
@@ -77,35 +77,35 @@ pub async fn predict(
                 .await?;
             let (rig, model) = find(&http, &id, query.model).await?;
             let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
-            compute(&http, Job::of_npy(rig, model, drive, media_type), stages).await
+            compute(&http, PredictionTask::of_npy(rig, model, drive, media_type), stages).await
         }
         other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
     }
 }
 
-/// The rig, and the model that answers for it; held until the answer is written.
-async fn find(http: &Shared, id: &RigId, name: ModelName) -> Answer<(Rig, Arc<LoadedModel>)> {
+/// The rig and the model that predicts for it, held until the answer is written.
+async fn find(http: &Shared, id: &RigId, name: ModelRef) -> Answer<(Rig, Arc<LoadedModel>)> {
     let rig = http.store.rig(id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let model = match name {
-        ModelName::Active => http.models.active(id).await?.ok_or_else(|| {
+        ModelRef::Active => http.models.active(id).await?.ok_or_else(|| {
             let detail =
                 format!("The rig {:?} has no active model; fit one, or name a version.", id.as_str());
             Problem::new(codes::MODEL_NONE_ACTIVE, detail)
         })?,
-        ModelName::Version(version) => {
+        ModelRef::Version(version) => {
             http.models.version(id, version).await?.ok_or_else(|| no_model(&version.to_string()))?
         }
     };
     Ok((rig, model))
 }
 
-async fn compute(http: &Shared, job: Job, mut stages: Stages) -> Answer {
-    let (kind, class) = (job.kind(), job.class());
-    let model = job.model.clone();
+async fn compute(http: &Shared, task: PredictionTask, mut stages: Stages) -> Answer {
+    let (kind, class) = (task.kind(), task.class());
+    let model = task.model.clone();
     let started = Instant::now();
     let work = move |deadline: &Deadline| {
         stages.end("wait");
-        job.run(deadline, &mut stages)
+        task.run(deadline, &mut stages)
     };
     let Computed { bytes, media_type, samples, inside } = http.in_time(class, work).await?;
     metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);

@@ -1,14 +1,14 @@
-//! What a client may ask for.
+//! The request of a prediction.
 
 use serde::Deserialize;
 
-use crate::domain::ModelName;
+use crate::domain::ModelRef;
 use crate::engine::fatigue::DamageSettings;
-use crate::http::arrays::HoldsSignals;
+use crate::http::body::HoldsSignals;
+use crate::http::body::signals::Channels;
 use crate::http::codes;
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::signals::Channels;
 
 /// The JSON body.
 #[derive(Debug, Deserialize)]
@@ -16,22 +16,22 @@ use crate::http::signals::Channels;
 pub struct PredictRequest {
     /// Which model.
     #[serde(default)]
-    pub model: ModelName,
+    pub model: ModelRef,
     /// Its inputs.
     pub drive: Source,
-    /// What is wanted.
+    /// The target.
     #[serde(default)]
     pub target: Option<Source>,
     /// Settings of the damage.
     #[serde(default)]
     pub damage: Option<DamageSettings>,
-    /// What the answer holds.
+    /// Parts of the answer.
     #[serde(default)]
-    include: Option<Vec<Part>>,
+    include: Option<Vec<AnswerPart>>,
 }
 
-/// Signals, or a run that holds them. One flat object, so that an error has its place and no
-/// sample is buffered twice.
+/// Signals, or a run that holds them. One flat object, so that errors point at a field and no sample is
+/// buffered twice.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Source {
@@ -49,7 +49,7 @@ pub struct Source {
 /// A part of the answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Part {
+enum AnswerPart {
     Response,
     Damage,
     Errors,
@@ -65,7 +65,7 @@ pub struct Include {
     pub damage: bool,
     /// Error against the target.
     pub errors: bool,
-    /// Whether the drive is inside what the model knows.
+    /// Whether the drive is inside the range that the model was fitted on.
     pub trust: bool,
 }
 
@@ -77,10 +77,10 @@ impl HoldsSignals for PredictRequest {
 }
 
 impl PredictRequest {
-    /// The parts that are wanted.
+    /// The parts of the answer, with the defaults filled in.
     ///
     /// # Errors
-    /// `predict.target_missing` when errors are wanted against nothing.
+    /// `predict.target_missing` for errors without a target.
     pub fn includes(&self) -> Answer<Include> {
         let Some(parts) = &self.include else {
             let target = self.target.is_some();
@@ -92,16 +92,16 @@ impl PredictRequest {
             });
         };
         let wants = |part| parts.contains(&part);
-        if wants(Part::Errors) && self.target.is_none() {
-            let detail = "Errors are a prediction's distance from a target; none was sent.";
+        if wants(AnswerPart::Errors) && self.target.is_none() {
+            let detail = "Errors compare a prediction with a target; the request has none.";
             return Err(Problem::new(codes::PREDICT_TARGET_MISSING, detail)
                 .with(FieldError::new("/target", "needed for errors")));
         }
         Ok(Include {
-            response: wants(Part::Response),
-            damage: wants(Part::Damage),
-            errors: wants(Part::Errors),
-            trust: wants(Part::Trust),
+            response: wants(AnswerPart::Response),
+            damage: wants(AnswerPart::Damage),
+            errors: wants(AnswerPart::Errors),
+            trust: wants(AnswerPart::Trust),
         })
     }
 }
@@ -110,7 +110,7 @@ impl PredictRequest {
 #[derive(Debug)]
 pub struct NpyQuery {
     /// Which model.
-    pub model: ModelName,
+    pub model: ModelRef,
     /// Sample rate of the drive.
     pub sample_rate_hz: f64,
 }
@@ -119,10 +119,10 @@ impl NpyQuery {
     /// Takes `model` and `sample_rate_hz`.
     ///
     /// # Errors
-    /// `query.*`; the sample rate is required, an NPY file has none.
+    /// `query.*`; the sample rate is required, because an NPY file has none.
     pub fn take(mut params: Params) -> Answer<Self> {
-        let model = params.one("model")?.map_or(Ok(ModelName::Active), |text| {
-            ModelName::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
+        let model = params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
+            ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
         })?;
         let limit = "the drive's sample rate, a positive number";
         let sample_rate_hz = params.number("sample_rate_hz", limit)?;

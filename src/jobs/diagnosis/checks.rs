@@ -1,23 +1,23 @@
-//! Whether the runs of a diagnosis can be diagnosed, by what their rows say of them.
+//! Checks on the runs of a diagnosis, from their rows alone.
 
 use crate::domain::{Channel, FieldError, FitChannels, Run};
-use crate::engine::Signal;
+use crate::engine::{Signal, rounded};
 
 use super::plan::DiagnosisPlan;
 use super::problem::DiagnosisProblem;
 
-/// Fewest samples of a run: below, nothing can be scored.
+/// Fewest samples of a run that can be scored.
 const MIN_SAMPLES: u64 = 64;
 
 impl DiagnosisPlan {
-    /// Refuses runs that lack a channel, have another rate, are too short, or do not move.
+    /// Refuses runs that lack a channel, have another rate, are too short, or are constant.
     pub(super) fn suits_runs(&self) -> Result<(), DiagnosisProblem> {
         self.holds_channels()?;
         self.suits_lengths()?;
         self.moves()
     }
 
-    /// Every list of runs with its place in the request.
+    /// Every list of runs, with its pointer in the request.
     fn lists(&self) -> [(&'static str, Vec<&Run>); 3] {
         [
             ("/runs", self.runs.iter().collect()),
@@ -28,7 +28,7 @@ impl DiagnosisPlan {
 
     fn holds_channels(&self) -> Result<(), DiagnosisProblem> {
         let FitChannels { inputs, outputs } = self.channels();
-        // A model may take measured channels beside the drives.
+        // A model may have measured channels as inputs beside the drives.
         let inputs = self.model.as_ref().map_or(&inputs, |model| &model.inputs);
         let mut errors = Vec::new();
         for (pointer, runs) in self.lists() {
@@ -54,7 +54,12 @@ impl DiagnosisPlan {
         for (pointer, runs) in self.lists() {
             for run in runs {
                 if !Signal::same_rate(run.sample_rate_hz, rate) {
-                    let limit = format!("{rate} Hz: run {} has {} Hz", run.id, run.sample_rate_hz);
+                    let limit = format!(
+                        "{} Hz: run {} has {} Hz",
+                        rounded(rate, 10),
+                        run.id,
+                        rounded(run.sample_rate_hz, 10)
+                    );
                     other_rate.push(FieldError::new(pointer, limit));
                 }
                 if run.samples < MIN_SAMPLES {
@@ -84,7 +89,7 @@ impl DiagnosisPlan {
         }
     }
 
-    /// Refuses responses that are constant in every run, and runs without any drive that moves.
+    /// Refuses responses that are constant in every run, and runs in which every drive is constant.
     fn moves(&self) -> Result<(), DiagnosisProblem> {
         let mut errors = Vec::new();
         let [runs, baseline, _] = self.lists();

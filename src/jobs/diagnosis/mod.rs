@@ -12,77 +12,85 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::diagnosis::{DiagnosedModel, Findings, VerdictSummary};
-use crate::domain::{Channel, DiagnosisRequest, FieldError, Origin, Problem, Run, Span};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span};
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
-use crate::engine::model::{ModelKind, Pair, Predictor, Preprocess, from_safetensors};
+use crate::engine::model::{
+    AddedEffect, ModelKind, Pair, Predictor, Preprocess, apply_effects, from_safetensors,
+};
 use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::NewDiagnosis;
 
 use super::control::Control;
 use super::fit::pair;
-use super::order::{MadeDiagnosis, Order};
 use super::problem::{JobError, codes};
-use super::workbench::Workbench;
+use super::spec::{DiagnosisOutput, JobSpec};
+use super::work_context::WorkContext;
 use plan::DiagnosisPlan;
 use problem::of_diagnosis;
 
 pub(super) use plan::check;
 pub use problem::DiagnosisProblem;
 
-/// Share of the job that loading and simulating takes; the rest is the engine's.
+/// Share of the progress for loading and simulating; the rest is the engine's.
 const LOADED: f64 = 0.1;
 
-/// Seed of the bootstrap and of the next experiment's drives: the same request, the same report.
+/// Seed of the bootstrap and of the next experiment's drives, so that the same request gives the same
+/// report.
 const SEED: u64 = 1;
 
-/// Diagnoses, from the request to a report that is ready to be stored.
+/// Does a diagnosis, from the request to a report that is ready to be stored.
 pub(super) async fn make(
-    bench: &Workbench,
-    order: &Order,
+    context: &WorkContext,
+    spec: &JobSpec,
     control: &Arc<Control>,
-) -> Result<MadeDiagnosis, JobError> {
+) -> Result<DiagnosisOutput, JobError> {
     let started = Instant::now();
-    let request: DiagnosisRequest = order.request()?;
-    let rig = bench.store.rig(&order.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
-    // Again, because runs and models may have gone since it was queued.
-    let plan = Arc::new(check(&bench.store, &rig, &request).await?);
-    let input = load(bench, &plan, control).await?;
-    let found = diagnose(bench, &plan, input, control).await?;
-    written(bench, &plan, found, started).await
+    let request: DiagnosisRequest = spec.request()?;
+    let rig = context.store.rig(&spec.rig).await?.ok_or(DiagnosisProblem::RigGone)?;
+    // Checked again, because runs and models may have gone since the job was queued.
+    let plan = Arc::new(check(&context.store, &rig, &request).await?);
+    let input = load(context, &plan, control).await?;
+    let found = diagnose(context, &plan, input, control).await?;
+    written(context, &plan, found, started).await
 }
 
-/// What says how the rig would respond.
+/// The simulation that is compared with the rig.
 enum Sim {
-    Model(Box<Predictor>),
+    /// A model, and the adopted effects on top of it.
+    Model(Box<Predictor>, Vec<AddedEffect>),
     /// Simulated responses, one run for each run of the diagnosis.
     Outside,
 }
 
-async fn sim(bench: &Workbench, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
+async fn sim(context: &WorkContext, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     let Some(model) = &plan.model else { return Ok(Sim::Outside) };
-    let weights = bench.store.weights(model).await?;
-    let predictor =
-        bench.compute.run(Class::Fit, None, move || Predictor::new(from_safetensors(&weights)?)).await?;
-    predictor.map(|predictor| Sim::Model(Box::new(predictor))).map_err(|error| {
+    let weights = context.store.weights(model).await?;
+    let read = move || {
+        let mut model = from_safetensors(&weights)?;
+        let effects = std::mem::take(&mut model.effects);
+        Ok(Sim::Model(Box::new(Predictor::new(model)?), effects))
+    };
+    let read: Result<Sim, EngineError> = context.compute.run(Class::Fit, None, read).await?;
+    read.map_err(|error| {
         tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
         let detail = "The stored weights cannot be read as a model.";
         JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
     })
 }
 
-/// Loads every run and simulates those that are to be explained.
+/// Loads every run, and simulates those to explain.
 async fn load(
-    bench: &Workbench,
+    context: &WorkContext,
     plan: &Arc<DiagnosisPlan>,
     control: &Arc<Control>,
 ) -> Result<Input, JobError> {
     control.report("loading runs", 0.0);
-    let sim = Arc::new(sim(bench, plan).await?);
+    let sim = Arc::new(sim(context, plan).await?);
     let places = times(&plan.runs);
     let steps = (plan.baseline.len() + plan.runs.len()) as f64;
     let mut baseline = Vec::with_capacity(plan.baseline.len());
     for part in &plan.baseline {
-        let signal = bench.store.load_signal(&part.run).await?;
+        let signal = context.store.load_signal(&part.run).await?;
         let (plan, sim, part) = (Arc::clone(plan), Arc::clone(&sim), part.clone());
         let cut = move || {
             let span = |sample: u64| usize::try_from(sample.min(part.run.samples)).unwrap_or(usize::MAX);
@@ -91,35 +99,35 @@ async fn load(
             let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
             measured(&plan, &sim, &part.run, &kept)
         };
-        baseline.push(bench.compute.run(Class::Fit, None, cut).await??);
+        baseline.push(context.compute.run(Class::Fit, None, cut).await??);
         step(control, "loading runs", baseline.len() as f64 / steps)?;
     }
     let mut runs = Vec::with_capacity(plan.runs.len());
     for (i, run) in plan.runs.iter().enumerate() {
-        let signal = bench.store.load_signal(run).await?;
+        let signal = context.store.load_signal(run).await?;
         let outside = match plan.simulated.get(i) {
-            Some(simulated) => Some((simulated.clone(), bench.store.load_signal(simulated).await?)),
+            Some(simulated) => Some((simulated.clone(), context.store.load_signal(simulated).await?)),
             None => None,
         };
         let (plan, sim, run) = (Arc::clone(plan), Arc::clone(&sim), run.clone());
         let started_s = places[i];
         let simulate = move || {
             let whole = halves(&plan, &sim, &run, signal)?;
-            let simulated = match (&*sim, outside) {
-                (Sim::Model(predictor), _) => {
-                    predictor.predict(whole.x.clone()).map_err(|error| diverged(&error, &plan, &run))?
+            let (simulated, added) = match (&*sim, outside) {
+                (Sim::Model(predictor, effects), _) => {
+                    predicted(predictor, effects, &whole.x).map_err(|error| diverged(&error, &plan, &run))?
                 }
                 (Sim::Outside, Some((row, signal))) => {
                     let names: Vec<String> = plan.responses.iter().map(|c| c.name.clone()).collect();
-                    // Only the second half is of use, but a pair has a first.
-                    pair(&row, signal, &names[..1], &names)?.y
+                    // Only the outputs of the pair are used.
+                    (pair(&row, signal, &names[..1], &names)?.y, None)
                 }
                 (Sim::Outside, None) => unreachable!("the plan has a simulated run for each run"),
             };
             let measured = measured(&plan, &sim, &run, &whole)?;
-            Ok::<_, JobError>(diagnosis::Run { simulated: Some(simulated), started_s, ..measured })
+            Ok::<_, JobError>(diagnosis::Run { simulated: Some(simulated), added, started_s, ..measured })
         };
-        runs.push(bench.compute.run(Class::Fit, None, simulate).await??);
+        runs.push(context.compute.run(Class::Fit, None, simulate).await??);
         step(control, "simulating runs", (baseline.len() + runs.len()) as f64 / steps)?;
     }
     let channel = |c: &Channel| diagnosis::Channel {
@@ -135,8 +143,9 @@ async fn load(
         runs,
         roles: plan.roles.clone(),
         repeats: plan.repeats.clone(),
+        // An FRF from elsewhere names no runs that it was fitted to.
         sim_is_linear: plan.model.as_ref().is_some_and(|m| {
-            m.kind == ModelKind::Frf && (m.origin == Origin::Fit || plan.request.mode == Mode::InSitu)
+            m.parts == ModelKind::Frf && (!m.lineage.training.is_empty() || plan.request.mode == Mode::InSitu)
         }),
         mode: plan.request.mode,
         catalogue: plan.effects.clone(),
@@ -146,26 +155,39 @@ async fn load(
     })
 }
 
+/// What a model with these effects says, and what the effects add to their linear cores.
+fn predicted(
+    predictor: &Predictor,
+    effects: &[AddedEffect],
+    x: &Signal,
+) -> Result<(Signal, Option<Signal>), EngineError> {
+    let without = predictor.predict(x.clone())?;
+    if effects.is_empty() {
+        return Ok((without, None));
+    }
+    apply_effects(effects, &predictor.model().preprocess.apply(x)?, without)
+}
+
 fn step(control: &Control, stage: &str, share: f64) -> Result<(), JobError> {
     control.report(stage, LOADED * share);
     if control.stopped().is_some() { Err(JobError::Stopped) } else { Ok(()) }
 }
 
-/// A run as what the sim takes and what it is compared with, as uploaded.
+/// A run as inputs of the sim and responses to compare, as uploaded.
 fn halves(plan: &DiagnosisPlan, sim: &Sim, run: &Run, signal: Signal) -> Result<Pair, JobError> {
     let channels = plan.channels();
     let inputs = match sim {
-        Sim::Model(predictor) => &predictor.model().inputs,
+        Sim::Model(predictor, _) => &predictor.model().inputs,
         Sim::Outside => &channels.inputs,
     };
     Ok(pair(run, signal, inputs, &channels.outputs)?)
 }
 
-/// A run as the diagnosis takes it. Drives and responses pass the model's filter, as in its fit: what
-/// it removes is no gap.
+/// A run for the diagnosis. Drives and responses pass the model's filter, as in its fit, so that the
+/// filter makes no gap.
 fn measured(plan: &DiagnosisPlan, sim: &Sim, run: &Run, whole: &Pair) -> Result<diagnosis::Run, JobError> {
     let (filter, drives): (Preprocess, Vec<usize>) = match sim {
-        Sim::Model(predictor) => {
+        Sim::Model(predictor, _) => {
             let model = predictor.model();
             let place = |c: &Channel| model.inputs.iter().position(|name| *name == c.name);
             (model.preprocess, plan.drives.iter().filter_map(place).collect())
@@ -178,11 +200,12 @@ fn measured(plan: &DiagnosisPlan, sim: &Sim, run: &Run, whole: &Pair) -> Result<
         drive: filter.apply_to(whole.x.select(&drives)).map_err(refused)?,
         response: filter.apply(&whole.y).map_err(refused)?,
         simulated: None,
+        added: None,
         started_s: 0.0,
     })
 }
 
-/// A sim that cannot follow a run.
+/// The error of a sim that diverges on a run.
 fn diverged(error: &EngineError, plan: &DiagnosisPlan, run: &Run) -> JobError {
     let EngineError::NonFiniteResult { channel, sample, .. } = error else {
         return of_diagnosis(error, &plan.channels());
@@ -199,8 +222,8 @@ fn diverged(error: &EngineError, plan: &DiagnosisPlan, run: &Run) -> JobError {
     )
 }
 
-/// Place of each run in time, seconds: its `started_at` if all have one, else one run after the
-/// other in the order of their upload.
+/// Start of each run in seconds: by `started_at` if all runs have one, else one run after the other in
+/// the order of upload.
 fn times(runs: &[Run]) -> Vec<f64> {
     let started: Option<Vec<f64>> =
         runs.iter().map(|run| run.started_at.map(|at| at.as_microsecond() as f64 * 1e-6)).collect();
@@ -210,9 +233,9 @@ fn times(runs: &[Run]) -> Vec<f64> {
     })
 }
 
-/// Diagnoses on the threads for fits.
+/// Runs the diagnosis on the threads for fits.
 async fn diagnose(
-    bench: &Workbench,
+    context: &WorkContext,
     plan: &DiagnosisPlan,
     input: Input,
     control: &Arc<Control>,
@@ -221,28 +244,28 @@ async fn diagnose(
     let watch = move |p: Progress<'_>| {
         watched.watch(Progress { stage: p.stage, fraction: LOADED + (1.0 - LOADED) * p.fraction })
     };
-    let found = bench.compute.run(Class::Fit, None, move || diagnosis::diagnose(&input, &watch)).await?;
+    let found = context.compute.run(Class::Fit, None, move || diagnosis::diagnose(&input, &watch)).await?;
     found.map_err(|error| of_diagnosis(&error, &plan.channels()))
 }
 
 /// The report in the form in which it is stored.
 async fn written(
-    bench: &Workbench,
+    context: &WorkContext,
     plan: &DiagnosisPlan,
     found: Diagnosis,
     started: Instant,
-) -> Result<MadeDiagnosis, JobError> {
+) -> Result<DiagnosisOutput, JobError> {
     let Diagnosis { report, views, augmented } = found;
     let (verdict, mode) = (VerdictSummary::from(&report.verdict), report.mode);
     let (fit, select) = (spans(plan, &report.data_split.fit), spans(plan, &report.data_split.select));
     let findings = Findings { report, views, augmented, fit, select };
     let encode = move || {
         let bytes = serde_json::to_vec(&findings)?;
-        // JSON has no NaN: a report that holds one must not be stored, for it could not be read.
+        // JSON has no NaN, so a report with one could not be read back and must not be stored.
         serde_json::from_slice::<Findings>(&bytes)?;
         Ok::<_, serde_json::Error>(bytes)
     };
-    let findings = bench.compute.run(Class::Fit, None, encode).await?.map_err(|error| {
+    let findings = context.compute.run(Class::Fit, None, encode).await?.map_err(|error| {
         tracing::error!(%error, "a diagnosis cannot be written: this is a bug");
         let detail = "A number of the report is not finite; the report is not stored.";
         JobError::failed(Problem::new(422, "result.non_finite", "The result is not finite", detail))
@@ -256,7 +279,7 @@ async fn written(
         findings: Bytes::from(findings),
         elapsed_s: started.elapsed().as_secs_f64(),
     };
-    Ok(MadeDiagnosis { diagnosis, stage })
+    Ok(DiagnosisOutput { diagnosis, stage })
 }
 
 /// Parts of runs as a lineage names them.
@@ -270,7 +293,7 @@ fn spans(plan: &DiagnosisPlan, parts: &[RunPart]) -> Vec<Span> {
     parts.iter().filter_map(of).collect()
 }
 
-/// A job's last words about its verdict.
+/// The last stage text of a job, about its verdict.
 fn last_words(verdict: &VerdictSummary, mode: Mode) -> String {
     let kind = match verdict.kind {
         VerdictKind::Identified => "identified",

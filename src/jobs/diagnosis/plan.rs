@@ -1,11 +1,11 @@
-//! What a diagnosis will do, resolved without loading a sample: model, channels, runs and their roles.
+//! The plan of a diagnosis, resolved without loading a sample: model, channels, runs and their roles.
 
 use std::collections::{BTreeSet, HashSet};
 
 use crate::domain::diagnosis::DiagnosisRuns;
 use crate::domain::fits::RunSelection;
 use crate::domain::rig::Role as ChannelRole;
-use crate::domain::{Channel, DiagnosisRequest, FieldError, FitChannels, Model, ModelName, Rig, Run, RunId};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, FitChannels, Model, ModelRef, Rig, Run, RunId};
 use crate::engine::diagnosis::{Effect, Role};
 use crate::storage::Store;
 
@@ -15,23 +15,23 @@ use super::runs::{Baseline, baseline, runs, simulated};
 /// A diagnosis with everything resolved.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::jobs) struct DiagnosisPlan {
-    /// The request with model and runs filled in; what the diagnosis keeps.
+    /// The request with model and runs filled in, as the diagnosis stores it.
     pub request: DiagnosisRequest,
     /// Effects that may be named.
     pub effects: Vec<Effect>,
-    /// The sim, unless its responses were sent.
+    /// The model that is the sim; `None` for simulated runs.
     pub model: Option<Model>,
-    /// Drives, in order: of a model those of its inputs that are drives.
+    /// Drives, in order; with a model, those of its inputs that are drives.
     pub drives: Vec<Channel>,
     /// Responses, in order.
     pub responses: Vec<Channel>,
-    /// What the core is fitted to.
+    /// Runs that the core is fitted to.
     pub baseline: Vec<Baseline>,
     /// Runs to explain, in the request's order.
     pub runs: Vec<Run>,
-    /// What each run is used for, if the request says so.
+    /// Role of each run, if the request gives roles.
     pub roles: Option<Vec<Role>>,
-    /// Of each run, the one with its simulated responses; empty where a model is the sim.
+    /// For each run the run with its simulated responses; empty if a model is the sim.
     pub simulated: Vec<Run>,
     /// Indices into the runs.
     pub repeats: Vec<Vec<usize>>,
@@ -67,10 +67,10 @@ pub(in crate::jobs) async fn check(
     plan(rig, &store.all_runs(&rig.id).await?, request, model)
 }
 
-async fn find_model(store: &Store, rig: &Rig, name: ModelName) -> Result<Model, DiagnosisProblem> {
+async fn find_model(store: &Store, rig: &Rig, name: ModelRef) -> Result<Model, DiagnosisProblem> {
     let version = match name {
-        ModelName::Version(version) => version,
-        ModelName::Active => {
+        ModelRef::Version(version) => version,
+        ModelRef::Active => {
             let active = store.active_model(&rig.id).await?.ok_or(DiagnosisProblem::RigGone)?;
             active.version.ok_or(DiagnosisProblem::NoneActive)?
         }
@@ -86,7 +86,7 @@ pub(super) fn invalid<T>(
     Err(DiagnosisProblem::Invalid(vec![FieldError::new(pointer, limit)]))
 }
 
-/// Numbers that make no sense on any rig.
+/// Refuses numbers that make no sense on any rig.
 fn settings(request: &DiagnosisRequest) -> Result<(), DiagnosisProblem> {
     let mut errors = Vec::new();
     if !(request.material_gap > 0.0 && request.material_gap < 1.0) {
@@ -117,7 +117,7 @@ fn plan(
     let drive_limit = drive_limit(request, &drives, &runs)?;
     let ids = |runs: &[Run]| runs.iter().map(|run| run.id).collect::<Vec<_>>();
     let mut request = request.clone();
-    request.model = model.as_ref().map(|model| ModelName::Version(model.version));
+    request.model = model.as_ref().map(|model| ModelRef::Version(model.version));
     if let DiagnosisRuns::Match(_) = request.runs {
         request.runs = DiagnosisRuns::Ids(ids(&runs));
     }
@@ -209,7 +209,7 @@ fn repeats(
     if errors.is_empty() { Ok(groups) } else { Err(DiagnosisProblem::Invalid(errors)) }
 }
 
-/// Limit of each drive: the envelope's, else what the runs reach.
+/// Limit of each drive: the envelope's, else the peak of the runs.
 fn drive_limit(
     request: &DiagnosisRequest,
     drives: &[Channel],

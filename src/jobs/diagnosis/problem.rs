@@ -48,7 +48,7 @@ pub enum DiagnosisProblem {
 }
 
 impl DiagnosisProblem {
-    /// As a problem document; of the store's failure only that it happened.
+    /// As a problem document, which does not repeat a message of the store.
     pub fn problem(&self) -> Problem {
         let named = |code, title: &str, errors: &[FieldError]| {
             let detail = errors.iter().map(sentence).collect::<Vec<_>>().join("; ");
@@ -105,7 +105,7 @@ impl From<DiagnosisProblem> for JobError {
     }
 }
 
-/// What the engine refused about a diagnosis whose drives and responses are these.
+/// An engine error about a diagnosis, with channel names in place of numbers.
 pub(super) fn of_diagnosis(error: &EngineError, channels: &FitChannels) -> JobError {
     let pointer = |what: &str| if what.contains("baseline") { "/baseline_runs" } else { "/runs" };
     match error {

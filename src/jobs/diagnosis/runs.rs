@@ -1,4 +1,5 @@
-//! Which runs a diagnosis means: to explain, for the core, simulated; by id, or all that match.
+//! The runs of a diagnosis: those to explain, those of the core, simulated ones; by id or by a
+//! selection.
 
 use std::collections::HashMap;
 
@@ -11,10 +12,10 @@ use super::super::selection;
 use super::plan::invalid;
 use super::problem::DiagnosisProblem;
 
-/// Most runs that a list may name.
+/// Largest number of runs in a list.
 const MAX_RUNS: usize = 10_000;
 
-/// A stretch of a run that the linear core is fitted to.
+/// A segment of a run that the linear core is fitted to.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::jobs) struct Baseline {
     pub run: Run,
@@ -57,8 +58,8 @@ pub(super) fn runs(
     }
 }
 
-/// Refuses a measurement that is named twice, by its id or by the bytes it came in: what is fitted
-/// must not be tested on, and a copy says nothing about noise.
+/// Refuses a measurement that comes twice, by its id or as a copy of its bytes: data that were fitted to
+/// must not test the fit, and a copy tells nothing about noise.
 fn once(runs: &[Run], places: &[&str], lens: &[usize]) -> Result<(), DiagnosisProblem> {
     let pointers =
         places.iter().zip(lens).flat_map(|(place, n)| (0..*n).map(move |i| format!("{place}/{i}")));
@@ -75,8 +76,8 @@ fn once(runs: &[Run], places: &[&str], lens: &[usize]) -> Result<(), DiagnosisPr
     if errors.is_empty() { Ok(()) } else { Err(DiagnosisProblem::Invalid(errors)) }
 }
 
-/// Runs of the linear core: those that were asked for, else what the model's linear part, or
-/// without one the model, was fitted to.
+/// Runs of the linear core: those of the request, else those of the model's FRF, else those of the
+/// model's fit.
 pub(super) fn baseline(
     all: &[Run],
     asked: Option<&RunSelection>,
@@ -118,7 +119,7 @@ pub(super) fn baseline(
     }
 }
 
-/// Of each run the one with its simulated responses.
+/// For each run the run with its simulated responses.
 pub(super) fn simulated(
     all: &[Run],
     request: &DiagnosisRequest,
@@ -157,8 +158,7 @@ fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, Diagnosi
     selection::by_id(all, ids, pointer).map_err(DiagnosisProblem::Invalid)
 }
 
-/// Runs that match, each measurement once, by id; what is left open is as in a fit: noise of the
-/// training split.
+/// Runs that match, each measurement once, by id; defaults as in a fit: noise of the training split.
 ///
 /// # Errors
 /// Kinds and splits that do not exist.

@@ -1,6 +1,7 @@
 //! Runs that are in no store, and plans over them.
 
 use crate::domain::{FitChannels, Quality, Run, RunId, RunKind, Split};
+use crate::engine::model::Task;
 use crate::storage::testing::now;
 
 use super::{FitPlan, FitProblem, plan};
@@ -22,7 +23,12 @@ pub(in crate::jobs) fn run(id: u128, kind: RunKind, split: Split, samples: u64) 
         duration_s: samples as f64 / 100.0,
         sample_rate_hz: 100.0,
         sha256: format!("{id:064x}"),
-        quality: Quality { channels: vec![], dead_channels: vec![], clipped_channels: vec![] },
+        quality: Quality {
+            channels: vec![],
+            dead_channels: vec![],
+            clipped_channels: vec![],
+            warnings: vec![],
+        },
         duplicate_of: None,
         object: format!("{id:064x}"),
     }
@@ -31,5 +37,6 @@ pub(in crate::jobs) fn run(id: u128, kind: RunKind, split: Split, samples: u64) 
 /// A plan from `u` to `y`.
 pub(in crate::jobs) fn plan_of(runs: &[Run], request: &str) -> Result<FitPlan, FitProblem> {
     let request = serde_json::from_str(request).unwrap();
-    plan(runs, &request, FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into()] })
+    let channels = FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into()] };
+    plan(runs, &request, channels, Task::Forward)
 }

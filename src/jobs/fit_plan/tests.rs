@@ -21,7 +21,7 @@ fn again(id: u128, split: Split, original: &Run) -> Run {
     }
 }
 
-/// What is wrong with a fit: the problem's code, and the first place that it names.
+/// The refusal of a fit: the problem's code, and the first place that it names.
 fn refused(runs: &[Run], request: &str) -> (String, FieldError) {
     let problem = plan_of(runs, request).unwrap_err().problem();
     (problem.code, problem.errors[0].clone())
@@ -44,8 +44,13 @@ fn a_fit_takes_noise_runs_of_the_training_split_and_all_validation_runs() {
     assert_eq!(plan.request.runs, resolved(&[1]));
     assert_eq!(plan.request.validation_runs, resolved(&[3, 4]));
     assert_eq!(plan.request.inputs, Some(vec!["u".into()]));
-    assert_eq!(plan.lineage().validation.len(), 2);
-    assert_eq!(plan.lineage().training[0].to_sample, 1000, "nothing is held out of training runs");
+    let lineage = plan.lineage(false);
+    assert_eq!(lineage.training[0].to_sample, 1000, "nothing is held out of training runs");
+    let spans = |spans: &[Span]| spans.iter().map(|s| (s.from_sample, s.to_sample)).collect::<Vec<_>>();
+    assert_eq!(spans(&lineage.stopping.unwrap()), [(0, 375); 2], "the first half less a quarter of it");
+    assert_eq!(spans(&lineage.validation), [(500, 1000); 2]);
+    let paper = plan_of(&runs, r#"{"kind": "hybrid2", "preset": "paper"}"#).unwrap().lineage(false);
+    assert_eq!((spans(&paper.stopping.unwrap()), paper.validation.len()), (vec![(0, 1000); 2], 0));
 }
 
 #[test]
@@ -72,7 +77,7 @@ fn the_frf_part_may_use_other_runs() {
     let frf_runs = r#""frf": {"runs": {"tags": ["linear"]}}"#;
     let hybrid = plan_of(&runs, &format!(r#"{{"kind": "hybrid1", {frf_runs}}}"#)).unwrap();
     assert_eq!((ids(&hybrid.training), ids(&hybrid.frf.unwrap())), (vec![1, 2], vec![2]));
-    // An FRF has no other part, an LSTM has no FRF part.
+    // An FRF has no other part; an LSTM has no FRF part.
     let frf = plan_of(&runs, &format!(r#"{{"kind": "frf", {frf_runs}}}"#)).unwrap();
     assert_eq!((ids(&frf.training), frf.frf), (vec![2], None));
     let lstm = plan_of(&runs, &format!(r#"{{"kind": "lstm", {frf_runs}}}"#)).unwrap();
@@ -158,7 +163,7 @@ fn no_run_is_trained_on_and_validated_on() {
     let runs = [run(1, Noise, Training, 900), run(2, Noise, Validation, 900)];
     let (code, place) = refused(&runs, r#"{"kind": "frf", "validation_runs": {"split": "training"}}"#);
     assert_eq!((code.as_str(), place.pointer.as_str()), ("fit.invalid", "/validation_runs"));
-    // Validation runs that nobody asked for give way.
+    // Validation runs that the request did not name are used for training.
     let plan = plan_of(&runs, r#"{"kind": "frf", "runs": {"split": "validation"}}"#).unwrap();
     assert_eq!((ids(&plan.training), plan.validation), (vec![2], vec![]));
 }
@@ -171,9 +176,79 @@ fn runs_that_are_too_short_for_the_settings_are_refused_before_the_job() {
     let runs = [run(1, Noise, Training, 300), run(2, Noise, Training, 280)];
     let (code, place) = refused(&runs, r#"{"kind": "lstm"}"#);
     assert_eq!((code.as_str(), place.pointer.as_str()), ("signal.too_short", "/lstm/window_len"));
-    assert!(place.limit.unwrap().starts_with("at most 252,"), "280 samples less the tenth held out");
-    assert!(plan_of(&runs, r#"{"kind": "lstm", "lstm": {"window_len": 252}}"#).is_ok());
+    assert!(place.limit.unwrap().starts_with("at most 224,"), "280 samples less the two tenths held out");
+    assert!(plan_of(&runs, r#"{"kind": "lstm", "lstm": {"window_len": 224}}"#).is_ok());
     let (_, place) =
         refused(&runs, r#"{"kind": "hybrid1", "frf": {"segment_len": 512}, "lstm": {"window_len": 64}}"#);
     assert_eq!(place.pointer, "/frf/segment_len");
+}
+
+#[test]
+fn of_several_runs_whole_ones_compare_and_the_model_is_fitted_again_on_all() {
+    let runs = [1, 2, 3].map(|id| run(id, Noise, Training, 5000));
+    let plan = plan_of(&runs, r#"{"kind": "hybrid2"}"#).unwrap();
+    assert_eq!(plan.split, FitSplit::LeftOut { comparison: vec![2], stopping: vec![] });
+    let ends = |spans: &[Span]| {
+        spans.iter().map(|s| (s.run.as_u128(), s.from_sample, s.to_sample)).collect::<Vec<_>>()
+    };
+    let before = plan.lineage(false);
+    assert_eq!(ends(&before.training), [(1, 0, 4500), (2, 0, 4500)]);
+    assert_eq!(ends(before.stopping.as_ref().unwrap()), [(1, 4500, 5000), (2, 4500, 5000)]);
+    assert_eq!(ends(&before.validation), [(3, 0, 5000)]);
+    assert!(!before.validation.iter().any(|span| before.has_seen(span)));
+    let after = plan.lineage(true);
+    assert_eq!(ends(&after.training), [(1, 0, 5000), (2, 0, 5000), (3, 0, 5000)]);
+    assert_eq!((ends(&after.stopping.unwrap()), ends(&after.validation)), (vec![], vec![(3, 0, 5000)]));
+    // Every kind leaves the same runs out, so that they can be compared.
+    for kind in ["frf", "lstm", "hybrid1"] {
+        let other = plan_of(&runs, &format!(r#"{{"kind": "{kind}"}}"#)).unwrap();
+        assert_eq!(
+            (other.lineage(true).validation, other.split),
+            (plan.lineage(true).validation, plan.split.clone())
+        );
+    }
+}
+
+#[test]
+fn of_a_single_run_the_last_tenth_compares_and_the_tenth_before_it_stops() {
+    let runs = [run(1, Noise, Training, 10_000)];
+    let spans = |spans: &[Span]| spans.iter().map(|s| (s.from_sample, s.to_sample)).collect::<Vec<_>>();
+    let lineage = plan_of(&runs, r#"{"kind": "lstm"}"#).unwrap().lineage(false);
+    assert_eq!(spans(&lineage.training), [(0, 8000)]);
+    assert_eq!(spans(&lineage.stopping.unwrap()), [(8000, 8750)], "no window reaches from one to the other");
+    assert_eq!(spans(&lineage.validation), [(9000, 10_000)]);
+    let lineage = plan_of(&runs, r#"{"kind": "frf"}"#).unwrap().lineage(false);
+    assert_eq!((spans(&lineage.training), lineage.stopping), (vec![(0, 9000)], Some(vec![])));
+}
+
+#[test]
+fn runs_too_short_to_compare_fall_back_to_their_last_tenths_and_say_so() {
+    let runs = [run(1, Noise, Training, 10_000), run(2, Noise, Training, 400)];
+    let plan = plan_of(&runs, r#"{"kind": "lstm"}"#).unwrap();
+    assert_eq!(plan.split, FitSplit::LastTenths);
+    assert!(plan.split_reason.unwrap().contains("too little would be left"));
+    let short = [run(1, Noise, Training, 400), run(2, Noise, Training, 400)];
+    let why = plan_of(&short, r#"{"kind": "frf"}"#).unwrap().split_reason.unwrap();
+    assert!(why.contains("400 samples, 512 are needed"), "{why}");
+}
+
+#[test]
+fn runs_of_the_frf_part_are_not_left_out_and_are_cut_where_they_are_held_out() {
+    let linear = |id| tagged(run(id, Noise, Training, 5000), "linear");
+    let runs = [run(1, Noise, Training, 5000), run(2, Noise, Training, 5000), linear(3)];
+    let request = r#"{"kind": "hybrid2", "frf": {"runs": {"tags": ["linear"]}}}"#;
+    let plan = plan_of(&runs, request).unwrap();
+    assert_eq!(plan.split, FitSplit::LeftOut { comparison: vec![1], stopping: vec![] });
+    let ends = |lineage: Lineage| lineage.frf.iter().map(|s| s.to_sample).collect::<Vec<_>>();
+    assert_eq!((ends(plan.lineage(false)), ends(plan.lineage(true))), (vec![4500], vec![5000]));
+    assert_eq!((plan.frf_places(), plan.frf_only().count()), (Some(vec![2]), 0));
+    // Trained on other runs only, they are whole.
+    let request = format!(
+        r#"{{"kind": "hybrid2", "runs": ["{}", "{}"], "frf": {{"runs": {{"tags": ["linear"]}}}}}}"#,
+        runs[0].id, runs[1].id
+    );
+    let plan = plan_of(&runs, &request).unwrap();
+    assert_eq!(ends(plan.lineage(false)), [5000]);
+    assert_eq!((plan.frf_places(), plan.frf_only().count()), (Some(vec![2]), 1));
+    assert_eq!(plan_of(&runs[2..], r#"{"kind": "hybrid1"}"#).unwrap().split, FitSplit::LastTenths);
 }

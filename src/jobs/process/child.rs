@@ -11,32 +11,33 @@ use crate::storage::Store;
 
 use super::frames::{self, Begin, Say, Tell};
 use crate::jobs::control::{Control, Stop};
-use crate::jobs::order::Made;
 use crate::jobs::problem::{JobError, panicked};
-use crate::jobs::workbench::Workbench;
+use crate::jobs::spec::JobOutput;
+use crate::jobs::work_context::WorkContext;
 
-/// How often a worker says how far it is.
+/// How often a worker reports its progress.
 const SAY_EVERY: Duration = Duration::from_millis(250);
 
 /// Why a worker process could not work.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkError {
-    /// Its standard input and output are no server's.
-    #[error("`rigcast work` is started by `rigcast serve`, which speaks to it: {0}")]
+    /// Its standard input and output do not belong to a server.
+    #[error("`rigcast work` is started by `rigcast serve`, which talks to it: {0}")]
     Server(#[from] std::io::Error),
-    /// It was told nothing.
-    #[error("`rigcast work` is started by `rigcast serve`, which tells it what to do; nobody did")]
+    /// The server sent no work.
+    #[error("`rigcast work` is started by `rigcast serve`, which sends it its work; nothing was sent")]
     Nothing,
 }
 
-/// Does the one piece of work that the server tells over standard input, and says on standard
-/// output what came of it.
+/// Does the one piece of work that the server sends over standard input, and reports the outcome on
+/// standard output.
 ///
 /// # Errors
-/// See [`WorkError`]; what becomes of the work is told to the server.
+/// See [`WorkError`]; errors of the work itself are reported to the server.
 pub async fn work() -> Result<(), WorkError> {
     die_with_the_server();
-    // A terminal and a service manager tell all processes to stop: here the server is the one to do so.
+    // A terminal or a service manager signals all processes. A worker ignores that and stops when its
+    // server says so.
     let _not_ours = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let (mut ears, mut mouth) = (tokio::io::stdin(), tokio::io::stdout());
     let Some((Tell::Begin(begin), _)) = frames::read(&mut ears).await? else {
@@ -56,27 +57,27 @@ pub async fn work() -> Result<(), WorkError> {
     match end {
         Ok(mut made) => {
             let bytes = std::mem::take(made.bytes());
-            frames::write(&mut mouth, &Say::Made(made), &bytes).await?;
+            frames::write(&mut mouth, &Say::Output(made), &bytes).await?;
         }
         Err(error) => frames::write(&mut mouth, &Say::Ended(error), &[]).await?,
     }
     Ok(())
 }
 
-/// Makes what is ordered from the store of the running service.
-async fn make(begin: Begin, control: Arc<Control>) -> Result<Made, JobError> {
+/// Does the job with the store of the running service.
+async fn make(begin: Begin, control: Arc<Control>) -> Result<JobOutput, JobError> {
     #[cfg(debug_assertions)]
-    super::fault::inject(&begin.order);
+    super::fault::inject(&begin.spec);
     let store = Store::open_to_read(&begin.data_dir).await?;
     let settings = ComputeSettings { predict_threads: 1, long_threads: 1, ..ComputeSettings::default() };
     let compute = Compute::new(&settings)?;
-    let bench = Workbench {
+    let context = WorkContext {
         store,
         compute,
         fit: crate::engine::model::fit_resumable,
         checkpoint_every: begin.checkpoint_every,
     };
-    bench.make(&begin.order, &control).await
+    context.make(&begin.spec, &control).await
 }
 
 async fn say_progress(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> {
@@ -85,7 +86,7 @@ async fn say_progress(mouth: &mut Stdout, control: &Control) -> std::io::Result<
     frames::write(mouth, &Say::Progress { stage, fraction }, &[]).await
 }
 
-/// Hands on the checkpoints since the last call.
+/// Sends the checkpoints since the last call.
 async fn say_kept(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> {
     for mut checkpoint in control.take_kept() {
         let state = std::mem::take(&mut checkpoint.state);
@@ -96,15 +97,15 @@ async fn say_kept(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> 
 
 /// Stops the work when the server says so, and the process when the server is gone.
 async fn obey(mut ears: Stdin, control: Arc<Control>) {
-    // The reason is the server's business.
+    // The server knows the reason.
     while let Ok(Some((Tell::Stop, _))) = frames::read(&mut ears).await {
         control.stop(Stop::Shutdown);
     }
     std::process::exit(1);
 }
 
-/// A server that is killed takes its workers along, frozen ones too; and when memory is short, it
-/// is a worker that the system is to end, not the server.
+/// Makes the system kill this process with its server, even if it is frozen, and kill a worker rather
+/// than the server when memory runs out.
 fn die_with_the_server() {
     #[cfg(target_os = "linux")]
     {

@@ -1,12 +1,12 @@
-//! Faults that tests of the whole program ask for. Not in a release build.
+//! Faults for tests of the whole program. Not in a release build.
 
-use crate::jobs::order::Order;
+use crate::jobs::spec::JobSpec;
 
 /// Does what `RIGCAST_TEST_FAULT` names, as `fault@rig`, when a job of that rig begins: `abort`,
 /// `overflow` (of the stack), `hoard` (memory without end), `deaf` (neither ends nor stops).
-pub(super) fn inject(order: &Order) {
+pub(super) fn inject(spec: &JobSpec) {
     let Ok(wanted) = std::env::var("RIGCAST_TEST_FAULT") else { return };
-    let Some(fault) = wanted.strip_suffix(&format!("@{}", order.rig)) else { return };
+    let Some(fault) = wanted.strip_suffix(&format!("@{}", spec.rig)) else { return };
     match fault {
         "abort" => std::process::abort(),
         "overflow" => {

@@ -1,5 +1,5 @@
-//! What a server and its worker process say to each other, over the worker's standard input and
-//! output: a head of two lengths, then JSON, then bytes that would be a burden in JSON.
+//! Messages between a server and its worker process, over the worker's standard input and output: two
+//! lengths, then JSON, then bytes that are too large for JSON.
 
 use std::io::{Error, ErrorKind};
 use std::path::PathBuf;
@@ -10,8 +10,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
-use crate::jobs::order::{Made, Order};
 use crate::jobs::problem::JobError;
+use crate::jobs::spec::{JobOutput, JobSpec};
 use crate::storage::Checkpoint;
 
 /// From the server to the worker. An end of the stream means that the server is gone.
@@ -19,28 +19,28 @@ use crate::storage::Checkpoint;
 pub(super) enum Tell {
     /// The one piece of work of this process.
     Begin(Begin),
-    /// Stop, put by what there is, and end.
+    /// Stop, store a checkpoint, and end.
     Stop,
 }
 
-/// All that a worker is told.
+/// Everything that a worker needs.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(in crate::jobs) struct Begin {
     pub data_dir: PathBuf,
-    pub order: Order,
+    pub spec: JobSpec,
     pub checkpoint_every: Duration,
 }
 
 /// From the worker to the server.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Say {
-    /// How far it is; said several times a second, changed or not, as a sign of life.
+    /// Progress, sent several times a second, changed or not, as a sign of life.
     Progress { stage: String, fraction: f64 },
     /// A checkpoint; its bytes follow.
     Keep(Checkpoint),
-    /// The last word of work that is done; its bytes follow.
-    Made(Made),
-    /// The last word of work that came to nothing.
+    /// The last message of finished work; its bytes follow.
+    Output(JobOutput),
+    /// The last message of work without a result.
     Ended(JobError),
 }
 
@@ -58,7 +58,8 @@ pub(super) async fn write<W: AsyncWrite + Unpin>(
     to.flush().await
 }
 
-/// Reads one message; `None` at an end between messages. Memory follows the bytes that come.
+/// Reads one message; `None` if the stream ends between messages. Memory follows the bytes that come,
+/// not the declared length.
 pub(super) async fn read<T: DeserializeOwned, R: AsyncRead + Unpin>(
     from: &mut R,
 ) -> std::io::Result<Option<(T, Bytes)>> {
@@ -97,7 +98,7 @@ mod tests {
         assert!(read::<Say, _>(&mut from).await.unwrap().is_none());
         let mut cut = &pipe[..20];
         assert!(read::<Say, _>(&mut cut).await.is_err());
-        // A length that lies takes no memory.
+        // A false length takes no memory.
         let mut lie = [&u64::MAX.to_le_bytes()[..], &[0; 8], b"{}"].concat();
         assert!(read::<Say, _>(&mut &lie[..]).await.is_err());
         lie.truncate(3);

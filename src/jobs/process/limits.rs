@@ -1,4 +1,4 @@
-//! What a worker process may take, and how it is seen.
+//! Limits of a worker process, and how they are checked.
 
 use std::time::{Duration, Instant};
 
@@ -13,9 +13,9 @@ pub(super) enum Cut {
     Memory { limit_bytes: u64 },
     /// It has run for longer than it may.
     Time { limit: Duration },
-    /// It was not heard of for so long: it is frozen.
+    /// It was silent for this long, so it is frozen.
     Silent { limit: Duration },
-    /// It was told to stop and did not.
+    /// It did not stop when told to.
     Disobedient,
 }
 
@@ -40,8 +40,10 @@ impl Cut {
                 retry(codes::JOB_TIME_LIMIT, "The job took too long", detail)
             }
             Self::Silent { limit } => {
-                let detail =
-                    format!("The worker process was not heard of for {} s, a lease.", limit.as_secs_f64());
+                let detail = format!(
+                    "The worker process was silent for {} s, the time of a lease.",
+                    limit.as_secs_f64()
+                );
                 retry(codes::JOB_CRASHED, "The worker process died", detail)
             }
             Self::Disobedient => JobError::Stopped,
@@ -49,24 +51,24 @@ impl Cut {
     }
 }
 
-/// What is known of a worker that runs.
+/// The state of a running worker.
 pub(super) struct Watch {
     pub pid: Option<u32>,
     pub memory_bytes: u64,
     pub time_limit: Duration,
     pub silence: Duration,
     pub started: Instant,
-    /// When it was last looked at.
+    /// Time of the last check.
     pub looked: Instant,
-    /// How long nothing was heard while somebody listened: a server that was frozen itself heard
-    /// nothing either.
+    /// How long the worker was silent while the server listened; the time in which the server was frozen
+    /// itself does not count.
     pub silent_for: Duration,
-    /// Until when it has to end, once it was told to stop.
+    /// Time by which it must end, once it was told to stop.
     pub stop_by: Option<Instant>,
 }
 
 impl Watch {
-    /// Looks at it; whether it must be killed now.
+    /// Checks the worker; returns why it must be killed, if it must.
     pub(super) fn look(&mut self) -> Option<Cut> {
         self.silent_for += self.looked.elapsed().min(2 * LOOK_EVERY);
         self.looked = Instant::now();
@@ -97,13 +99,13 @@ fn kib_of(text: &str, name: &str) -> Option<u64> {
     line.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// How often the system has killed for want of memory since it started.
+/// How often the system has killed a process for lack of memory since it started.
 pub(super) fn out_of_memory_kills() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/vmstat").ok()?;
     text.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
 }
 
-/// Three quarters of the memory that this process may have, shared by so many workers.
+/// Three quarters of the memory of this machine or control group, shared by `workers`.
 pub(super) fn default_memory_bytes(workers: usize) -> u64 {
     let machine = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| kib_of(&text, "MemTotal:"));
     let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();

@@ -1,8 +1,8 @@
-//! Work in a process of its own, so that whatever becomes of it costs one attempt of one job.
+//! Work in a process of its own, so that its failure costs one attempt of one job and nothing else.
 //!
-//! The worker reads the store, computes and says what it has made; lease, heartbeat, progress and
-//! publishing stay with the server. Both ends notice when the other one is gone: the server by the
-//! end of the worker's output, the worker by that of its input.
+//! The worker reads the store, computes and sends its output. Lease, heartbeat, progress and publishing
+//! stay with the server. Each side notices when the other is gone: the server by the end of the worker's
+//! output, the worker by the end of its input.
 
 mod child;
 #[cfg(debug_assertions)]
@@ -26,31 +26,31 @@ use crate::domain::Problem;
 use crate::storage::Checkpoint;
 
 use super::control::Control;
-use super::order::Made;
 use super::problem::{JobError, codes};
+use super::spec::JobOutput;
 use frames::{Say, Tell};
 use limits::{Cut, Watch, out_of_memory_kills};
 
 pub use child::{WorkError, work};
 pub(super) use frames::Begin;
 
-/// How often a worker is looked at.
+/// How often a worker is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// How long a worker may take to stop; the engine looks several times a second.
+/// How long a worker may take to stop; the engine checks several times a second.
 const OBEY: Duration = Duration::from_secs(5);
 
-/// How long a worker may take to end after its last word.
+/// How long a worker may take to end after its last message.
 const LEAVE: Duration = Duration::from_secs(2);
 
-/// How worker processes are started, and what each may take.
+/// How worker processes are started, and their limits.
 #[derive(Debug, Clone)]
 pub struct WorkerProgram {
-    /// The program, and what makes it a worker.
+    /// The program to start.
     pub program: PathBuf,
     /// Its arguments.
     pub arguments: Vec<OsString>,
-    /// Memory that a worker may hold, bytes; above it is killed.
+    /// Memory that a worker may hold, bytes; above that it is killed.
     pub memory_bytes: u64,
     /// How long one attempt of a job may take.
     pub time_limit: Duration,
@@ -72,13 +72,14 @@ impl WorkerProgram {
             .spawn()
     }
 
-    /// Has a process make what is ordered. One that is silent for longer than `silence` is killed.
+    /// Starts a process for the work of a job and waits for its output. A process that is silent for
+    /// longer than `silence` is killed.
     pub(super) async fn make(
         &self,
         begin: Begin,
         silence: Duration,
         control: &Control,
-    ) -> Result<Made, JobError> {
+    ) -> Result<JobOutput, JobError> {
         let killed_before = out_of_memory_kills();
         let mut child = self.start().map_err(|error| not_started(&error))?;
         let (Some(ears), Some(mouth)) = (child.stdin.take(), child.stdout.take()) else {
@@ -88,7 +89,7 @@ impl WorkerProgram {
         tokio::spawn(listen(mouth, said));
         let (stop, told_to_stop) = oneshot::channel();
         let mut stop = Some(stop);
-        // A task of its own, which ends with this work: a frozen worker does not even take its order.
+        // A task of its own, which ends with this work: a frozen worker does not even read its input.
         let mut telling = JoinSet::new();
         telling.spawn(tell(ears, begin, told_to_stop));
         let now = Instant::now();
@@ -114,7 +115,7 @@ impl WorkerProgram {
                         control.report(&stage, fraction);
                     }
                     Some((Say::Keep(checkpoint), state)) => control.keep(Checkpoint { state, ..checkpoint }),
-                    Some((Say::Made(mut made), bytes)) => {
+                    Some((Say::Output(mut made), bytes)) => {
                         *made.bytes() = bytes;
                         let _ = leave(&mut child).await;
                         return Ok(made);
@@ -128,12 +129,12 @@ impl WorkerProgram {
                 _ = looks.tick() => {
                     if watch.stop_by.is_none() && control.stopped().is_some() {
                         watch.stop_by = Some(Instant::now() + OBEY);
-                        // Nobody there to be told is one that has ended.
+                        // An error means that the worker has ended.
                         let _ = stop.take().map(|stop| stop.send(()));
                     }
                     if cut.is_none() {
                         cut = watch.look();
-                        // An error means that it is gone; its output ends either way.
+                        // An error means that the worker is gone; its output ends either way.
                         if cut.is_some() {
                             let _ = child.start_kill();
                         }
@@ -152,7 +153,7 @@ impl WorkerProgram {
     }
 }
 
-/// Gives a worker its order and, when the time comes, the word to stop; its input stays open, for its
+/// Sends a worker its work and later, if needed, the message to stop. The input stays open, because its
 /// end would mean that the server is gone. A worker that is gone is noticed by its silence.
 async fn tell(mut ears: ChildStdin, begin: Begin, stop: oneshot::Receiver<()>) {
     if frames::write(&mut ears, &Tell::Begin(begin), &[]).await.is_ok() && stop.await.is_ok() {
@@ -161,7 +162,7 @@ async fn tell(mut ears: ChildStdin, begin: Begin, stop: oneshot::Receiver<()>) {
     std::future::pending().await
 }
 
-/// Passes on what a worker says until it says no more.
+/// Passes on a worker's messages until its output ends.
 async fn listen(mut mouth: ChildStdout, said: mpsc::Sender<(Say, Bytes)>) {
     loop {
         match frames::read(&mut mouth).await {
@@ -179,7 +180,7 @@ async fn listen(mut mouth: ChildStdout, said: mpsc::Sender<(Say, Bytes)>) {
     }
 }
 
-/// Waits for the end of a worker that says no more, and sees to it.
+/// Waits for the end of a worker whose output has ended, and kills it if it stays.
 async fn leave(child: &mut Child) -> std::io::Result<ExitStatus> {
     if let Ok(ended) = tokio::time::timeout(LEAVE, child.wait()).await {
         return ended;
@@ -195,7 +196,7 @@ fn not_started(error: &std::io::Error) -> JobError {
     JobError::retry(Problem::new(503, codes::BUSY, "Busy", detail))
 }
 
-/// The end of a worker that nobody here has killed.
+/// The end of a worker that the server has not killed.
 fn died(status: Option<ExitStatus>, for_memory: bool) -> JobError {
     if for_memory {
         let detail = "The system killed the worker process because the machine had no memory left.";

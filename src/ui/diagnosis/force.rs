@@ -1,4 +1,4 @@
-//! What the model lacks, seen as a force or as a change of drive or sensor.
+//! The missing effect as a force, or as a change of drive or sensor.
 
 use maud::{Markup, html};
 
@@ -7,12 +7,12 @@ use crate::engine::diagnosis::views::{Argument, ForceView, Path};
 use crate::engine::diagnosis::{Report, Views};
 use crate::ui::plot::{Axis, Figure, Key, Mark, Scale, Style};
 
-/// Groups of points whose mean is drawn.
+/// Number of groups of points whose mean is drawn.
 const GROUPS: usize = 24;
-/// Points that a group needs.
+/// Fewest points of a group.
 const ENOUGH: usize = 8;
 
-/// The section; nothing where there is no gap to look at.
+/// The section; empty where there is no gap.
 pub fn section(report: &Report, views: &Views) -> Markup {
     let Some(view) = views.force.as_ref().filter(|_| !quiet(report.verdict.kind)) else { return html! {} };
     let over: &[Argument] = match view.path {
@@ -48,7 +48,7 @@ fn explained(view: &ForceView) -> String {
             view.channel, view.drive
         ),
         Path::Sensor => format!(
-            "What would have to be added to the model's {} on the unseen runs. The dots come from the measurement alone.",
+            "The change of the model's {} that would remove the gap on the unseen runs. The dots come from the measurement alone.",
             view.channel
         ),
     }
@@ -63,7 +63,7 @@ fn caption(view: &ForceView, over: Argument) -> Markup {
             Argument::Drive => "the drive",
         }) ". " }
         @if law { "The line is the fitted law." }
-        @else if view.law.is_none() && view.fitted.is_some() { "The coloured dots are the fitted law, which depends on the past and so is no single line." }
+        @else if view.law.is_none() && view.fitted.is_some() { "The coloured dots are the fitted law, which depends on the past and is therefore not a single line." }
         @else { "Large dots are means of the cloud." }
     }
 }
@@ -109,7 +109,8 @@ fn plot(view: &ForceView, over: Argument, half: bool) -> Figure {
             }
         ),
         title: format!("{word} that is missing, over {name}"),
-        description: "A cloud of what the measurement says is missing, its means, and the fitted law.".into(),
+        description: "A cloud of missing values from the measurement, their means, and the fitted law."
+            .into(),
         size: if half { (350.0, 290.0) } else { (720.0, 320.0) },
         x: (x, name),
         y: (Axis::around(Scale::Linear, values), format!("{word} in {}", view.unit)),

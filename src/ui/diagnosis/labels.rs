@@ -1,4 +1,4 @@
-//! What people call effects and families.
+//! Names of effects and families for people.
 
 use crate::engine::diagnosis::{Effect, Family};
 
@@ -9,9 +9,9 @@ pub struct Words {
     pub name: &'static str,
     /// After "the rig has".
     pub noun: &'static str,
-    /// Whether the model has it too, but another one.
+    /// Whether the model has the same property with another value.
     pub other: bool,
-    /// What it is, in one sentence.
+    /// Description in one sentence.
     pub plain: &'static str,
 }
 
@@ -205,7 +205,7 @@ pub fn family(family: Family) -> &'static str {
     }
 }
 
-/// Text that holds effects' names of the contract, with the words for them.
+/// Replaces the contract's names of effects in a text by names for people.
 pub fn in_words(text: &str) -> String {
     text.split(' ')
         .map(|word| match Effect::ALL.iter().find(|e| e.name() == word) {
@@ -216,7 +216,7 @@ pub fn in_words(text: &str) -> String {
         .join(" ")
 }
 
-/// The name of a parameter in words, and the power of ten apart.
+/// The name of a parameter in words, and its power of ten.
 pub fn parameter(name: &str) -> String {
     match name {
         "relative_gain" => "relative change of gain".into(),

@@ -1,4 +1,4 @@
-//! Where the gap lies: by frequency, response, amplitude, velocity and time.
+//! The gap by frequency, response, amplitude, velocity and time.
 
 use maud::{Markup, html};
 
@@ -8,7 +8,7 @@ use crate::engine::diagnosis::{RangeShare, Report, SegmentChi2, VerdictKind, Vie
 use crate::ui::plot::{Axis, BarRow, Figure, Key, Mark, Scale, Style, bars};
 use crate::ui::text::{exponents, number, percent, with_unit};
 
-/// Stretches of time that can be told apart.
+/// Most spans of time in the plot.
 const STRETCHES: usize = 500;
 /// Responses whose spectrum is drawn.
 const DRAWN: usize = 8;
@@ -18,7 +18,7 @@ pub fn section(report: &Report, views: &Views) -> Markup {
     let order = by_share(report);
     let main = report.verdict.channel.clone().or_else(|| order.first().map(|c| c.0.clone()));
     html! {
-        (heading("where", if quiet(report.verdict.kind) { "What the model leaves" } else { "Where is the gap?" }))
+        (heading("where", if quiet(report.verdict.kind) { "The error of the model" } else { "Where is the gap?" }))
         (spectra(report, views, &order))
         @if report.location.channels.len() > 1 && !quiet(report.verdict.kind) { (shares(report, views)) }
         @if let Some(channel) = &main {
@@ -55,12 +55,12 @@ fn spectra(report: &Report, views: &Views, order: &[(String, f64)]) -> Markup {
             (figure(&spectrum_figure(k, report, views, spectrum).svg(), &html! {
                 b { (spectrum.channel) ". " }
                 @if is_noise(report) {
-                    "What the model leaves, against the noise floor and the response itself."
+                    "The error of the model, the noise floor and the response itself."
                 } @else if let Some(band) = worst.filter(|_| !quiet(report.verdict.kind)) {
                     (percent(band.share_of_gap)) " of the gap lies between " (number(band.from_hz)) " and " (number(band.to_hz))
                     " Hz; there it is " (above(band.systematic_db)) " the response and " (above(band.systematic_db - band.noise_db)) " the noise floor."
                 } @else {
-                    "What the model leaves in every run alike, against the noise floor and the response itself."
+                    "The error of the model that all runs share, the noise floor and the response itself."
                 }
             }))
         }
@@ -77,7 +77,7 @@ fn is_noise(report: &Report) -> bool {
 }
 
 fn spectrum_figure(k: usize, report: &Report, views: &Views, s: &ResponseSpectra) -> Figure {
-    let (gap, name) = if is_noise(report) { (&s.error, "left by the model") } else { (&s.gap, "gap") };
+    let (gap, name) = if is_noise(report) { (&s.error, "error of the model") } else { (&s.gap, "gap") };
     let line = report.fingerprints.line_hz.filter(|_| is_noise(report));
     let marks = vec![
         (s.measured.clone(), Style::Measured, "measured"),
@@ -111,7 +111,7 @@ pub fn spectral(
     let shown = |y: &[f64]| -> Vec<f64> {
         frequency.iter().zip(y).filter(|(f, _)| x.holds(**f)).map(|(_, y)| *y).collect()
     };
-    // A gap far below the noise says nothing: the axis ends a little below the floor.
+    // A gap far below the noise has no meaning: the axis ends a little below the floor.
     let floor = lines
         .iter()
         .filter(|l| l.1 == Style::Noise)
@@ -169,7 +169,7 @@ fn shares(report: &Report, views: &Views) -> Markup {
             note: format!("RMS error {}", with_unit(c.rms_error, unit(&c.channel))),
         })
         .collect();
-    let description = "One bar a response; each response counts in units of its own level.";
+    let description = "One bar per response; each response counts in units of its own level.";
     figure(
         &bars("shares", "Share of the gap by response", description, &rows),
         &html! { b { "By response. " } "Share of the gap, each response counted in units of its own level." },
@@ -214,7 +214,7 @@ fn ranges(channel: &str, all: &[RangeShare], what: &str, axis: &str) -> Markup {
     )
 }
 
-/// Neighbouring stretches of one run together, with their mean, where there are too many to be seen.
+/// Means of neighbouring spans of one run, where there are too many spans to draw.
 fn thinned(all: Vec<&SegmentChi2>) -> Vec<SegmentChi2> {
     let together = all.len().div_ceil(STRETCHES).max(1);
     all.chunk_by(|a, b| a.run == b.run)

@@ -1,15 +1,15 @@
-//! The page of a diagnosis: one sentence, and below it what it rests on, for someone who knows rigs.
+//! The page of a diagnosis: the verdict in one sentence, and the evidence below it.
 
-mod after;
+mod candidates;
+mod closure;
 mod force;
-mod how_far;
 mod labels;
 mod location;
 mod names;
+mod remaining;
 mod sentence;
 #[cfg(test)]
 mod tests;
-mod which;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -17,7 +17,7 @@ use crate::engine::diagnosis::{Report, VerdictKind, Views};
 
 pub use names::name_runs;
 
-/// What stands over a diagnosis.
+/// The heading of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Heading {
     /// Id of the rig.
@@ -28,29 +28,29 @@ pub struct Heading {
     pub diagnosis: String,
     /// When it was asked for, as people read it.
     pub when: String,
-    /// What was compared with the rig.
+    /// The sim that was compared with the rig.
     pub model: Simulation,
-    /// How long it took.
+    /// Time that it took.
     pub elapsed_s: f64,
-    /// The call that makes a model version with the effect, where there is one to make.
+    /// The call that adopts the effect into a model version, if there is one.
     pub adopt: Option<String>,
 }
 
-/// What was compared with the rig.
+/// The sim that was compared with the rig.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Simulation {
     /// A model version of the service.
     Version {
         /// Its number.
         version: u64,
-        /// `frf`, `lstm`, `hybrid1`, `hybrid2`, ...
+        /// `frf`, `lstm`, `hybrid1`, `hybrid2`, `adopted on frf`, ...
         kind: String,
     },
     /// A simulation that the client uploaded.
     Outside,
 }
 
-/// The page as HTML, complete in itself: no scripts, no other files.
+/// The page as self-contained HTML: no scripts, no other files.
 pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
     let title = format!("Diagnosis of {}", of.rig_name);
     html! {
@@ -67,13 +67,13 @@ pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
                 main {
                     (header(of, report))
                     (location::section(report, views))
-                    (which::section(report))
-                    (how_far::section(report, views))
+                    (candidates::section(report))
+                    (closure::section(report, views))
                     (force::section(report, views))
-                    (after::remaining(report))
-                    (after::next(report))
+                    (remaining::remaining(report))
+                    (remaining::next(report))
                     (adopt(of, report))
-                    (after::method(of, report, views))
+                    (remaining::method(of, report, views))
                 }
             }
         }
@@ -124,7 +124,7 @@ fn kind_in_words(kind: VerdictKind) -> &'static str {
 }
 
 fn adopt(of: &Heading, report: &Report) -> Markup {
-    // What runs away within the allowed drives is not taken over.
+    // An effect that diverges within the allowed drives cannot be adopted.
     let steady = sentence::best(report).is_some_and(|b| b.stable_over_envelope);
     let may = report.verdict.kind.blames() && steady;
     let Some(call) = of.adopt.as_ref().filter(|_| may) else {
@@ -137,7 +137,7 @@ fn adopt(of: &Heading, report: &Report) -> Markup {
     }
 }
 
-/// Whether the verdict says that there is no gap to look into.
+/// Whether the verdict is that there is no gap.
 fn quiet(kind: VerdictKind) -> bool {
     matches!(kind, VerdictKind::NoMaterialGap | VerdictKind::NoiseOrUnmeasuredDisturbance)
 }

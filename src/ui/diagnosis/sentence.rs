@@ -32,7 +32,7 @@ pub fn verdict(report: &Report) -> String {
             )
         }
         (VerdictKind::NoiseOrUnmeasuredDisturbance, Some(Effect::PeriodicDisturbance)) => format!(
-            "{sure}, the model is not at fault: what it leaves{} is a hum{} that no drive causes.",
+            "{sure}, the model is not at fault: its error{} is a hum{} that no drive causes.",
             v.channel.as_ref().map_or_else(String::new, |c| format!(" of {c}")),
             report.fingerprints.line_hz.map_or_else(String::new, |f| format!(" at {} Hz", number(f))),
         ),
@@ -44,7 +44,7 @@ pub fn verdict(report: &Report) -> String {
             let size = percent(report.gap.systematic_rms_rel);
             match best(report) {
                 None => format!(
-                    "{sure}, model and rig agree: what differs between them is {size} of the response, too little to matter."
+                    "{sure}, model and rig agree: they differ by {size} of the response, too little to matter."
                 ),
                 Some(_) => format!(
                     "{sure}, the model lacks no effect: the gap is {size} of the response, and adjusting the model's linear part closes it."
@@ -126,7 +126,7 @@ fn certainty(probability: f64) -> String {
     format!("{word} ({})", percent(probability))
 }
 
-/// What to run next, and why.
+/// The next experiment and the reason for it.
 pub fn next(report: &Report) -> Option<String> {
     let next = report.next_experiment.as_ref()?;
     let pair = listed(&names(&next.separates), "and");
@@ -144,7 +144,7 @@ pub fn next(report: &Report) -> Option<String> {
     ))
 }
 
-/// A mean square in noise floors as a distance.
+/// A mean square in noise floors as a ratio of amplitudes.
 fn floors(squared: f64) -> String {
     match squared.max(0.0).sqrt() {
         d if d < 0.1 => "less than a tenth of the noise floor".into(),
@@ -175,9 +175,9 @@ fn drive(report: &Report) -> String {
 pub fn warning(warning: &str) -> String {
     let (code, about) = warning.split_once(": ").unwrap_or((warning, ""));
     match code {
-        "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed: it is what the linear core leaves of the baseline runs. A gap that looks systematic may be noise and the other way round; the verdict is at most a partial one. Run one drive twice to know.".into(),
-        "acts_seldom" => "Either the part of the runs that effects are fitted to holds a gap, or the part that they are chosen on, but not both: what causes it acts only a few times. Both parts were therefore used for both, and the verdict is at most a partial one. Longer runs, or higher ones, would tell more.".into(),
-        "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs. In situ every effect is sought together with a new linear part, so the core stands for the FRF while effects are sought and the gap is located; what an effect closes is counted from the FRF itself."),
+        "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed to be the error of the linear core on the baseline runs. A gap that looks systematic may be noise, and the reverse; the verdict is at most a partial one. Run one drive twice to measure the noise.".into(),
+        "acts_seldom" => "The gap occurs only in the runs that effects are fitted to, or only in those that they are chosen on: its cause acts only a few times. All of these runs were therefore used for both, and the verdict is at most a partial one. Longer runs, or runs at a higher level, would show more.".into(),
+        "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs, which stands for the FRF while effects are sought and the gap is located: an FRF errs a little by its estimate, and that is no effect. In situ, what an effect closes is counted from the FRF itself; in external mode from the core."),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),
         _ if about.is_empty() => code.replace('_', " "),
         _ => format!("{}: {about}", code.replace('_', " ")),

@@ -19,7 +19,7 @@ const SAMPLE: f64 = 18.0;
 /// Least distance of labels at line ends.
 const LABEL: f64 = 15.0;
 
-/// Where the names of marks stand.
+/// Position of the names of marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Key {
     /// In a row above the plot.
@@ -31,7 +31,7 @@ pub enum Key {
 /// Something drawn over the axes.
 #[derive(Debug, Clone)]
 pub enum Mark {
-    /// A line through points; what is not finite is left out.
+    /// A line through points; points that are not finite are left out.
     Line { x: Vec<f64>, y: Vec<f64>, style: Style, name: String },
     /// Points of a cloud.
     Dots { x: Vec<f64>, y: Vec<f64>, style: Style, radius: f64, name: String },
@@ -43,14 +43,14 @@ pub enum Mark {
     Rule { at: f64, upright: bool, name: String },
 }
 
-/// A plot with all that it needs to be read alone.
+/// A plot with its title, description and axes.
 #[derive(Debug, Clone)]
 pub struct Figure {
     /// Identifies the plot on its page.
     pub id: String,
-    /// What it shows, in a few words.
+    /// Title.
     pub title: String,
-    /// What can be seen on it, in words.
+    /// Description of its content in words.
     pub description: String,
     /// Width and height in pixels.
     pub size: (f64, f64),
@@ -58,9 +58,9 @@ pub struct Figure {
     pub x: (Axis, String),
     /// Vertical axis and its name.
     pub y: (Axis, String),
-    /// Where names stand.
+    /// Position of the names.
     pub key: Key,
-    /// From back to front.
+    /// Marks from back to front.
     pub marks: Vec<Mark>,
 }
 
@@ -147,7 +147,7 @@ impl Figure {
         }
     }
 
-    /// What lies behind the grid.
+    /// Marks behind the grid.
     fn behind(&self, mark: &Mark, frame: Frame) -> Markup {
         let Mark::Span { from, to, upright, .. } = mark else { return html! {} };
         let (x, y, width, height) = if *upright {
@@ -221,7 +221,7 @@ impl Figure {
         d
     }
 
-    /// Strokes of no length with round caps: a dot takes fewer letters than a circle.
+    /// Strokes of no length with round caps: a dot takes fewer characters than a circle.
     fn dots(&self, x: &[f64], y: &[f64], frame: Frame) -> String {
         let mut d = String::new();
         for (x, y) in x.iter().zip(y) {
@@ -285,7 +285,7 @@ impl Figure {
     }
 }
 
-/// Moves sorted places apart until none is nearer to the next than a line of text.
+/// Moves sorted positions apart until neighbours are at least a line of text apart.
 fn spread(places: &mut [f64], top: f64, bottom: f64) {
     for k in 1..places.len() {
         places[k] = places[k].max(places[k - 1] + LABEL);

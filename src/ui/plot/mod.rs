@@ -1,6 +1,6 @@
 //! Plots as inline SVG: axes, lines, dots, bars, spans, whiskers. Colours are classes that the page's
 //! style sheet sets for light, dark and print; every line differs from its neighbours by more than its
-//! colour (width or dashes), and every plot says in words what it shows.
+//! colour (width or dashes), and every plot has a description in words.
 
 mod figure;
 mod rows;
@@ -10,14 +10,14 @@ pub use figure::{Figure, Key, Mark};
 pub use rows::{BarRow, WhiskerRow, bars, whiskers};
 pub use scale::{Axis, Scale};
 
-/// What a mark stands for; the style sheet gives each its colour and dashes.
+/// The meaning of a mark; the style sheet gives each its colour and dashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Style {
-    /// What was measured.
+    /// The measurement.
     Measured,
-    /// What the model leaves.
+    /// The error of the model.
     Before,
-    /// What is left with the effect in it, and the effect itself.
+    /// The error with the effect in the model, and the effect itself.
     After,
     /// The noise floor.
     Noise,

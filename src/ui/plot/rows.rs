@@ -1,4 +1,4 @@
-//! Plots with one row a thing: bars, and dots with whiskers.
+//! Plots with one row per item: bars, and dots with whiskers.
 
 use maud::{Markup, html};
 
@@ -21,7 +21,7 @@ pub struct BarRow {
     pub name: String,
     /// 0..1
     pub share: f64,
-    /// Said behind the share.
+    /// Text after the share.
     pub note: String,
 }
 
@@ -61,7 +61,7 @@ fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup
     }
 }
 
-/// Horizontal bars with their share written behind them.
+/// Horizontal bars, each followed by its share as text.
 pub fn bars(id: &str, title: &str, description: &str, rows: &[BarRow]) -> Markup {
     let left = names_width(rows.iter().map(|r| r.name.as_str()));
     let notes = rows.iter().map(|r| text_width(&r.note)).fold(0.0, f64::max);
@@ -80,7 +80,7 @@ pub fn bars(id: &str, title: &str, description: &str, rows: &[BarRow]) -> Markup
     frame(id, title, description, ROW * rows.len() as f64, &content)
 }
 
-/// Ticks whose names do not lie on each other: first 0, 90, 99, ... %, then what has room.
+/// Ticks whose names do not overlap: first 0, 90, 99, ... %, then those that have room.
 fn apart(ticks: Vec<Tick>, at: impl Fn(f64) -> f64) -> Vec<Tick> {
     let whole = |tick: &Tick| {
         let nines = (1.0 - tick.value).log10();
@@ -96,8 +96,8 @@ fn apart(ticks: Vec<Tick>, at: impl Fn(f64) -> f64) -> Vec<Tick> {
     kept
 }
 
-/// Closures as dots with their intervals, on an axis that tells 99 from 99.9 %, and probabilities
-/// as bars beside them.
+/// Closures as dots with their intervals, on an axis that separates 99 from 99.9 %, and probabilities as
+/// bars next to them.
 pub fn whiskers(id: &str, title: &str, description: &str, rows: &[WhiskerRow]) -> Markup {
     let left = names_width(rows.iter().map(|r| r.name.as_str()));
     let (right, bar) = (WIDTH - 170.0, 80.0);

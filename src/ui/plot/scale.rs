@@ -1,18 +1,18 @@
-//! From values to places on an axis, and the ticks between.
+//! Axes: positions of values, and ticks.
 
 use crate::ui::text::{number, superscript};
 
 /// Decades that a logarithmic axis shows at most.
 const DECADES: f64 = 9.0;
 
-/// How values spread over an axis.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// Evenly in the logarithm; what is not positive lies below the axis.
+    /// Logarithmic; values that are not positive lie below the axis.
     Log,
-    /// For shares that close in on 1: evenly in the logarithm of what is missing.
+    /// For shares close to 1: linear in the logarithm of the difference from 1.
     ToOne,
 }
 
@@ -24,7 +24,7 @@ pub struct Axis {
     high: f64,
 }
 
-/// A place with a name.
+/// A tick: a position with a name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tick {
     pub value: f64,
@@ -32,7 +32,7 @@ pub struct Tick {
 }
 
 impl Axis {
-    /// An axis over exactly this range; a range that holds nothing is widened until it does.
+    /// An axis over exactly this range; an empty range is widened.
     pub fn exact(scale: Scale, low: f64, high: f64) -> Self {
         let usable = |x: f64| x.is_finite() && (scale != Scale::Log || x > 0.0);
         let (mut low, mut high) = match (usable(low), usable(high)) {
@@ -58,7 +58,7 @@ impl Axis {
         Self { scale, low, high }
     }
 
-    /// An axis that holds all values, with round ends and, where it is linear, a little air.
+    /// An axis that holds all values, with round ends and, where it is linear, a small margin.
     pub fn around(scale: Scale, values: impl IntoIterator<Item = f64>) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for x in values {
@@ -89,7 +89,7 @@ impl Axis {
         }
     }
 
-    /// Place of a value, 0 at the low end and 1 at the high end; held at the ends.
+    /// Position of a value, 0 at the low end and 1 at the high end, limited to the axis.
     pub fn place(&self, x: f64) -> f64 {
         let share = match self.scale {
             Scale::Linear => (x - self.low) / (self.high - self.low),
@@ -106,7 +106,7 @@ impl Axis {
         x >= self.low - air && x <= self.high + air
     }
 
-    /// About `wanted` places with names.
+    /// About `wanted` ticks with names.
     pub fn ticks(&self, wanted: usize) -> Vec<Tick> {
         match self.scale {
             Scale::Linear => self.linear_ticks(wanted.max(2) as f64),

@@ -1,4 +1,4 @@
-//! Bad requests that are as large as they may be: little that means much.
+//! Bad requests of the largest allowed size, and small ones that expand.
 
 use bytes::Bytes;
 use serde_json::json;
@@ -13,7 +13,7 @@ pub const RUNS: &str = "/v1/rigs/bench/runs";
 pub const MODELS: &str = "/v1/rigs/bench/models";
 pub const PREDICT: &str = "/v1/rigs/bench/predict";
 
-/// A request, and what it is called.
+/// A request and its name.
 #[derive(Debug, Clone)]
 pub struct Case {
     pub name: String,
@@ -21,9 +21,9 @@ pub struct Case {
     pub path: String,
     pub headers: Vec<(String, String)>,
     pub body: Bytes,
-    /// Bytes of stored objects that it has the service read.
+    /// Bytes of stored objects that the service reads for it.
     pub stored: u64,
-    /// Code of the refusal, where only one will do.
+    /// Code of the refusal, where only one is right.
     pub code: &'static str,
 }
 
@@ -184,7 +184,7 @@ fn weights(size: usize) -> Vec<Case> {
     ]
 }
 
-/// An FRF of many lines, in the shorter type, of a channel that the rig has not.
+/// An FRF of many lines, in the shorter type, of a channel that the rig does not have.
 fn frf(size: usize) -> Case {
     let lines = size / 16;
     let meta =
@@ -212,7 +212,7 @@ fn bodies(size: usize) -> Vec<Case> {
     let other = r#"{"drive":{"sample_rate_hz":7,"channels":{"u":["#;
     let damage = r#"{"predicted":{"sample_rate_hz":100,"channels":{"u":[0]}},"#;
     let with = |start: &str, rest: &str| format!("{start}{rest}");
-    // Without signals a body is small, and what it becomes is large.
+    // Without signals a body is small and expands in memory.
     let document = (1 << 20) - 100;
     let big = |name: &str, method: &str, path: &str, make: &dyn Fn(usize) -> Vec<u8>| {
         json(name, method, path, "", make(document))

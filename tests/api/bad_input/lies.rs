@@ -1,4 +1,4 @@
-//! Small requests that claim to be large, and values that make no sense.
+//! Small requests that declare large sizes, and invalid values.
 
 use super::corpus::{CSV, Case, JSON, MODELS, NPY, PREDICT, RUNS, with_header};
 use super::meter::WEIGHTS;
@@ -100,9 +100,9 @@ fn rates() -> Vec<Case> {
     cases
 }
 
-/// Compressed bodies, small and large inside: none is inflated, and none is taken for something else.
+/// Compressed bodies, small and with large content: none is inflated or accepted.
 fn bombs() -> Vec<Case> {
-    // A stored GZIP member of a few zeros, repeated as one that would be a bomb if it were believed.
+    // The beginning of a GZIP member that would inflate to many zeros.
     let gzip = [
         &b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"[..],
         &[0xed, 0xc1, 1, 1, 0, 0, 0, 0x80, 0x90, 0xfe],

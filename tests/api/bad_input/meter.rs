@@ -9,13 +9,13 @@ use tempfile::TempDir;
 use super::corpus::Case;
 use crate::support::{Contract, Program, Reply, SAFETENSORS, bench, gain_weights};
 
-/// What a single request may take, besides a multiple of its bytes.
+/// Memory that a single request may take besides a multiple of its bytes.
 const ALLOWED: u64 = 64 << 20;
 
-/// Times that bytes which came, were read or were answered may be held.
+/// The multiple: memory per byte that was received, read or sent.
 const TIMES: u64 = 4;
 
-/// Longest answer to a bad request: it says what is wrong and does not repeat it all.
+/// Longest answer to a bad request, which must not repeat the request.
 const MAX_ANSWER: usize = 32 << 10;
 
 /// The program on a directory with a rig `bench` and its model.
@@ -26,7 +26,7 @@ pub struct Meter {
     idle: u64,
 }
 
-/// How a request went.
+/// The outcome of a request.
 #[derive(Debug)]
 pub struct Measured {
     pub status: u16,
@@ -34,7 +34,7 @@ pub struct Measured {
     pub code: String,
     /// Peak above what the idle program holds, bytes.
     pub peak: u64,
-    /// What it may be.
+    /// The allowed peak.
     pub allowed: u64,
 }
 
@@ -49,8 +49,8 @@ impl Meter {
         assert_eq!(meter.send(&active).await.status, 200);
     }
 
-    /// Starts the program where [`Meter::furnish`] was, and warms it up: what it makes once, at the
-    /// first request of a kind, is none of the later ones' doing.
+    /// Starts the program on the directory of [`Meter::furnish`] and warms it up, so that memory taken once,
+    /// at the first request of a kind, does not count for later ones.
     pub async fn start(directory: &Path) -> Self {
         let program = Program::start_on(directory, &[]);
         let meter = Self { program, http: reqwest::Client::new(), idle: 0 };
@@ -65,7 +65,7 @@ impl Meter {
         Self { idle, ..meter }
     }
 
-    /// Sends a request, without any judgement.
+    /// Sends a request without checks.
     pub async fn send(&self, case: &Case) -> Reply {
         let url = format!("{}{}", self.program.base(), case.path);
         let mut request = self.http.request(case.method.parse().expect("a method"), url);
@@ -79,7 +79,7 @@ impl Meter {
         Reply { status, headers, bytes }
     }
 
-    /// Sends a request and judges its answer, and how much memory it took.
+    /// Sends a request, and checks its answer and its memory.
     pub async fn measure(&self, case: &Case) -> Measured {
         std::fs::write(format!("/proc/{}/clear_refs", self.program.id()), "5").expect("Linux");
         let reply = self.send(case).await;
@@ -129,7 +129,7 @@ impl Meter {
 }
 
 impl Measured {
-    /// Prints it in a line; whether it is beyond the allowance.
+    /// Prints it in one line; returns whether it is beyond the allowance.
     pub fn print(&self, case: &Case) -> bool {
         let mib = |bytes: u64| bytes as f64 / (1 << 20) as f64;
         let (size, peak, allowed) = (mib(case.size()), mib(self.peak), mib(self.allowed));

@@ -1,5 +1,5 @@
-//! Bad requests to the real program: each is refused by a documented code, with no more memory than
-//! what came with it allows, and the program lives on.
+//! Bad requests to the real program: each is refused with a documented code within the memory allowed for
+//! its size, and the program goes on.
 
 mod corpus;
 mod lies;

@@ -1,4 +1,4 @@
-//! Valid requests of every kind, cut short, with bits turned and sizes put in.
+//! Valid requests of every kind, truncated, with flipped bits and with other sizes.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +11,7 @@ use super::seeds::seeds;
 /// Growth of the program's resident memory over the whole corpus.
 const MAX_GROWTH: u64 = 256 << 20;
 
-/// Values that sizes, counts and rates like to trip over.
+/// Critical values of sizes, counts and rates.
 const EDGES: [&[u8]; 8] = [
     &[0xff; 8],
     &[0; 8],

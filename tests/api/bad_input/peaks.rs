@@ -1,4 +1,4 @@
-//! Memory of single bad requests: at most 64 MiB and four times what came, was read and was answered.
+//! Memory of single bad requests: at most 64 MiB and four times the bytes received, read and sent.
 //!
 //! `RIGCAST_TEST_BODY_MIB=48 cargo test --test api peaks -- --nocapture` sends larger ones.
 
@@ -21,7 +21,7 @@ async fn large_bodies_that_are_wrong_take_no_more_than_four_times_their_size() {
     Meter::furnish(&directory).await;
     let (mut wrong, mut most) = (Vec::new(), 0.0_f64);
     for case in large(size()) {
-        // A program of its own: what another request left behind would hide what this one takes.
+        // One program per request: memory left by another request would hide the peak of this one.
         let meter = Meter::start(directory.path()).await;
         let found = meter.measure(&case).await;
         assert!(found.status >= 400, "{}: {found:?}", case.name);
@@ -50,7 +50,7 @@ async fn small_requests_that_claim_to_be_large_are_refused_at_their_size() {
         most = most.max(found.peak);
     }
     println!("{} requests that lie: {:.1} MiB at most", cases.len(), most as f64 / f64::from(1 << 20));
-    // A length that no body has, and pieces that never come.
+    // A declared length that no body has, and chunks that never come.
     for head in [
         "content-length: 18446744073709551615",
         "content-length: 99999999999999999999",

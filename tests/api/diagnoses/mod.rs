@@ -84,7 +84,7 @@ async fn a_simulation_outside_is_diagnosed_from_its_simulated_runs() {
 #[tokio::test]
 async fn what_the_models_filter_removes_is_no_gap() {
     let lab = Lab::without_model().await;
-    // Nothing stiffens, but there is hum.
+    // No stiffening, but hum.
     let mut runs = Vec::new();
     for seed in [1, 2] {
         let u = drive(20.0, 1.0, seed);
@@ -105,6 +105,23 @@ async fn what_the_models_filter_removes_is_no_gap() {
     assert_eq!(bare["effect"], "periodic_disturbance", "{bare}");
     let filtered = verdict(Preprocess { low_pass_hz: Some(40.0), ..Preprocess::default() }).await;
     assert_eq!(filtered["kind"], "no_material_gap", "{filtered}");
+}
+
+#[tokio::test]
+async fn an_frf_from_before_the_change_that_is_not_the_core_is_said_to_be_stood_for() {
+    let lab = Lab::with_frf().await;
+    // Its low runs are a fifth noise: the estimate errs by some per cent.
+    for (material_gap, stood_for) in [(0.02, true), (0.5, false)] {
+        let mut request = lab.request();
+        request["material_gap"] = json!(material_gap);
+        let (_, report) = lab.report(&request).await;
+        let warnings = report["warnings"].as_array().expect("a list").clone();
+        assert_eq!(
+            warnings.contains(&json!("core_stands_for_sim: disp")),
+            stood_for,
+            "{material_gap}: {warnings:?}"
+        );
+    }
 }
 
 #[tokio::test]

@@ -1,4 +1,4 @@
-//! Every request that makes no sense gets a problem that names the field.
+//! Every invalid request gets a problem that names the field.
 
 use serde_json::{Value, json};
 

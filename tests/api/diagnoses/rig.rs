@@ -67,7 +67,7 @@ pub fn respond(drive: &[f64], cubic: f64) -> Vec<f64> {
 /// Stiffness of the real rig that its model lacks.
 pub const CUBIC: f64 = 20.0;
 
-/// What a sensor of the rig says: 0.03 mm of noise.
+/// The reading of a sensor of the rig: 0.03 mm of noise.
 pub fn measure(drive: &[f64], cubic: f64, seed: u64) -> Vec<f64> {
     let error = noise(drive.len(), seed ^ 0xabcd);
     respond(drive, cubic).iter().zip(error).map(|(y, e)| y + 0.03 * 3.0_f64.sqrt() * e).collect()
@@ -115,7 +115,7 @@ impl Lab {
         Self { app, low, high: high.try_into().expect("four runs") }
     }
 
-    /// A request for which everything fits: few effects, so that it is quick.
+    /// A valid request with few effects, so that it is quick.
     pub fn request(&self) -> Value {
         let [a, b, c, d] = &self.high;
         json!({
@@ -161,14 +161,20 @@ impl Lab {
         answer["errors"]["channels"]["disp"]["rms"].as_f64().expect("an error")
     }
 
-    /// Uploads weights; gives their version.
+    /// Makes a version the active one.
+    pub async fn activate(&self, version: u64) {
+        let put = self.app.call("PUT", "/v1/rigs/mass/active-model").header("if-match", "*");
+        put.json(&json!({"version": version})).send().await.expect(200);
+    }
+
+    /// Uploads weights; returns their version.
     pub async fn import(&self, weights: Vec<u8>) -> u64 {
         let reply = self.app.post_file("/v1/rigs/mass/models", SAFETENSORS, weights).await.expect(201);
         reply.json()["version"].as_u64().expect("a version")
     }
 }
 
-/// Uploads what the rig does with a drive; gives the run's id.
+/// Uploads the rig's response to a drive; returns the id of the run.
 pub async fn upload(app: &TestApp, query: &str, drive: &[f64], seed: u64) -> String {
     upload_csv(app, query, &csv(&[("drive", drive), ("disp", &measure(drive, CUBIC, seed))])).await
 }
@@ -193,8 +199,9 @@ pub fn frf_weights(preprocess: Preprocess) -> Vec<u8> {
         sample_rate_hz: RATE,
         preprocess,
         frf: Some(found.frf),
+        frf_quality: Some(found.quality),
         lstm: None,
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3 }],
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3, band_hz: None }],
         effects: Vec::new(),
     })
 }

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use rigcast::app::ConnectionSettings;
+use rigcast::config::ConnectionSettings;
 use rigcast::http::Pace;
 use tempfile::TempDir;
 
@@ -14,7 +14,7 @@ fn connect(app: &TestApp) -> TcpStream {
     TcpStream::connect(app.address()).expect("a connection")
 }
 
-/// What comes until the service closes the connection, after these bytes.
+/// Sends these bytes, and returns all bytes until the service closes the connection.
 fn answered(app: &TestApp, sent: &[u8]) -> String {
     let mut stream = connect(app);
     stream.write_all(sent).expect("sent");
@@ -104,7 +104,7 @@ async fn who_is_refused_while_a_large_body_is_still_coming_reads_why() {
         config
     });
     app.rig(&bench()).await;
-    // Refused by its declared length, and by what has come.
+    // Refused by its declared length, and by the received bytes.
     for length in ["Content-Length: 16777229", "Transfer-Encoding: chunked"] {
         let head = format!(
             "POST /v1/rigs/bench/runs HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\n{length}\r\n\r\n"

@@ -1,21 +1,21 @@
-//! Answers that would take too long.
+//! The deadline of answers.
 
 use std::time::Duration;
 
-use rigcast::compute::turns::TurnSettings;
+use rigcast::compute::fair_queue::QueueSettings;
 use serde_json::json;
 
 use super::{predict_npy, refusal, slow_weights, until};
 use crate::support::{TestApp, bench, npy};
 
-/// So long that the whole would take many times the deadline on any machine, and short enough that who is
-/// refused is heard to the end and can read why.
+/// So long that the whole would take many times the deadline on any machine, and short enough that the
+/// body is read to its end and the client can read the refusal.
 const SAMPLES: usize = 250_000;
 
 #[tokio::test]
 async fn work_that_is_not_done_at_the_deadline_is_given_up_and_its_turn_comes_back() {
     let app = TestApp::start_as(|mut config| {
-        config.compute.long = TurnSettings::new(1, 0, Duration::from_secs(60));
+        config.compute.long = QueueSettings::new(1, 0, Duration::from_secs(60));
         config.limits.deadline = Duration::from_millis(500);
         config
     });
@@ -39,7 +39,7 @@ async fn work_that_is_not_done_at_the_deadline_is_given_up_and_its_turn_comes_ba
 #[tokio::test]
 async fn work_whose_client_has_gone_is_given_up() {
     let app = TestApp::start_as(|mut config| {
-        config.compute.long = TurnSettings::new(1, 0, Duration::from_secs(60));
+        config.compute.long = QueueSettings::new(1, 0, Duration::from_secs(60));
         config
     });
     app.rig(&bench()).await;

@@ -1,4 +1,4 @@
-//! Each fault raises its metric: the real program, so that nobody else counts.
+//! Each fault raises its metric, in a program of its own.
 
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -38,7 +38,7 @@ impl Service {
         TcpStream::connect(address).expect("a connection")
     }
 
-    /// Sends a file; gives the status.
+    /// Sends a file; returns the status.
     async fn post(&self, path: &str, media_type: &str, body: impl Into<reqwest::Body>) -> u16 {
         let request = self.http.post(format!("{}{path}", self.program.base()));
         let reply = request.header("content-type", media_type).body(body).send().await;
@@ -224,7 +224,7 @@ async fn a_lost_lease_is_counted() {
     service.client.upload("bench", &[("kind", "noise")], "text/csv", noise).await.expect("a run");
     let endless = json!({"kind": "lstm", "lstm": {"blocks": [39], "epochs": 1_000_000, "seeds": [1]}});
     let job = service.client.fit("bench", &endless).await.expect("a job");
-    // Well under way: who finds no rig at its beginning fails for that.
+    // Well under way: a job that finds no rig at its start fails for that reason.
     while service.client.get(&format!("/v1/jobs/{job}")).await.expect("the job")["progress"] == 0.0 {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -236,7 +236,7 @@ async fn a_lost_lease_is_counted() {
 }
 
 #[tokio::test]
-async fn every_metric_has_a_name_of_the_table_and_the_readme_says_what_it_means() {
+async fn every_metric_has_a_name_of_the_table_and_the_page_says_what_it_means() {
     let service = Service::start(&[]).await;
     let text = service.text().await;
     assert!(text.lines().filter(|line| !line.starts_with('#')).count() < 5000);
@@ -245,9 +245,9 @@ async fn every_metric_has_a_name_of_the_table_and_the_readme_says_what_it_means(
         let name = line.split(' ').next().unwrap_or_default();
         assert!(known.contains(name), "{name} is not in the table");
     }
-    let readme = include_str!("../../../README.md");
+    let page = include_str!("../../../docs/operations.md");
     for (kind, name, _) in names::ALL {
-        assert!(readme.contains(&format!("`{name}")), "the README does not say what {name} means");
+        assert!(page.contains(&format!("`{name}")), "docs/operations.md does not say what {name} means");
         assert_eq!(*kind == Kind::Counter, name.ends_with("_total"), "{name}");
     }
 }

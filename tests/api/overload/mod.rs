@@ -1,9 +1,9 @@
-//! More than can be done, and clients that take for ever: who is refused, how, and who is not.
+//! Overload and slow clients: which requests are refused, and how.
 
 mod connections;
 mod deadline;
 mod faults;
-mod turns;
+mod queues;
 
 use std::time::Duration;
 
@@ -15,14 +15,14 @@ use tokio::task::JoinHandle;
 
 use crate::support::{Reply, TestApp, gain_model};
 
-/// Turns under way and tasks that wait, of a class.
+/// Permits in use and tasks that wait, of a class.
 async fn depth(app: &TestApp, class: &str) -> (u64, u64) {
     let ready = app.get("/readyz?verbose").await.expect(200).json();
     let of = |key: &str| ready["checks"]["queues"][class][key].as_u64().expect("a number");
     (of("in_use"), of("waiting"))
 }
 
-/// Waits until a class has so many turns under way and so many tasks waiting.
+/// Waits until a class has so many permits in use and so many tasks waiting.
 async fn until(app: &TestApp, class: &str, expected: (u64, u64)) {
     let mut found = (0, 0);
     for _ in 0..3000 {
@@ -35,7 +35,7 @@ async fn until(app: &TestApp, class: &str, expected: (u64, u64)) {
     panic!("{class} stays at {found:?}, {expected:?} was expected");
 }
 
-/// A refusal for too much work: what it says, and when to come again.
+/// Checks a refusal for load: its code, and its `Retry-After`.
 fn refusal(reply: Reply, status: u16, code: &str) -> Value {
     assert_eq!(reply.header("retry-after"), "1");
     reply.problem(status, code)

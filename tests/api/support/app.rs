@@ -18,14 +18,14 @@ use tokio::sync::oneshot;
 
 use super::reply::{Call, Reply};
 
-/// A running service. It ends with the value, and a test that leaves jobs unfinished fails.
+/// A running service. Dropping it stops the service, and fails a test that leaves jobs unfinished.
 pub struct TestApp {
     address: SocketAddr,
     client: reqwest::Client,
     directory: Arc<TempDir>,
-    /// An admin's token, once the doors are closed; requests show it unless told otherwise.
+    /// An admin's token, once there is one; requests send it unless told otherwise.
     token: Option<String>,
-    /// Ids of the operations that have answered as asked.
+    /// Ids of the operations that have answered with success.
     succeeded: Arc<Mutex<BTreeSet<String>>>,
     stop: Option<oneshot::Sender<()>>,
     server: Option<JoinHandle<()>>,
@@ -68,7 +68,7 @@ impl TestApp {
                 let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
                 started.send(listener.local_addr().expect("an address")).expect("the test waits");
                 app.serve(listener, async {
-                    // An error means that the test is gone, which is as good a reason to stop.
+                    // An error means that the test is gone, which is a reason to stop too.
                     let _ = stopped.await;
                 })
                 .await;
@@ -86,7 +86,7 @@ impl TestApp {
         }
     }
 
-    /// Where it listens.
+    /// Its address.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -117,14 +117,14 @@ impl TestApp {
         Call::new(request, method, path, self.succeeded.clone())
     }
 
-    /// Makes the first token, an admin's, which all requests show from now on.
+    /// Makes the first token, an admin's, which all requests send from now on.
     pub async fn close_doors(&mut self) -> Value {
         let token = self.post_json("/v1/tokens", &json!({"role": "admin"})).await.expect(201).json();
         self.token = Some(token["secret"].as_str().expect("a secret").to_owned());
         token
     }
 
-    /// Makes one more token and gives its secret and its id.
+    /// Makes one more token; returns its secret and its id.
     pub async fn token(&self, draft: &Value) -> (String, String) {
         let token = self.post_json("/v1/tokens", draft).await.expect(201).json();
         let text = |key: &str| token[key].as_str().expect(key).to_owned();
@@ -156,7 +156,7 @@ impl TestApp {
         self.call("POST", path).body(media_type, bytes).send().await
     }
 
-    /// Waits until a job has ended, at most a minute, and gives it.
+    /// Waits until a job has ended, at most a minute; returns it.
     pub async fn finished(&self, job: &str) -> Value {
         for _ in 0..600 {
             let found = self.get(&format!("/v1/jobs/{job}")).await.expect(200).json();
@@ -193,7 +193,7 @@ impl TestApp {
         }
     }
 
-    /// Jobs in this state, asked for on a thread with a runtime of its own.
+    /// Jobs in this state, requested on a thread with a runtime of its own.
     fn jobs_in(&self, state: &'static str) -> Vec<Value> {
         let url = format!("http://{}/v1/jobs?state={state}", self.address);
         let request = reqwest::Client::new().get(url);
@@ -214,8 +214,8 @@ impl TestApp {
     }
 }
 
-/// Builds a service. A lock that was just let go may be held a moment longer, by a program that another
-/// test is starting at that moment: between fork and exec it has all files of this process.
+/// Builds a service. A lock that was just released may be held a moment longer by a program that another
+/// test is starting: between fork and exec it has all open files of this process.
 async fn build(config: &Config) -> App {
     for _ in 0..100 {
         match App::build(config).await {
@@ -228,7 +228,7 @@ async fn build(config: &Config) -> App {
     panic!("the directory stays locked")
 }
 
-/// Jobs as `rigcast serve` does them: each in a process of the real program.
+/// Jobs as in `rigcast serve`: each in a process of the real program.
 fn jobs() -> JobSettings {
     let program = WorkerProgram {
         program: env!("CARGO_BIN_EXE_rigcast").into(),

@@ -1,4 +1,4 @@
-//! `openapi.yaml` as a judge of requests and answers.
+//! Checks of requests and answers against `openapi.yaml`.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
@@ -41,8 +41,8 @@ impl Contract {
         operations
     }
 
-    /// Checks an answer, and the JSON body that it accepted; gives the operation's id, if the path
-    /// is one of the contract.
+    /// Checks an answer, and the JSON body that it accepted; returns the id of the operation, if the path is one
+    /// of the contract.
     pub fn check(&self, method: &str, path: &str, sent: Option<&Value>, reply: &Reply) -> Option<String> {
         let path = path.split('?').next().unwrap_or_default();
         let place = format!("{method} {path} -> {}", reply.status);
@@ -129,7 +129,7 @@ impl Contract {
         self.document.pointer(pointer).unwrap_or_else(|| panic!("openapi.yaml has nothing at {pointer}"))
     }
 
-    /// Holds a value against the schema at a place of the document.
+    /// Checks a value against the schema at a place of the document.
     pub fn validate(&self, what: &str, pointer: &str, value: &Value) {
         let validator = self.validator(pointer);
         let errors: Vec<String> =
@@ -138,7 +138,7 @@ impl Contract {
     }
 
     fn validator(&self, pointer: &str) -> Arc<Validator> {
-        // A test that panics with the lock leaves whole validators behind.
+        // A test that panics with the lock leaves the validators intact.
         let mut validators = self.validators.lock().unwrap_or_else(PoisonError::into_inner);
         let made = validators.entry(pointer.to_owned()).or_insert_with(|| {
             let schema = json!({

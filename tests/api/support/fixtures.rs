@@ -27,7 +27,7 @@ pub fn triple() -> Value {
     })
 }
 
-/// `n` samples that move: a sum of two sines, scaled.
+/// `n` samples of a scaled sum of two sines.
 pub fn wave(n: usize, scale: f64) -> Vec<f64> {
     (0..n).map(|i| scale * ((0.9 * i as f64).sin() + (0.31 * i as f64).sin())).collect()
 }
@@ -73,8 +73,9 @@ pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {
             x_mean: vec![0.0; n_inputs],
             y_mean: vec![0.0; n_outputs],
         }),
+        frf_quality: None,
         lstm: None,
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0 }; n_inputs],
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None }; n_inputs],
         effects: Vec::new(),
     }
 }
@@ -93,12 +94,12 @@ impl TestApp {
         self.post_json("/v1/rigs", draft).await.expect(201);
     }
 
-    /// Uploads a CSV run of the bench and gives its answer.
+    /// Uploads a CSV run of the bench; returns the answer.
     pub async fn run(&self, query: &str, csv: &str) -> Value {
         self.post_file(&format!("/v1/rigs/bench/runs?{query}"), "text/csv", csv).await.expect(201).json()
     }
 
-    /// Imports a model of a rig and makes it the active one; gives its version.
+    /// Imports a model of a rig and makes it the active one; returns its version.
     pub async fn activate(&self, rig: &str, weights: Vec<u8>) -> u64 {
         let models = format!("/v1/rigs/{rig}/models");
         let model = self.post_file(&models, SAFETENSORS, weights).await.expect(201).json();
@@ -115,7 +116,7 @@ impl TestApp {
         self.activate("bench", gain_weights(&["u"], &["y"], 2.0)).await;
     }
 
-    /// How many runs the bench has.
+    /// Number of runs of the bench.
     pub async fn runs(&self) -> usize {
         let runs = self.get("/v1/rigs/bench/runs").await.expect(200).json();
         runs["items"].as_array().expect("items").len()
@@ -147,7 +148,7 @@ pub fn f4(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// The singles of an NPY file of ours, and its header's text.
+/// The singles of an NPY file that the service wrote, and the text of its header.
 pub fn read_f4(file: &[u8]) -> (String, Vec<f32>) {
     assert_eq!(&file[..8], b"\x93NUMPY\x01\x00", "an NPY file");
     let len = usize::from(u16::from_le_bytes([file[8], file[9]]));

@@ -31,7 +31,7 @@ fn state(pid: u32) -> Option<(char, u32)> {
     Some((words.next()?.chars().next()?, words.next()?.parse().ok()?))
 }
 
-/// Whether a process is there, and more than the memory of one that has ended.
+/// Whether a process is there and not a zombie.
 pub fn lives(pid: u32) -> bool {
     state(pid).is_some_and(|(state, _)| state != 'Z')
 }
@@ -51,7 +51,7 @@ pub fn try_signal(name: &str, pid: u32) -> bool {
 pub struct Program {
     child: Child,
     log: Arc<Mutex<Vec<String>>>,
-    /// Reads all the time: a program whose log nobody reads stands still.
+    /// Reads all the time: a program blocks when nobody reads its log.
     reader: Option<std::thread::JoinHandle<()>>,
     base: String,
 }
@@ -98,7 +98,7 @@ impl Program {
                 break base;
             }
         };
-        // A pipe that nobody reads from would hold the program up.
+        // A pipe that nobody reads from would block the program.
         let kept = Arc::new(Mutex::new(before));
         let keep = kept.clone();
         let reader = std::thread::spawn(move || {
@@ -121,13 +121,13 @@ impl Program {
         ids.filter(|pid| state(*pid).is_some_and(|(_, parent)| parent == self.id())).collect()
     }
 
-    /// Ends it at once, as a power cut would.
+    /// Kills it at once, as a power cut would.
     pub fn kill(mut self) {
         self.child.kill().expect("it runs");
         self.child.wait().expect("it ends");
     }
 
-    /// Where it listens, `http://address:port`.
+    /// Its URL, `http://address:port`.
     pub fn base(&self) -> &str {
         &self.base
     }
@@ -137,7 +137,7 @@ impl Program {
         signal(name, self.id());
     }
 
-    /// Waits for the end, at most 30 s; gives the log.
+    /// Waits for its end, at most 30 s; returns the log.
     pub fn ended(mut self) -> (Option<i32>, Vec<String>) {
         let started = Instant::now();
         let status = loop {

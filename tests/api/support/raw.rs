@@ -1,16 +1,16 @@
-//! A request as bytes, for what no client library would send.
+//! Requests as bytes, for those that no client library would send.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// Sends bytes, closes the sending half, and gives all that is answered.
+/// Sends bytes, closes the sending half, and returns the whole answer.
 pub fn exchange(address: SocketAddr, request: &[u8]) -> String {
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(Duration::from_secs(10))).expect("a timeout");
     stream.write_all(request).expect("sent");
     match stream.shutdown(Shutdown::Write) {
-        // Who refuses a head may have closed by now.
+        // A service that refuses a head may have closed the connection by now.
         Err(error) if error.kind() == std::io::ErrorKind::NotConnected => {}
         closed => closed.expect("half closed"),
     }
@@ -19,7 +19,7 @@ pub fn exchange(address: SocketAddr, request: &[u8]) -> String {
     String::from_utf8(answer).expect("text")
 }
 
-/// What comes until the other end closes the connection, which it must within half a minute.
+/// All bytes until the other end closes the connection, which it must within half a minute.
 pub fn read_all(mut stream: TcpStream) -> String {
     stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a timeout");
     let mut answer = Vec::new();

@@ -1,4 +1,4 @@
-//! Requests and answers; every answer is held against the contract.
+//! Requests and answers; every answer is checked against the contract.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::contract::Contract;
 
-/// A request in the making.
+/// A request before it is sent.
 pub struct Call {
     request: reqwest::RequestBuilder,
     method: reqwest::Method,

@@ -91,6 +91,7 @@ fn run(name: &str, drives: &[Vec<f64>], response: Vec<Vec<f64>>, seed: u64) -> R
         drive: Signal::new(RATE, drives.to_vec()).unwrap(),
         response: Signal::new(RATE, noisy).unwrap(),
         simulated: None,
+        added: None,
         started_s: seed as f64 * 100.0,
     }
 }
@@ -161,7 +162,7 @@ fn the_effect_is_simulated_at_every_response_that_feels_it() {
     let truth = respond(&drive, Some((0, hardening)), NO_CLIP);
     let linear = respond(&drive, None, NO_CLIP);
     let signal = |channels: &[Vec<f64>]| Signal::new(RATE, channels.to_vec()).unwrap();
-    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&linear)).unwrap();
+    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&linear), None).unwrap();
     for r in [0, 3] {
         let error = |y: &[f64]| -> f64 { truth[r].iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
         let (before, after) = (error(&linear[r]), error(predicted.channel(r)));

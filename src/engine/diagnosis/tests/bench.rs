@@ -2,7 +2,7 @@
 
 use crate::engine::diagnosis::{Channel, Effect, Family, Input, Mode, Run, diagnose};
 use crate::engine::model::{
-    FitData, FitSettings, LstmOptions, ModelKind, Pair, Predictor, Preset, Validation, fit,
+    FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Predictor, Preset, Task, fit,
 };
 use crate::engine::progress::unwatched;
 use crate::engine::virtual_rig::drives::{ServiceLoad, ServiceShape, linear_noise, service_load};
@@ -36,6 +36,7 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
     let names = |list: [&str; 3]| list.map(str::to_owned).to_vec();
     let settings = FitSettings {
         kind: ModelKind::Hybrid2,
+        task: Task::Forward,
         inputs: names(["drive_x", "drive_y", "drive_z"]),
         outputs: vec!["disp_x".into()],
         preprocess: Default::default(),
@@ -48,16 +49,17 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
         },
         preset: Preset::Default,
     };
-    let data = FitData {
-        training: vec![pair(&before, noise(60.0, 1.0, 1), 1), pair(&before, noise(30.0, 0.6, 2), 2)],
-        frf: None,
-        validation: vec![Validation { pair: pair(&before, noise(20.0, 0.9, 3), 3), score_from: 0 }],
-    };
+    let data = FitData::with_validation(
+        vec![pair(&before, noise(60.0, 1.0, 1), 1), pair(&before, noise(30.0, 0.6, 2), 2)],
+        vec![pair(&before, noise(20.0, 0.9, 3), 3)],
+        FitSplit::ValidationStops,
+    );
     let sim = Predictor::new(fit(&data, &settings, &unwatched).unwrap().model).unwrap();
 
     let run = |name: &str, pair: Pair, started_s: f64, simulated: bool| Run {
         name: name.into(),
         simulated: simulated.then(|| sim.predict(pair.x.clone()).unwrap()),
+        added: None,
         drive: pair.x,
         response: pair.y,
         started_s,
@@ -103,7 +105,7 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
         ServiceLoad { shape: ServiceShape::HandlingCourse, duration_s: 30.0, scale: 0.4, offset_kn: 0.0 };
     let unseen = pair(&worn, service_load(&load, 11).unwrap(), 11);
     let simulated = sim.predict(unseen.x.clone()).unwrap();
-    let adopted = found.augmented[0].apply(&unseen.x, &simulated).unwrap();
+    let adopted = found.augmented[0].apply(&unseen.x, &simulated, None).unwrap();
     let (without, with) = (error(&simulated, &unseen.y), error(&adopted, &unseen.y));
     assert!(with < 0.7 * without, "{without} {with}");
 }

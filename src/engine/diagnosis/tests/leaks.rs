@@ -66,11 +66,11 @@ fn the_augmented_sim_predicts_a_run_nobody_saw_and_survives_storage() {
     let drive = Signal::new(super::rig::RATE, vec![drive]).unwrap();
     // The sim is another one than the core: the effect is added to whatever the sim says.
     let simulated = Signal::new(super::rig::RATE, vec![linear.clone()]).unwrap();
-    let predicted = loaded.apply(&drive, &simulated).unwrap();
+    let predicted = loaded.apply(&drive, &simulated, None).unwrap();
     let error = |y: &[f64]| -> f64 { truth.iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
     let (before, after) = (error(&linear), error(predicted.channel(0)));
     assert!(after < 0.05 * before, "{before} {after}");
-    assert!(loaded.apply(&drive, &Signal::new(super::rig::RATE, vec![vec![0.0; 5]]).unwrap()).is_err());
+    assert!(loaded.apply(&drive, &Signal::new(super::rig::RATE, vec![vec![0.0; 5]]).unwrap(), None).is_err());
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn an_frf_as_sim_is_stood_for_by_the_core_and_what_it_misses_is_no_gap() {
     let truth = respond(&drive, hardening);
     let estimate: Vec<f64> = respond(&drive, super::rig::none).iter().map(|y| 1.04 * y).collect();
     let signal = |y: &[f64]| Signal::new(super::rig::RATE, vec![y.to_vec()]).unwrap();
-    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&estimate)).unwrap();
+    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&estimate), None).unwrap();
     let error = |y: &[f64]| -> f64 { truth.iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
     assert!(error(predicted.channel(0)) < 0.05 * error(&estimate));
 }

@@ -1,5 +1,6 @@
 //! Whole diagnoses of small rigs, integrated by another method than the diagnosis uses.
 
+mod again;
 mod axes;
 mod bad_input;
 mod bench;

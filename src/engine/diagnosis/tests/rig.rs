@@ -86,6 +86,7 @@ pub fn run(name: &str, drive: Vec<f64>, force: Force, noise: f64, seed: u64) -> 
         drive: Signal::new(RATE, vec![drive]).unwrap(),
         response: Signal::new(RATE, vec![response]).unwrap(),
         simulated: None,
+        added: None,
         started_s: seed as f64 * 100.0,
     }
 }

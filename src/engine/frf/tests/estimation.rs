@@ -1,12 +1,15 @@
 //! The FRF of a known system is found, and its quality figures say the truth.
 
+use super::super::data::Data;
 use super::modal::Modal;
 use super::*;
+use crate::engine::spectral::cross_spectra;
 
 /// Share of all `H[line, output, input]` between DC and Nyquist within their bounds.
 fn share_within(estimate: &FrfEstimate, rig: &Modal, confidence: f64) -> f64 {
     let frf = &estimate.frf;
-    let bounds = estimate.random_error(confidence).unwrap();
+    let factor = estimate.quality.confidence_factor(confidence).unwrap();
+    let bounds: Vec<f64> = estimate.quality.std_error.iter().map(|s| s * factor).collect();
     assert_eq!(bounds.len(), frf.h.len());
     let (mut inside, mut all) = (0, 0);
     for line in 1..frf.n_lines() - 1 {
@@ -98,8 +101,8 @@ fn without_noise_the_error_is_small_and_coherence_one() {
     }
     let error = (error / power).sqrt();
     assert!(error < 0.01, "{error}");
-    assert!(found.multiple_coherence.iter().all(|&c| (0.98..=1.0).contains(&c)));
-    assert!(found.condition.iter().all(|&c| (1.0..4.0).contains(&c)));
+    assert!(found.quality.multiple_coherence.iter().all(|&c| (0.98..=1.0).contains(&c)));
+    assert!(found.quality.condition.iter().all(|&c| (1.0..4.0).contains(&c)));
 }
 
 #[test]
@@ -113,13 +116,13 @@ fn coherence_is_the_share_of_power_that_comes_from_the_inputs() {
     let found = estimate(&[(&x, &y)], &fixed(256, 0.0), &unwatched).unwrap();
     let lines = found.frf.n_lines();
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / lines as f64;
-    let multiple = mean(found.multiple_coherence.clone());
-    let first = mean(found.ordinary_coherence.iter().step_by(2).copied().collect());
-    let second = mean(found.ordinary_coherence.iter().skip(1).step_by(2).copied().collect());
+    let multiple = mean(found.quality.multiple_coherence.clone());
+    let first = mean(found.quality.coherence.iter().step_by(2).copied().collect());
+    let second = mean(found.quality.coherence.iter().skip(1).step_by(2).copied().collect());
     assert!((multiple - 0.5).abs() < 0.01, "{multiple}");
     assert!((first - 0.4).abs() < 0.01, "{first}");
     assert!((second - 0.1).abs() < 0.01, "{second}");
-    assert!(found.ordinary_coherence.iter().all(|c| (0.0..=1.0).contains(c)));
+    assert!(found.quality.coherence.iter().all(|c| (0.0..=1.0).contains(c)));
 }
 
 #[test]
@@ -155,6 +158,38 @@ fn the_ratio_form_is_right_for_independent_drives_and_warns_on_correlated_ones()
 }
 
 #[test]
+fn the_estimator_of_the_paper_is_the_ratio_unless_the_drives_correlate_and_then_h1_with_a_warning() {
+    let rig = Modal::bench();
+    let by = |x: &Signal, y: &Signal, estimator| {
+        estimate(&[(x, y)], &FrfSettings { estimator, ..FrfSettings::default() }, &unwatched).unwrap()
+    };
+    let independent = channels(15, 3, 60_000);
+    for (drives, used) in [(independent.clone(), Estimator::Ratio), (correlated(independent), Estimator::H1)]
+    {
+        let y = signal(rig.fs, rig.simulate(&drives));
+        let x = signal(rig.fs, drives);
+        let (auto, named) = (by(&x, &y, Estimator::Auto), by(&x, &y, used));
+        assert_eq!(auto.quality.settings, named.quality.settings);
+        assert_eq!(auto.quality.settings.estimator, used, "the one that was used is stored");
+        assert_eq!(auto.frf, named.frf);
+        if used == Estimator::Ratio {
+            assert_eq!(auto.quality.settings.ridge, Some(0.0), "the ratio of the paper has none");
+            assert_eq!(auto.warnings, [""; 0]);
+        } else {
+            assert_eq!(auto.warnings.len(), 3, "{:?}", auto.warnings);
+            let first = &auto.warnings[0];
+            for part in ["channels 0 and 1", "coherence 0.25 on average", "limit 0.0", "\"h1\" was used"] {
+                assert!(first.contains(part), "{part}: {first}");
+            }
+        }
+    }
+    // One drive correlates with no other.
+    let x = channels(16, 1, 20_000);
+    let y = signal(rig.fs, rig.simulate(&x));
+    assert_eq!(by(&signal(rig.fs, x), &y, Estimator::Auto).quality.settings.estimator, Estimator::Ratio);
+}
+
+#[test]
 fn inputs_of_other_units_give_the_same_frf_in_those_units() {
     let rig = Modal::bench();
     let x = correlated(channels(8, 3, 30_000));
@@ -169,7 +204,7 @@ fn inputs_of_other_units_give_the_same_frf_in_those_units() {
             let (a, b) = (one.frf.at(line, 1, i), two.frf.at(line, 1, i) * scale);
             assert!((a - b).norm() < 1e-8, "line {line}, input {i}: {a} {b}");
         }
-        assert!((one.condition[line] / two.condition[line] - 1.0).abs() < 1e-8);
+        assert!((one.quality.condition[line] / two.quality.condition[line] - 1.0).abs() < 1e-8);
     }
 }
 
@@ -199,7 +234,7 @@ fn lines_that_the_drives_do_not_excite_are_tapered_to_zero() {
     assert!(size.windows(2).all(|w| w[1] <= w[0]), "not a taper");
     let reach = size.iter().position(|&s| s == 0.0).expect("reaches zero");
     assert!(reach > 4 && reach < edge / 8, "{reach}");
-    assert_eq!(found.multiple_coherence[(frf.n_lines() - 1) * 2], 0.0);
+    assert_eq!(found.quality.multiple_coherence[(frf.n_lines() - 1) * 2], 0.0);
     assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
     assert!(found.warnings[0].contains("tapered to zero"));
     // The drive itself has no power there, so the prediction loses nothing.
@@ -220,11 +255,11 @@ fn the_choice_follows_the_ring_down_and_leaves_nothing_open() {
         let y = signal(rig.fs, measure(&rig, &x, 60));
         let x = signal(rig.fs, x);
         let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
-        let len = found.settings.segment_len.unwrap();
+        let len = found.quality.settings.segment_len.unwrap();
         assert_eq!(len, found.frf.segment_len);
-        assert!(found.settings.ridge.is_some());
-        assert!(found.n_averages >= 12);
-        let again = estimate(&[(&x, &y)], &found.settings, &unwatched).unwrap();
+        assert!(found.quality.settings.ridge.is_some());
+        assert!(found.quality.averages >= 12);
+        let again = estimate(&[(&x, &y)], &found.quality.settings, &unwatched).unwrap();
         assert_eq!(again, found);
         chosen.push(len);
     }
@@ -248,4 +283,93 @@ fn the_thread_count_changes_no_bit() {
     let one = with(1);
     assert_eq!(one.1.n_samples(), 20_000);
     assert!(one == with(2) && one == with(3));
+}
+
+/// White noise behind a notch at a quarter of the sample rate and a low pass.
+fn notched(white: &[f64]) -> Vec<f64> {
+    let (mut a, mut b) = (0.0, 0.0);
+    let mut out = Vec::with_capacity(white.len());
+    for (t, &w) in white.iter().enumerate() {
+        let before = if t >= 2 { white[t - 2] } else { 0.0 };
+        // Zeros near +-j, then two equal real poles.
+        a = 0.7 * a + w + 0.9 * before;
+        b = 0.7 * b + a;
+        out.push(b);
+    }
+    out
+}
+
+#[test]
+fn a_ridge_damps_one_drive_where_it_excites_little_and_hardly_where_it_excites_well() {
+    let rig = Modal::bench();
+    let x = vec![notched(&noise(12, 60_000))];
+    let y = signal(rig.fs, rig.simulate(&x));
+    let x = signal(rig.fs, x);
+    let ridge = 1e-2;
+    let runs = [(&x, &y)];
+    let plain = estimate(&runs, &fixed(512, 0.0), &unwatched).unwrap();
+    assert_eq!(plain.warnings, [""; 0], "every line is excited");
+    let plain = plain.frf;
+    let damped = estimate(&runs, &fixed(512, ridge), &unwatched).unwrap().frf;
+
+    // The spectra once more, by hand from the same segments.
+    let data = Data::check(&[RunPart { x: &x, y: &y, samples: 0..x.n_samples() }]).unwrap();
+    let welch = fixed(512, 0.0).welch(512);
+    let sxx = cross_spectra(&data.all(), &data.means, &welch, rig.fs).unwrap().sxx;
+    let lines = 2..plain.n_lines();
+    let level = lines.clone().map(|line| sxx[line].re).sum::<f64>() / lines.len() as f64;
+    let (mut weak, mut strong) = (0, 0);
+    for line in lines {
+        let left = (damped.at(line, 0, 0) / plain.at(line, 0, 0)).norm();
+        let expected = 1.0 / (1.0 + ridge * level / sxx[line].re);
+        assert!((left - expected).abs() < 1e-9, "line {line}: {left} of H, {expected} by the equation");
+        if sxx[line].re > level {
+            strong += 1;
+            assert!(left > 1.0 - ridge, "line {line}: {left} in band");
+        }
+        if sxx[line].re < 1e-3 * level {
+            weak += 1;
+            assert!(left < 0.1, "line {line}: {left} in the notch");
+        }
+    }
+    assert!(weak > 10 && strong > 10, "{weak} lines with little power, {strong} with much");
+}
+
+#[test]
+fn the_ridge_of_each_drive_is_a_share_of_its_own_level() {
+    let rig = Modal::bench();
+    let mut x = coloured(channels(13, 2, 40_000));
+    x[1] = x[1].iter().zip(noise(14, 40_000)).map(|(a, b)| 30.0 * (0.5 * a + b)).collect();
+    let y = signal(rig.fs, rig.simulate(&x));
+    let x = signal(rig.fs, x);
+    let (runs, ridge) = ([(&x, &y)], 0.05);
+    let data = Data::check(&[RunPart { x: &x, y: &y, samples: 0..x.n_samples() }]).unwrap();
+    let spectra = cross_spectra(&data.all(), &data.means, &fixed(256, 0.0).welch(256), rig.fs).unwrap();
+    let lines = spectra.n_lines;
+    let level =
+        |i: usize| (2..lines).map(|l| spectra.sxx[l * 4 + i * 3].re).sum::<f64>() / (lines - 2) as f64;
+    for estimator in [Estimator::H1, Estimator::Ratio] {
+        let settings = FrfSettings { estimator, ..fixed(256, ridge) };
+        let frf = estimate(&runs, &settings, &unwatched).unwrap().frf;
+        assert_eq!(frf.usable_hz, [0.0, 100.0]);
+        for line in 0..lines {
+            let s = &spectra.sxx[line * 4..][..4];
+            let (a, d) = (s[0] + ridge * level(0), s[3] + ridge * level(1));
+            for o in 0..2 {
+                let y = &spectra.syx[line * 4 + o * 2..][..2];
+                let expected = match estimator {
+                    // The inverse of two by two.
+                    Estimator::H1 => {
+                        let det = a * d - s[1] * s[2];
+                        [(y[0] * d - y[1] * s[2]) / det, (y[1] * a - y[0] * s[1]) / det]
+                    }
+                    _ => [y[0] / a, y[1] / d],
+                };
+                for (i, expected) in expected.into_iter().enumerate() {
+                    let error = (frf.at(line, o, i) - expected).norm();
+                    assert!(error < 1e-9 * expected.norm().max(1e-3), "{estimator:?} line {line}: {error:e}");
+                }
+            }
+        }
+    }
 }

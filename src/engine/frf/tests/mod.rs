@@ -2,10 +2,13 @@
 
 mod application;
 mod estimation;
+mod inverse;
 mod modal;
 mod offsets;
+mod quality;
 mod real_data;
 mod refusals;
+mod warnings;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -42,4 +45,23 @@ fn relative_error(measured: &[f64], predicted: &[f64]) -> f64 {
     let mean = measured.iter().sum::<f64>() / measured.len() as f64;
     let error: f64 = measured.iter().zip(predicted).map(|(m, p)| (m - p).powi(2)).sum();
     (error / measured.iter().map(|m| (m - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
+/// What a signal has between two shares of its Nyquist frequency, cut by FFT over the whole of it.
+fn band_limited(samples: &[f64], from: f64, to: f64) -> Vec<f64> {
+    let n = samples.len();
+    let mut planner = realfft::RealFftPlanner::<f64>::new();
+    let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
+    let mut lines = forward.make_output_vec();
+    forward.process(&mut samples.to_vec(), &mut lines).unwrap();
+    let nyquist = (n / 2) as f64;
+    for (line, z) in lines.iter_mut().enumerate() {
+        if !(from * nyquist..to * nyquist).contains(&(line as f64)) {
+            *z = Complex64::default();
+        }
+    }
+    let mut out = inverse.make_output_vec();
+    inverse.process(&mut lines, &mut out).unwrap();
+    out.iter_mut().for_each(|v| *v /= n as f64);
+    out
 }

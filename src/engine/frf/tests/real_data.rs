@@ -46,7 +46,7 @@ fn siso_error_mv(name: &str, fs: f64, test: &str) -> Option<f64> {
     let (y, p) = (&y.channel(0)[scored.clone()], &predicted.channel(0)[scored]);
     let square: f64 = y.iter().zip(p).map(|(y, p)| (y - p).powi(2)).sum();
     let error = 1e3 * (square / y.len() as f64).sqrt();
-    println!("{name} {test}: {error:.2} mV with {:?}, {:?}", found.settings, found.warnings);
+    println!("{name} {test}: {error:.2} mV with {:?}, {:?}", found.quality.settings, found.warnings);
     Some(error)
 }
 
@@ -86,7 +86,7 @@ fn the_multiaxis_shaker_is_predicted_from_two_seconds() {
     let (x, y) = shaker(&folder, "run2.npy");
     let predicted = found.frf.apply(&x).unwrap();
     let errors: Vec<f64> = (0..3).map(|o| nrmse(y.channel(o), predicted.channel(o)).unwrap()).collect();
-    println!("multiaxis_shaker run2: {errors:.3?} with {:?}, {:?}", found.settings, found.warnings);
+    println!("multiaxis_shaker run2: {errors:.3?} with {:?}, {:?}", found.quality.settings, found.warnings);
     for (error, bound) in errors.iter().zip([0.125, 0.095, 0.21]) {
         assert!(*error <= bound, "{errors:?}");
     }

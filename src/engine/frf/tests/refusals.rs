@@ -24,12 +24,12 @@ fn as_many_averages_as_drives_are_refused() {
     assert_eq!(fit(&x, &y, &fixed(64, 0.0)), Err(EngineError::TooFewAverages { averages: 3, drives: 3 }));
     let (x, y) = sum_rig(3, 112);
     let found = fit(&x, &y, &fixed(64, 0.0)).unwrap();
-    assert_eq!(found.n_averages, 4);
+    assert_eq!(found.quality.averages, 4);
     assert!(found.warnings[0].starts_with("4 averages"), "{:?}", found.warnings);
     // The shortest segment that there is, and not even that.
     let (x, y) = sum_rig(3, 20);
     let found = fit(&x, &y, &FrfSettings::default()).unwrap();
-    assert_eq!((found.settings.segment_len, found.settings.ridge), (Some(8), Some(1e-4)));
+    assert_eq!((found.quality.settings.segment_len, found.quality.settings.ridge), (Some(8), Some(1e-4)));
     assert!(found.warnings[0].starts_with("too few samples to compare"), "{:?}", found.warnings);
     let (x, y) = sum_rig(3, 10);
     assert_eq!(
@@ -103,7 +103,7 @@ fn settings_outside_their_limits_are_named() {
     }
     let found = fit(&x, &y, &default).unwrap();
     for confidence in [0.0, 1.0, f64::NAN] {
-        assert!(matches!(found.random_error(confidence), Err(EngineError::Setting { .. })));
+        assert!(matches!(found.quality.confidence_factor(confidence), Err(EngineError::Setting { .. })));
     }
 }
 
@@ -119,7 +119,7 @@ fn dependent_inputs_are_refused_without_a_ridge_and_shared_out_with_one() {
     }
     for settings in [fixed(128, 1e-6), FrfSettings::default()] {
         let found = fit(&x, &y, &settings).unwrap();
-        assert!(found.settings.ridge.unwrap() > 0.0);
+        assert!(found.quality.settings.ridge.unwrap() > 0.0);
         assert!(found.warnings.iter().any(|w| w.contains("linearly dependent")), "{:?}", found.warnings);
         let predicted = found.frf.apply(&x).unwrap();
         let error = relative_error(y.channel(0), predicted.channel(0));

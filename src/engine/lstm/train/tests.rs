@@ -1,4 +1,4 @@
-//! Training against known systems, the twin and wrong use.
+//! Training against known systems, against the reference, and with wrong arguments.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -10,37 +10,45 @@ use super::super::samples::{noise, settings};
 use super::super::settings::{Optimizer, Recombine, Schedule};
 use super::*;
 use crate::engine::Progress;
-use crate::engine::checkpoint::Forget;
+use crate::engine::checkpoint::NoCheckpoints;
 use crate::engine::progress::unwatched;
 
-/// [`super::train`] that keeps nothing.
+/// [`super::train`] without checkpoints.
 fn train(
-    training: &[Stretch],
-    validation: &[Stretch],
+    training: &[Segment],
+    validation: &[Segment],
     start: &LstmNet,
     settings: &LstmSettings,
     seed: u64,
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
-    super::train(training, validation, start, (settings, seed), (&Forget, ""), watch)
+    super::train(training, Until::Best(validation), start, (settings, seed), (&NoCheckpoints, ""), watch)
 }
 
-/// [`super::train_on`] that keeps nothing.
+/// [`super::train_on`] without checkpoints.
 fn train_on(
     isa: Isa,
-    training: &[Stretch],
-    validation: &[Stretch],
+    training: &[Segment],
+    validation: &[Segment],
     start: &LstmNet,
     settings: &LstmSettings,
     seed: u64,
     watch: Watch<'_>,
 ) -> Result<Trained, EngineError> {
-    super::train_on(isa, training, validation, start, (settings, seed), (&Forget, ""), watch)
+    super::train_on(
+        isa,
+        training,
+        Until::Best(validation),
+        start,
+        (settings, seed),
+        (&NoCheckpoints, ""),
+        watch,
+    )
 }
 
-/// A first-order lag behind a saturation, `y' = 0.7 y + 0.5 tanh(1.5 x)`: ring-down some 13
-/// samples, within the burn-in of 16. Two outputs, the second with the opposite sign and delayed by one sample.
-fn lag(samples: usize, seed: u64, score_from: usize) -> Stretch {
+/// A first-order lag after a saturation, `y' = 0.7 y + 0.5 tanh(1.5 x)`: it rings down in some 13
+/// samples, within the burn-in of 16. The second of two outputs has the opposite sign and lags by one sample.
+fn lag(samples: usize, seed: u64, score_from: usize) -> Segment {
     let x = noise(1, samples, seed);
     let mut y = vec![Vec::new(), Vec::new()];
     let mut state = 0.0_f32;
@@ -49,7 +57,7 @@ fn lag(samples: usize, seed: u64, score_from: usize) -> Stretch {
         state = 0.7 * state + 0.5 * (1.5 * x).tanh();
         y[0].push(state);
     }
-    Stretch { x, y, score_from }
+    Segment { x, y, score_from }
 }
 
 #[test]
@@ -116,19 +124,19 @@ fn the_validation_error_is_that_of_the_windows_with_context() {
     let settings = settings();
     for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
         let trained = train_on(isa, &training, &validation, &begin(1, 2), &settings, 3, &unwatched).unwrap();
-        // Window by window: 16 samples of context, 48 scored; a stretch scored from its start
+        // Window by window: 16 samples of context, 48 scored; a segment scored from its start
         // loses its first 16.
         let (mut sum, mut count) = (0.0, 0);
-        for (stretch, from) in validation.iter().zip([137, 16, 16]) {
-            let n = stretch.x[0].len();
+        for (segment, from) in validation.iter().zip([137, 16, 16]) {
+            let n = segment.x[0].len();
             for first in (from..n).step_by(48) {
-                let x = [stretch.x[0][first - 16..n.min(first + 48)].to_vec()];
-                // One window from a zero state: a stream whose pre-roll cannot be had, so the
-                // twin.
+                let x = [segment.x[0][first - 16..n.min(first + 48)].to_vec()];
+                // One window from a zero state: a stream cannot leave out its pre-roll, so the
+                // reference computes it.
                 let twin = super::super::reference::Twin::of(&trained.net);
                 let y = twin.forward(&x[0].iter().map(|&x| vec![f64::from(x)]).collect::<Vec<_>>());
                 for (t, y) in y.iter().enumerate().skip(16) {
-                    for (y, wanted) in y.iter().zip(&stretch.y) {
+                    for (y, wanted) in y.iter().zip(&segment.y) {
                         sum += (y - f64::from(wanted[first - 16 + t])).powi(2);
                         count += 1;
                     }
@@ -186,7 +194,7 @@ fn a_runaway_is_an_error_that_names_the_epoch() {
 #[test]
 fn data_and_settings_that_cannot_be_trained_on_are_refused_by_name() {
     let settings = settings();
-    let go = |training: &[Stretch], validation: &[Stretch]| {
+    let go = |training: &[Segment], validation: &[Segment]| {
         train(training, validation, &begin(1, 2), &settings, 1, &unwatched).unwrap_err()
     };
     let good = lag(200, 1, 0);
@@ -240,8 +248,8 @@ fn a_network_that_was_trained_predicts_the_same_on_every_instruction_set() {
 #[ignore = "measures, does not judge"]
 fn speed() {
     let (x, y) = (noise(9, 300_000, 1), noise(6, 300_000, 2));
-    let training = [Stretch { x, y, score_from: 0 }];
-    let validation = [Stretch { x: noise(9, 400, 3), y: noise(6, 400, 4), score_from: 0 }];
+    let training = [Segment { x, y, score_from: 0 }];
+    let validation = [Segment { x: noise(9, 400, 3), y: noise(6, 400, 4), score_from: 0 }];
     for batch_size in [32, 128] {
         let settings =
             LstmSettings { blocks: vec![39], window_len: 256, hop: 128, batch_size, epochs: 4, ..settings() };
@@ -253,7 +261,7 @@ fn speed() {
     }
 }
 
-/// Keeps what is put by, and says that it is time to after every `every`-th mini-batch.
+/// Keeps checkpoints in memory; one is due after every `every`-th mini-batch.
 struct Memory {
     every: usize,
     asked: AtomicUsize,
@@ -266,16 +274,16 @@ impl Memory {
     }
 }
 
-impl Keeper for Memory {
-    fn kept(&self, part: &str) -> Option<Vec<u8>> {
+impl CheckpointStore for Memory {
+    fn load(&self, part: &str) -> Option<Vec<u8>> {
         self.kept.lock().unwrap().get(part).cloned()
     }
 
-    fn due(&self, _: &str, done: bool) -> bool {
+    fn is_due(&self, _: &str, done: bool) -> bool {
         done || (self.asked.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(self.every)
     }
 
-    fn keep(&self, part: &str, state: Vec<u8>) {
+    fn save(&self, part: &str, state: Vec<u8>) {
         self.kept.lock().unwrap().insert(part.to_owned(), state);
     }
 }
@@ -295,7 +303,7 @@ fn a_training_that_was_interrupted_anywhere_ends_as_one_that_was_not() {
         train(&training, &validation, &start, &settings, 7, &count).unwrap();
         let steps = steps.into_inner();
         assert!(steps > 10, "several mini-batches an epoch: {steps}");
-        // Asked to stop after each mini-batch in turn, the last of an epoch and of all among them.
+        // Stopped after each mini-batch in turn, the last of an epoch and of the training among them.
         for stop_at in 1..steps {
             let memory = Memory::new(usize::MAX);
             let seen = AtomicUsize::new(0);
@@ -303,12 +311,15 @@ fn a_training_that_was_interrupted_anywhere_ends_as_one_that_was_not() {
                 true => ControlFlow::Break(()),
                 false => ControlFlow::Continue(()),
             };
-            let kept = (&memory as &dyn Keeper, "seed");
-            let stopped = super::train(&training, &validation, &start, (&settings, 7), kept, &stop);
+            let kept = (&memory as &dyn CheckpointStore, "seed");
+            let stopped =
+                super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &stop);
             assert_eq!(stopped.unwrap_err(), EngineError::Cancelled);
-            let resumed = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+            let resumed =
+                super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &unwatched);
             assert_eq!(resumed.unwrap(), whole, "stopped after mini-batch {stop_at}");
-            let again = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+            let again =
+                super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &unwatched);
             assert_eq!(again.unwrap(), whole, "the end is kept too");
         }
     }
@@ -321,13 +332,13 @@ fn a_training_that_died_goes_on_from_its_last_checkpoint() {
     let whole = train(&training, &validation, &start, &settings, 7, &unwatched).unwrap();
     let memory = Memory::new(3);
     let seen = AtomicUsize::new(0);
-    let kept = (&memory as &dyn Keeper, "seed");
+    let kept = (&memory as &dyn CheckpointStore, "seed");
     let die = |_: Progress<'_>| {
         assert!(seen.fetch_add(1, Ordering::Relaxed) < 4, "as good as dead");
         ControlFlow::Continue(())
     };
     let died = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        super::train(&training, &validation, &start, (&settings, 7), kept, &die)
+        super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &die)
     }));
     assert!(died.is_err());
     let steps = AtomicUsize::new(0);
@@ -335,7 +346,7 @@ fn a_training_that_died_goes_on_from_its_last_checkpoint() {
         steps.fetch_add(1, Ordering::Relaxed);
         ControlFlow::Continue(())
     };
-    let resumed = super::train(&training, &validation, &start, (&settings, 7), kept, &count);
+    let resumed = super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &count);
     assert_eq!(resumed.unwrap(), whole);
     let resumed = steps.swap(0, Ordering::Relaxed);
     train(&training, &validation, &start, &settings, 7, &count).unwrap();
@@ -349,11 +360,12 @@ fn a_state_of_another_training_is_not_used() {
     let whole = train(&training, &validation, &start, &settings, 7, &unwatched).unwrap();
     let other = LstmSettings { blocks: vec![5], ..settings.clone() };
     let memory = Memory::new(1);
-    let kept = (&memory as &dyn Keeper, "seed");
-    super::train(&training, &validation, &sized(1, &[5], 2), (&other, 7), kept, &unwatched).unwrap();
-    let trained = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+    let kept = (&memory as &dyn CheckpointStore, "seed");
+    super::train(&training, Until::Best(&validation), &sized(1, &[5], 2), (&other, 7), kept, &unwatched)
+        .unwrap();
+    let trained = super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &unwatched);
     assert_eq!(trained.unwrap(), whole, "of other sizes");
-    memory.keep("seed", b"{".to_vec());
-    let trained = super::train(&training, &validation, &start, (&settings, 7), kept, &unwatched);
+    memory.save("seed", b"{".to_vec());
+    let trained = super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &unwatched);
     assert_eq!(trained.unwrap(), whole, "no state at all");
 }

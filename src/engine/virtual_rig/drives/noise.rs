@@ -44,7 +44,7 @@ pub fn noise(settings: &Noise, seed: u64) -> Result<Signal, EngineError> {
     stitched(settings.duration_s, &[(settings.mean_kn, settings.amplitude_kn)], seed)
 }
 
-/// Small, centred noise from the region where the bench is nearly linear: the FRF's.
+/// Small, centred noise from the region where the bench is nearly linear, to fit an FRF.
 ///
 /// # Errors
 /// Length out of range.
@@ -52,7 +52,7 @@ pub fn linear_noise(duration_s: f64, seed: u64) -> Result<Signal, EngineError> {
     noise(&Noise { duration_s, mean_kn: [0.0; 3], amplitude_kn: [LINEAR_AMPLITUDE_KN; 3] }, seed)
 }
 
-/// Where mixed noise draws its means from.
+/// The region from which mixed noise draws its means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoiseRegion {
     /// Up to [`NOISE_MEAN_KN`] either way: training noise, and N1.
@@ -68,7 +68,7 @@ pub struct MixedNoise {
     pub duration_s: f64,
     /// Length of a stretch of one mean and level, s; the last one may be longer.
     pub stretch_s: f64,
-    /// Where means come from.
+    /// The region of the means.
     pub region: NoiseRegion,
 }
 
@@ -85,14 +85,14 @@ pub fn mixed_noise(settings: &MixedNoise, seed: u64) -> Result<Signal, EngineErr
 }
 
 /// Mean and amplitude per axis, kN.
-pub(in crate::engine::virtual_rig) type Stretch = ([f64; 3], [f64; 3]);
+pub(in crate::engine::virtual_rig) type NoiseLevel = ([f64; 3], [f64; 3]);
 
 /// `n` stretches that cover a region evenly per axis.
 pub(in crate::engine::virtual_rig) fn draw_stretches(
     n: usize,
     region: NoiseRegion,
     seed: u64,
-) -> Vec<Stretch> {
+) -> Vec<NoiseLevel> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(1);
     let mut stretches = vec![([0.0; 3], [0.0; 3]); n];
@@ -125,7 +125,7 @@ fn latin_column(n: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
 /// Noise through equally long stretches; the first starts at its mean.
 pub(in crate::engine::virtual_rig) fn stitched(
     duration_s: f64,
-    stretches: &[Stretch],
+    stretches: &[NoiseLevel],
     seed: u64,
 ) -> Result<Signal, EngineError> {
     let n = samples(duration_s)?;

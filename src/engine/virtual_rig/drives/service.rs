@@ -1,10 +1,10 @@
-//! Service loads: what a suspension mount sees on the road, in three independent shapes.
+//! Service loads of a suspension mount on the road, in three independent shapes.
 //!
 //! A shape is the sum of road roughness (falling PSD with an axle-hop hump, its level wandering with
 //! the road's quality), single events (potholes: short, decaying bursts on all axes) and manoeuvres
 //! (braking, cornering: plateaus of seconds with load transfer), the classes of load that durability
 //! tracks combine (Johannesson & Speckert, Guide to Load Analysis for Durability in Vehicle Engineering,
-//! 2014). Which of these leads makes the three shapes differ.
+//! 2014). The three shapes differ in the class that dominates.
 
 use std::f64::consts::PI;
 
@@ -31,7 +31,7 @@ const HOP_WIDTH_HZ: f64 = 3.0;
 /// Roughness falls from here on (body bounce).
 const BODY_HZ: f64 = 1.5;
 
-/// Which of the three.
+/// The three shapes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServiceShape {
     /// Country road: roughness with some events and bends.
@@ -139,7 +139,7 @@ fn roughness(n: usize, character: &Character, rng: &mut ChaCha8Rng) -> [Vec<f64>
             let draw = Complex64::new(rng.sample(StandardNormal), rng.sample(StandardNormal));
             draw * psd(f).sqrt()
         });
-        // A stretch too short for any line of the band stays flat.
+        // A drive too short for any line of the band stays flat.
         let deviation = rms(&signal);
         if deviation > 0.0 {
             signal.iter_mut().for_each(|v| *v /= deviation);
@@ -210,12 +210,12 @@ fn add_manoeuvres(axes: &mut [Vec<f64>; 3], character: &Character, rng: &mut Cha
     }
 }
 
-/// How many of something fall into `n` samples; at least one, so that a short load has its character.
+/// Number of events in `n` samples; at least one, so that a short load has its character.
 fn count(n: usize, per_min: f64) -> usize {
     ((n as f64 / SAMPLE_RATE_HZ / 60.0 * per_min).round() as usize).max(1)
 }
 
-/// Takes out the mean and, with a tapered edge, what lies above the band of noise.
+/// Removes the mean and, with a tapered edge, everything above the band of noise.
 fn band_limit(signal: &mut [f64]) {
     let n = signal.len();
     let mut planner = RealFftPlanner::<f64>::new();

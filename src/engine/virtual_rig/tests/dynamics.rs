@@ -1,4 +1,4 @@
-//! What every simulation keeps: determinism, rest, bounds, convergence, and the effects' switches.
+//! Properties of every simulation: determinism, rest, bounds, convergence, and switched effects.
 
 use super::*;
 

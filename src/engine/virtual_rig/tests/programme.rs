@@ -1,6 +1,7 @@
 //! The whole programme, short, on several benches.
 
 use super::*;
+use crate::engine::{RunKind, Split};
 
 fn short() -> ProgrammeSettings {
     ProgrammeSettings { training_min: 0.5, linear_min: 0.1, validation_min: 0.1, run_s: 6.0, stretch_s: 3.0 }
@@ -38,14 +39,14 @@ fn the_programme_has_the_papers_splits() {
     assert_ne!(runs[0].drive, programme(&short(), 2).unwrap()[0].drive);
 
     let tagged = |split, tag| runs.iter().filter(|r| r.split == split && r.tags.contains(&tag)).count();
-    assert_eq!(tagged(RunSplit::Training, "mixed"), 5);
-    assert_eq!(tagged(RunSplit::Training, "linear"), 1);
+    assert_eq!(tagged(Split::Training, "mixed"), 5);
+    assert_eq!(tagged(Split::Training, "linear"), 1);
     for tag in ["n1", "n2", "sl-minus", "sl-plus", "sine", "sweep", "linear"] {
-        assert_eq!(tagged(RunSplit::Test, tag), 1, "{tag}");
+        assert_eq!(tagged(Split::Test, tag), 1, "{tag}");
     }
-    assert_eq!(tagged(RunSplit::Test, "sl"), 4);
-    assert_eq!(tagged(RunSplit::Validation, "sl"), 6);
-    assert!(runs.iter().filter(|r| r.split == RunSplit::Training).all(|r| r.kind == RunKind::Noise));
+    assert_eq!(tagged(Split::Test, "sl"), 4);
+    assert_eq!(tagged(Split::Validation, "sl"), 6);
+    assert!(runs.iter().filter(|r| r.split == Split::Training).all(|r| r.kind == RunKind::Noise));
     for shape in ServiceShape::ALL {
         let splits: Vec<_> =
             runs.iter().filter(|r| r.tags.contains(&shape.name())).map(|r| r.split).collect();
@@ -58,7 +59,7 @@ fn the_programme_has_the_papers_splits() {
 fn more_training_leaves_the_test_runs_as_they_are() {
     let test = |settings: &ProgrammeSettings| {
         let runs = programme(settings, 3).unwrap();
-        runs.into_iter().filter(|r| r.split == RunSplit::Test).collect::<Vec<_>>()
+        runs.into_iter().filter(|r| r.split == Split::Test).collect::<Vec<_>>()
     };
     assert_eq!(test(&short()), test(&ProgrammeSettings { training_min: 2.0, ..short() }));
 }

@@ -1,0 +1,186 @@
+//! The regularised inverse of an FRF: from a response to the drive that produces it, line by line.
+
+use std::ops::Range;
+
+use faer::Mat;
+use rayon::prelude::*;
+use realfft::num_complex::Complex64;
+
+use super::band::{fade, tapers};
+use super::quality::median;
+use super::{Frf, FrfQuality};
+use crate::engine::EngineError;
+
+/// Ridge of an inverse when the request gives none. It bounds the inverse of one drive at every line to
+/// `1 / (2 sqrt ridge)`, 16 times the reciprocal of the FRF's median gain.
+pub const DEFAULT_RIDGE: f64 = 1e-3;
+
+/// Below this share of a line's largest singular value a singular value is rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// Rounds of balancing; the scales of any but a degenerate FRF settle in a few.
+const ROUNDS: usize = 30;
+
+/// An FRF made ready to be inverted at any of its lines.
+///
+/// `H^+ = C (A^H A + ridge * level * I)^-1 A^H R` with `A = R H C` (Tikhonov; Hansen, Rank-Deficient and
+/// Discrete Ill-Posed Problems, section 5.1), per line, from the singular values of `A`. `R` and `C` are
+/// diagonal scales of outputs and inputs with which the median squared gains `|A_oi|^2` over the excited
+/// lines have mean 1 in each row and column, so that the inverse does not depend on units. `level` is the
+/// median over the excited lines of the mean squared singular value of `A`, so that one drive is damped
+/// as well, where its response is far weaker than at most lines. On lines that are not excited the
+/// inverse falls from its value at the edge to zero by half a cosine, as `H` does.
+#[derive(Debug, Clone)]
+pub struct FrfInverse<'a> {
+    frf: &'a Frf,
+    ridge: f64,
+    /// Excited lines, first and last of each stretch.
+    spans: Vec<(usize, usize)>,
+    tapers: Vec<[usize; 2]>,
+    row: Vec<f64>,
+    column: Vec<f64>,
+    level: f64,
+}
+
+impl<'a> FrfInverse<'a> {
+    /// Balances an FRF; without `quality`, every line of the usable band counts as excited.
+    ///
+    /// # Errors
+    /// [`EngineError::Setting`] for a ridge that is negative or not finite.
+    pub fn new(frf: &'a Frf, quality: Option<&FrfQuality>, ridge: f64) -> Result<Self, EngineError> {
+        if !(ridge.is_finite() && ridge >= 0.0) {
+            let limit = "a finite number, not negative".into();
+            return Err(EngineError::Setting { setting: "ridge", found: ridge.to_string(), limit });
+        }
+        frf.check()?;
+        let spans: Vec<(usize, usize)> = match quality {
+            Some(quality) => quality.excited.iter().map(|&[first, last]| (first, last)).collect(),
+            None => usable(frf).into_iter().collect(),
+        };
+        let (row, column) = balance(frf, &spans);
+        let tapers = tapers(&spans, frf.n_lines());
+        let mut inverse = Self { frf, ridge, spans, tapers, row, column, level: 0.0 };
+        let rank = frf.n_outputs.min(frf.n_inputs) as f64;
+        let mut squares: Vec<f64> = inverse
+            .excited()
+            .map(|line| inverse.scaled(line).map(|a| a.norm_sqr()).sum::<f64>() / rank)
+            .collect();
+        inverse.level = median(&mut squares).unwrap_or(0.0);
+        Ok(inverse)
+    }
+
+    /// `H^+` of some lines, input unit / output unit, `[line, input, output]`.
+    ///
+    /// # Errors
+    /// [`EngineError::NonFiniteResult`].
+    ///
+    /// # Panics
+    /// If there are no such lines.
+    pub fn lines(&self, lines: Range<usize>) -> Result<Vec<Complex64>, EngineError> {
+        let first = lines.start;
+        let of_lines: Vec<Vec<Complex64>> = lines.into_par_iter().map(|line| self.line(line)).collect();
+        let inverse: Vec<Complex64> = of_lines.into_iter().flatten().collect();
+        match inverse.iter().position(|z| !(z.re.is_finite() && z.im.is_finite())) {
+            None => Ok(inverse),
+            Some(at) => {
+                let per_line = self.frf.n_inputs * self.frf.n_outputs;
+                let (what, channel) = ("inverse of the FRF", at % per_line / self.frf.n_outputs);
+                Err(EngineError::NonFiniteResult { what, channel, sample: first + at / per_line })
+            }
+        }
+    }
+
+    /// First and last line on which the inverse can be other than zero.
+    pub fn zero_outside(&self) -> [usize; 2] {
+        let first = self.spans.first().zip(self.tapers.first()).map_or(0, |(span, taper)| span.0 - taper[0]);
+        let last = self.spans.last().zip(self.tapers.last()).map_or(0, |(span, taper)| span.1 + taper[1]);
+        [first, last]
+    }
+
+    fn line(&self, line: usize) -> Vec<Complex64> {
+        let (nx, ny) = (self.frf.n_inputs, self.frf.n_outputs);
+        let nothing = || vec![Complex64::default(); nx * ny];
+        let Some((edge, share)) = self.nearest(line) else { return nothing() };
+        let scaled: Vec<Complex64> = self.scaled(edge).collect();
+        let Ok(svd) = Mat::from_fn(ny, nx, |o, i| scaled[o * nx + i]).thin_svd() else {
+            return vec![Complex64::new(f64::NAN, 0.0); nx * ny];
+        };
+        let singular: Vec<f64> = svd.S().column_vector().iter().map(|s| s.re).collect();
+        let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
+        let weight = |s: f64| if s > floor { s / (s * s + self.ridge * self.level) } else { 0.0 };
+        let weights: Vec<f64> = singular.into_iter().map(weight).collect();
+        let mut inverse = nothing();
+        for (i, inverse) in inverse.chunks_mut(ny).enumerate() {
+            for (o, inverse) in inverse.iter_mut().enumerate() {
+                let sum: Complex64 = weights
+                    .iter()
+                    .enumerate()
+                    .map(|(k, w)| svd.V()[(i, k)] * svd.U()[(o, k)].conj() * w)
+                    .sum();
+                *inverse = sum * (share * self.column[i] * self.row[o]);
+            }
+        }
+        inverse
+    }
+
+    /// The excited line that a line takes its inverse from, and what is left of it there.
+    fn nearest(&self, line: usize) -> Option<(usize, f64)> {
+        self.spans.iter().zip(&self.tapers).find_map(|(&(first, last), &[below, above])| {
+            if (first..=last).contains(&line) {
+                Some((line, 1.0))
+            } else if line < first && first - line <= below {
+                Some((first, fade(first - line, below)))
+            } else if line > last && line - last <= above {
+                Some((last, fade(line - last, above)))
+            } else {
+                None
+            }
+        })
+    }
+
+    fn excited(&self) -> impl Iterator<Item = usize> + '_ {
+        self.spans.iter().flat_map(|&(first, last)| first..=last)
+    }
+
+    /// `R H C` of a line, `[output, input]`.
+    fn scaled(&self, line: usize) -> impl Iterator<Item = Complex64> + '_ {
+        let pairs = (0..self.frf.n_outputs).flat_map(|o| (0..self.frf.n_inputs).map(move |i| (o, i)));
+        pairs.map(move |(o, i)| self.frf.at(line, o, i) * self.row[o] * self.column[i])
+    }
+}
+
+/// Lines of the usable band.
+fn usable(frf: &Frf) -> Option<(usize, usize)> {
+    let line = |hz: f64| (hz / frf.df_hz()).round().clamp(0.0, (frf.n_lines() - 1) as f64) as usize;
+    let (first, last) = (line(frf.usable_hz[0]), line(frf.usable_hz[1]));
+    (first <= last).then_some((first, last))
+}
+
+/// Scales of outputs and inputs (Sinkhorn, "A relationship between arbitrary positive matrices and
+/// doubly stochastic matrices", 1964); of a channel without gain 0.
+fn balance(frf: &Frf, spans: &[(usize, usize)]) -> (Vec<f64>, Vec<f64>) {
+    let (nx, ny) = (frf.n_inputs, frf.n_outputs);
+    // Gains, not their squares, which might overflow.
+    let gains: Vec<f64> = (0..ny * nx)
+        .into_par_iter()
+        .map(|at| {
+            let lines = spans.iter().flat_map(|&(first, last)| first..=last);
+            let mut gains: Vec<f64> = lines.map(|line| frf.at(line, at / nx, at % nx).norm()).collect();
+            median(&mut gains).unwrap_or(0.0)
+        })
+        .collect();
+    let (mut row, mut column) = (vec![1.0; ny], vec![1.0; nx]);
+    let scale = |scaled: &mut dyn Iterator<Item = f64>, n: usize| {
+        let rms = (scaled.map(|g| g * g).sum::<f64>() / n as f64).sqrt();
+        if rms > 0.0 && rms.is_finite() { 1.0 / rms } else { 0.0 }
+    };
+    for _ in 0..ROUNDS {
+        for (o, row) in row.iter_mut().enumerate() {
+            *row = scale(&mut (0..nx).map(|i| gains[o * nx + i] * column[i]), nx);
+        }
+        for (i, column) in column.iter_mut().enumerate() {
+            *column = scale(&mut (0..ny).map(|o| gains[o * nx + i] * row[o]), ny);
+        }
+    }
+    (row, column)
+}

@@ -1,0 +1,228 @@
+//! The LSTM part of a fit: one network per seed, the best kept.
+
+use std::borrow::Cow;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+use super::fit_data::FitData;
+use super::fit_report::SeedReport;
+use super::score::{self, with_context};
+use super::split::Section;
+use super::start::start;
+use super::{LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
+use crate::engine::checkpoint::CheckpointStore;
+use crate::engine::lstm::{self, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
+use crate::engine::{EngineError, Progress, Signal, Watch};
+
+/// The checkpoints and the progress of a network's training.
+pub(super) struct Course<'a> {
+    pub(super) checkpoints: &'a dyn CheckpointStore,
+    pub(super) watch: Watch<'a>,
+    /// Share of the whole fit that is done before and after it.
+    pub(super) progress: std::ops::Range<f64>,
+}
+
+/// Standardised data of a network, and their scalers.
+struct NetworkData {
+    training: Vec<Segment>,
+    stopping: Vec<Segment>,
+    x: Scaler,
+    y: Scaler,
+}
+
+/// A trained network and each seed's course.
+pub(super) struct Network {
+    pub(super) part: LstmPart,
+    pub(super) seeds: Vec<SeedReport>,
+}
+
+/// Trains one network per seed on `training`, stops each on `stopping` and keeps the best; `model` brings
+/// the FRF part.
+pub(super) fn choose(
+    data: &FitData,
+    model: &RigModel,
+    settings: &LstmSettings,
+    (training, stopping): (&[Section], &[Section]),
+    course: &Course<'_>,
+) -> Result<Network, EngineError> {
+    let prepared = NetworkData::new(data, model, training, stopping)?;
+    let trained = prepared.train_seeds(model.kind, settings, course)?;
+    let seeds: Vec<SeedReport> =
+        trained.iter().zip(&settings.seeds).map(|(trained, &seed)| SeedReport::of(seed, trained)).collect();
+    let best =
+        SeedReport::best(&seeds).and_then(|b| seeds.iter().position(|r| r.seed == b.seed)).unwrap_or(0);
+    let mut part = prepared.part(&trained[best], settings);
+    part.recombine = match settings.recombine {
+        RecombineChoice::Welch => Recombine::Welch,
+        RecombineChoice::Stream => Recombine::Stream,
+        RecombineChoice::Auto => better_recombination(data, model, &part, stopping)?,
+    };
+    Ok(Network { part, seeds })
+}
+
+/// Trains one network on `training` until the end of `epoch` of the settings' schedule.
+pub(super) fn repeat(
+    data: &FitData,
+    model: &RigModel,
+    settings: &LstmSettings,
+    training: &[Section],
+    (seed, epoch, recombine): (u64, usize, Recombine),
+    course: &Course<'_>,
+) -> Result<LstmPart, EngineError> {
+    let prepared = NetworkData::new(data, model, training, &[])?;
+    let start = start(model.kind, &prepared.x, &prepared.y, settings, seed);
+    let stage = format!("LSTM {:?}, all runs", settings.blocks);
+    let tell = |p: Progress<'_>| {
+        let fraction = course.progress.start + (course.progress.end - course.progress.start) * p.fraction;
+        (course.watch)(Progress { stage: &stage, fraction })
+    };
+    let kept = (course.checkpoints, "all runs");
+    let until = Until::Epoch(epoch);
+    let trained = lstm::train(&prepared.training, until, &start, (settings, seed), kept, &tell)?;
+    Ok(LstmPart { recombine, ..prepared.part(&trained, settings) })
+}
+
+impl NetworkData {
+    fn new(
+        data: &FitData,
+        model: &RigModel,
+        training: &[Section],
+        stopping: &[Section],
+    ) -> Result<Self, EngineError> {
+        let kind = model.kind;
+        let n_runs = data.all().count();
+        let used = |run: usize| training.iter().chain(stopping).any(|section| section.run == run);
+        // FRF(x) is computed on the whole run, never on a part of it.
+        let linear: Vec<Option<Signal>> = (0..n_runs)
+            .map(|run| {
+                let frf = model.frf.as_ref().filter(|_| used(run));
+                frf.map(|frf| frf.apply(&data.run(run).x)).transpose()
+            })
+            .collect::<Result<_, _>>()?;
+        let targets: Vec<Cow<'_, Signal>> = data
+            .all()
+            .zip(&linear)
+            .map(|(pair, l)| target(kind, &pair.y, l.as_ref()))
+            .collect::<Result<_, _>>()?;
+        let of_inputs = training.iter().map(|s| (&data.run(s.run).x, s.samples.clone()));
+        let mut x = Scaler::of(&of_inputs.collect::<Vec<_>>());
+        if kind == ModelKind::Hybrid2 {
+            let of_linear =
+                training.iter().filter_map(|s| Some((linear[s.run].as_ref()?, s.samples.clone())));
+            let more = Scaler::of(&of_linear.collect::<Vec<_>>());
+            x.mean.extend(more.mean);
+            x.std.extend(more.std);
+        }
+        let of_targets = training.iter().map(|s| (&*targets[s.run], s.samples.clone()));
+        let y = Scaler::of(&of_targets.collect::<Vec<_>>());
+        let segment = |run: usize, samples: std::ops::Range<usize>, score_from: usize| {
+            let linear: Option<Vec<Vec<f64>>> = linear[run]
+                .as_ref()
+                .filter(|_| kind == ModelKind::Hybrid2)
+                .map(|l| l.channels().iter().map(|c| c[samples.clone()].to_vec()).collect());
+            let target = targets[run].channels().iter();
+            Segment {
+                x: network_inputs(&x, kind, &data.run(run).x, samples.clone(), linear.as_deref()),
+                y: target.enumerate().map(|(c, t)| y.standardise(c, &t[samples.clone()])).collect(),
+                score_from,
+            }
+        };
+        Ok(Self {
+            training: training.iter().map(|s| segment(s.run, s.samples.clone(), 0)).collect(),
+            stopping: stopping
+                .iter()
+                .map(|s| {
+                    let known = with_context(&s.samples);
+                    segment(s.run, known.clone(), s.samples.start - known.start)
+                })
+                .collect(),
+            x,
+            y,
+        })
+    }
+
+    fn part(&self, trained: &Trained, settings: &LstmSettings) -> LstmPart {
+        LstmPart {
+            net: trained.net.clone(),
+            x: self.x.clone(),
+            y: self.y.clone(),
+            window_len: settings.window_len,
+            hop: settings.hop,
+            recombine: Recombine::Welch,
+        }
+    }
+
+    fn train_seeds(
+        &self,
+        kind: ModelKind,
+        settings: &LstmSettings,
+        course: &Course<'_>,
+    ) -> Result<Vec<Trained>, EngineError> {
+        let n = settings.seeds.len();
+        let stage = format!("LSTM {:?}, {n} seed{}", settings.blocks, if n == 1 { "" } else { "s" });
+        let done: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(0)).collect();
+        let span = course.progress.end - course.progress.start;
+        settings
+            .seeds
+            .par_iter()
+            .enumerate()
+            .map(|(i, &seed)| {
+                let tell = |p: Progress<'_>| -> ControlFlow<()> {
+                    done[i].store((p.fraction * 1e6) as u64, Ordering::Relaxed);
+                    let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
+                    let mean = sum as f64 / (1e6 * n as f64);
+                    (course.watch)(Progress { stage: &stage, fraction: course.progress.start + span * mean })
+                };
+                let start = start(kind, &self.x, &self.y, settings, seed);
+                let part = format!("seed {i}");
+                let until = Until::Best(&self.stopping);
+                lstm::train(
+                    &self.training,
+                    until,
+                    &start,
+                    (settings, seed),
+                    (course.checkpoints, &part),
+                    &tell,
+                )
+            })
+            .collect()
+    }
+}
+
+/// The target of the network: the output, for hybrid 1 the FRF's error (section 2.3).
+fn target<'a>(
+    kind: ModelKind,
+    y: &'a Signal,
+    linear: Option<&Signal>,
+) -> Result<Cow<'a, Signal>, EngineError> {
+    match (kind, linear) {
+        (ModelKind::Hybrid1, Some(linear)) => {
+            let error = |(y, l): (&Vec<f64>, &Vec<f64>)| y.iter().zip(l).map(|(y, l)| y - l).collect();
+            let error = y.channels().iter().zip(linear.channels()).map(error).collect();
+            Ok(Cow::Owned(Signal::new(y.sample_rate_hz(), error)?))
+        }
+        _ => Ok(Cow::Borrowed(y)),
+    }
+}
+
+/// The recombination with less error on the data that stop the training.
+fn better_recombination(
+    data: &FitData,
+    model: &RigModel,
+    part: &LstmPart,
+    stopping: &[Section],
+) -> Result<Recombine, EngineError> {
+    let error = |recombine| -> Result<f64, EngineError> {
+        let lstm = Some(LstmPart { recombine, ..part.clone() });
+        let model = RigModel { lstm, ..model.clone() };
+        let scores = score::score(&model, data, data, &Preprocess::default(), stopping)?;
+        Ok(score::total(&scores).into_iter().filter_map(score::Squares::rms).sum())
+    };
+    Ok(if error(Recombine::Stream)? < error(Recombine::Welch)? {
+        Recombine::Stream
+    } else {
+        Recombine::Welch
+    })
+}

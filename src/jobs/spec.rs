@@ -1,0 +1,75 @@
+//! The specification and the output of a job, in a form that passes between processes.
+
+use bytes::Bytes;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::domain::{JobId, JobKind, Problem, RigId};
+use crate::storage::{Activation, Claim, NewDiagnosis, NewModel};
+
+use super::problem::{JobError, codes};
+
+/// Everything that the work of a claimed job needs, without its lease.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct JobSpec {
+    pub job: JobId,
+    pub rig: RigId,
+    pub kind: JobKind,
+    pub request: serde_json::Value,
+}
+
+impl JobSpec {
+    /// The request, parsed for this kind of job.
+    pub(super) fn request<T: DeserializeOwned>(&self) -> Result<T, JobError> {
+        serde_json::from_value(self.request.clone()).map_err(|error| {
+            let detail = format!("This version of the program cannot read the job: {error}.");
+            JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, "The job cannot be read", detail))
+        })
+    }
+}
+
+impl From<&Claim> for JobSpec {
+    fn from(claim: &Claim) -> Self {
+        Self {
+            job: claim.job.id,
+            rig: claim.job.rig.clone(),
+            kind: claim.job.kind,
+            request: claim.request.clone(),
+        }
+    }
+}
+
+/// The output of a job, not yet stored.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum JobOutput {
+    Model(Box<ModelOutput>),
+    Diagnosis(Box<DiagnosisOutput>),
+}
+
+/// A fitted model, and whether it becomes the active one.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct ModelOutput {
+    pub model: NewModel,
+    pub activation: Activation,
+    /// Why, in an engineer's words.
+    pub why: String,
+}
+
+/// A diagnosis.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct DiagnosisOutput {
+    pub diagnosis: NewDiagnosis,
+    /// The last stage text of the job.
+    pub stage: String,
+}
+
+impl JobOutput {
+    /// The large part, which is sent beside the JSON.
+    pub(super) fn bytes(&mut self) -> &mut Bytes {
+        match self {
+            Self::Model(made) => &mut made.model.weights,
+            Self::Diagnosis(made) => &mut made.diagnosis.findings,
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! The store and the processor that a job's work uses. It does not store results.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::compute::Compute;
+use crate::domain::{JobKind, Problem};
+use crate::storage::Store;
+
+use super::control::Control;
+use super::diagnosis;
+use super::fit::{self, FitFunction};
+use super::problem::{JobError, codes};
+use super::spec::{JobOutput, JobSpec};
+
+/// Everything that the work of a job may use.
+#[derive(Debug)]
+pub(super) struct WorkContext {
+    pub store: Store,
+    pub compute: Compute,
+    pub fit: FitFunction,
+    /// Most time between two checkpoints of a fit.
+    pub checkpoint_every: Duration,
+}
+
+impl WorkContext {
+    /// Does the work of a job.
+    pub(super) async fn make(&self, spec: &JobSpec, control: &Arc<Control>) -> Result<JobOutput, JobError> {
+        let made = match spec.kind {
+            JobKind::Fit => JobOutput::Model(Box::new(fit::make(self, spec, control).await?)),
+            JobKind::Diagnosis => JobOutput::Diagnosis(Box::new(diagnosis::make(self, spec, control).await?)),
+            JobKind::Evaluation | JobKind::Iteration | JobKind::Study => {
+                let detail = "A newer version of the program queued this job.";
+                let title = "The job cannot be read";
+                return Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)));
+            }
+        };
+        if control.stopped().is_some() { Err(JobError::Stopped) } else { Ok(made) }
+    }
+}

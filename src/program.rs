@@ -1,0 +1,133 @@
+//! What the subcommands of `rigcast` do.
+
+use std::process::ExitCode;
+
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::app::{self, Address, App};
+use crate::config::{Command, CopyArgs, DemoArgs, HealthArgs, LogArgs, ServeArgs};
+use crate::engine::simd::Isa;
+use crate::storage;
+use crate::telemetry::{self, LogFormat};
+use crate::token::{self, CreateArgs, TokenCommand};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// Does what a subcommand says. A failure is told on standard error.
+pub fn run(command: Command) -> ExitCode {
+    let outcome = match command {
+        Command::Serve(args) => serve(&args),
+        Command::Demo(args) => demo(args),
+        Command::Token(TokenCommand::Create(args)) => create_token(&args),
+        Command::Health(args) => health(&args),
+        Command::Backup(args) => backup(&args),
+        Command::Restore(args) => restore(&args),
+        Command::Work(log) => work(&log),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("rigcast: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(args: &ServeArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&args.log.log, args.log.log_format)?;
+    let mut config = args.check()?;
+    // A core dump would hold secrets from requests.
+    setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
+    let connections = &mut config.connections;
+    connections.most = connections.most.min(handles()?);
+    // A wrong instruction set is refused now and not at the first prediction.
+    let isa = Isa::of_process()?;
+    runtime()?.block_on(async {
+        // Signals are caught before anything is opened, so that a stop during the start is clean.
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let address = Address::take(args.listen)?;
+        let app = App::build(&config).await?;
+        let listener = address.listen()?;
+        let address = listener.local_addr()?;
+        tracing::info!(
+            http.address = %address,
+            data.dir = %config.data_dir.display(),
+            cpu.isa = isa.name(),
+            version = crate::VERSION,
+            "rigcast listens on http://{address}"
+        );
+        app.serve(listener, async move {
+            tokio::select! {
+                _ = terminate.recv() => {}
+                _ = interrupt.recv() => {}
+            }
+        })
+        .await;
+        Ok(())
+    })
+}
+
+/// File handles for connections: the system's limit, less those of the store and of jobs.
+fn handles() -> Result<usize, Failure> {
+    /// An upper bound on the files that are open without connections, with some for jobs and uploads.
+    const OTHERS: u64 = 256;
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?;
+    let handles = maximum.map_or(usize::MAX, |n| n.saturating_sub(OTHERS).max(1) as usize);
+    if handles < 4096 {
+        tracing::warn!(connections = handles, "the system allows few open files: connections are limited");
+    }
+    Ok(handles)
+}
+
+fn demo(args: DemoArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&args.log, LogFormat::Text)?;
+    Ok(runtime()?.block_on(crate::demo::run(args))?)
+}
+
+/// Prints only the secret on standard output, for scripts, and its description on standard error.
+fn create_token(args: &CreateArgs) -> Result<(), Failure> {
+    let (token, secret) = runtime()?.block_on(token::create(args, app::now()))?;
+    eprintln!("token {}, role {}. Its secret is shown this once:", token.id, token.role.as_str());
+    println!("{}", secret.reveal());
+    Ok(())
+}
+
+fn health(args: &HealthArgs) -> Result<(), Failure> {
+    crate::health::check(args.listen, args.timeout_s)?;
+    println!("alive");
+    Ok(())
+}
+
+fn backup(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::backup(data_dir, backup, jiff::Timestamp::now()))?;
+    println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
+    Ok(())
+}
+
+fn restore(args: &CopyArgs) -> Result<(), Failure> {
+    let CopyArgs { backup, data_dir } = args;
+    let made = runtime()?.block_on(storage::backup::restore(backup, data_dir))?;
+    let (n, path) = (made.objects, data_dir.display());
+    println!("restored {n} objects of {} bytes, as of {}, into {path}", made.bytes, made.created_at);
+    Ok(())
+}
+
+fn work(log: &LogArgs) -> Result<(), Failure> {
+    telemetry::init_logging(&log.log, log.log_format)?;
+    let runtime = runtime()?;
+    let ended = runtime.block_on(crate::jobs::work());
+    // A thread still waits for the server's next word.
+    runtime.shutdown_background();
+    Ok(ended?)
+}
+
+/// At least two threads, so that one handler that takes long never stops the health check.
+fn runtime() -> std::io::Result<Runtime> {
+    let cores = std::thread::available_parallelism().map_or(2, usize::from);
+    Builder::new_multi_thread().worker_threads(cores.max(2)).thread_name("rigcast-http").enable_all().build()
+}

@@ -1,0 +1,50 @@
+//! The schema's history: each file of `migrations/`, compiled in.
+
+use sqlx::SqlSafeStr;
+use sqlx::migrate::{Migration, MigrationType, Migrator};
+
+/// Number, name and text of each migration.
+const MIGRATIONS: &[(i64, &str, &str)] = &[
+    (1, "registry", include_str!("../../migrations/0001_registry.sql")),
+    (2, "diagnoses", include_str!("../../migrations/0002_diagnoses.sql")),
+    (3, "tokens", include_str!("../../migrations/0003_tokens.sql")),
+    (4, "checkpoints", include_str!("../../migrations/0004_checkpoints.sql")),
+    (5, "idempotency", include_str!("../../migrations/0005_idempotency.sql")),
+    (7, "model_frf", include_str!("../../migrations/0007_model_frf.sql")),
+    (8, "adopted", include_str!("../../migrations/0008_adopted.sql")),
+];
+
+/// Migrations up to this number.
+pub(super) fn up_to(last: i64) -> Migrator {
+    let wanted = MIGRATIONS.iter().filter(|(version, ..)| *version <= last);
+    let migrations = wanted.map(|&(version, name, sql)| {
+        Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
+    });
+    Migrator::with_migrations(migrations.collect())
+}
+
+/// The last migration that this program knows.
+pub(super) fn latest() -> i64 {
+    MIGRATIONS.iter().map(|(version, ..)| *version).max().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_is_what_the_folder_holds() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/migrations");
+        let mut files: Vec<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        files.sort();
+        let listed: Vec<String> =
+            MIGRATIONS.iter().map(|(version, name, _)| format!("{version:04}_{name}.sql")).collect();
+        assert_eq!(listed, files);
+        for (number, file) in MIGRATIONS.iter().zip(&files) {
+            assert_eq!(number.2, std::fs::read_to_string(format!("{folder}/{file}")).unwrap(), "{file}");
+        }
+    }
+}
