@@ -95,8 +95,13 @@ pub struct Lab {
 impl Lab {
     /// The FRF is fitted by the service.
     pub async fn with_frf() -> Self {
+        Self::with_frf_of(json!({"segment_len": 2048})).await
+    }
+
+    /// With an FRF fitted by these settings to the runs of low level.
+    pub async fn with_frf_of(settings: Value) -> Self {
         let lab = Self::without_model().await;
-        let request = json!({"kind": "frf", "frf": {"segment_len": 2048}});
+        let request = json!({"kind": "frf", "frf": settings});
         let job = lab.app.post_json("/v1/rigs/mass/fits", &request).await.expect(202).json();
         let job = lab.app.finished(job["id"].as_str().expect("an id")).await;
         assert_eq!(job["state"], "succeeded", "{job}");
