@@ -1,13 +1,16 @@
 //! What the subcommands of `rigcast` do.
 
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::app::{self, Address, App};
-use crate::config::{Command, CopyArgs, DemoArgs, HealthArgs, LogArgs, ServeArgs};
+use crate::config::{BackupArgs, Command, CopyArgs, DemoArgs, HealthArgs, LogArgs, RecoverArgs, ServeArgs};
 use crate::engine::simd::Isa;
 use crate::storage;
 use crate::telemetry::{self, LogFormat};
@@ -24,6 +27,7 @@ pub fn run(command: Command) -> ExitCode {
         Command::Health(args) => health(&args),
         Command::Backup(args) => backup(&args),
         Command::Restore(args) => restore(&args),
+        Command::Recover(args) => recover(&args),
         Command::Work(log) => work(&log),
     };
     match outcome {
@@ -102,18 +106,59 @@ fn health(args: &HealthArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn backup(args: &CopyArgs) -> Result<(), Failure> {
-    let CopyArgs { backup, data_dir } = args;
-    let made = runtime()?.block_on(storage::backup::backup(data_dir, backup, jiff::Timestamp::now()))?;
+fn backup(args: &BackupArgs) -> Result<(), Failure> {
+    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous } = args;
+    let (previous, now) = (previous.as_deref(), jiff::Timestamp::now());
+    let work = storage::backup::backup(data_dir, backup, previous, now, told_each_second());
+    let made = runtime()?.block_on(work)?;
     println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
     Ok(())
 }
 
 fn restore(args: &CopyArgs) -> Result<(), Failure> {
     let CopyArgs { backup, data_dir } = args;
-    let made = runtime()?.block_on(storage::backup::restore(backup, data_dir))?;
+    let made = runtime()?.block_on(storage::backup::restore(backup, data_dir, told_each_second()))?;
     let (n, path) = (made.objects, data_dir.display());
     println!("restored {n} objects of {} bytes, as of {}, into {path}", made.bytes, made.created_at);
+    Ok(())
+}
+
+/// Says on standard error how far a copy is and how long it still takes, each second.
+fn told_each_second() -> storage::backup::Progress {
+    let (begin, told) = (Instant::now(), AtomicU64::new(0));
+    Arc::new(move |done, all| {
+        let elapsed = begin.elapsed().as_secs();
+        if told.fetch_max(elapsed, Ordering::Relaxed) < elapsed && done < all {
+            let left = begin.elapsed().as_secs_f64() * (all - done) as f64 / done.max(1) as f64;
+            eprintln!("{done} of {all} objects, {left:.0} s to go");
+        }
+    })
+}
+
+fn recover(args: &RecoverArgs) -> Result<(), Failure> {
+    /// Longer lists are cut; the whole of them is seldom read.
+    const LISTED: usize = 50;
+    telemetry::init_logging("warn", LogFormat::Text)?;
+    let done = runtime()?.block_on(storage::recover(&args.data_dir, jiff::Timestamp::now()))?;
+    let list = |title: &str, items: Vec<String>| {
+        if items.is_empty() {
+            return;
+        }
+        println!("{title} ({}):", items.len());
+        items.iter().take(LISTED).for_each(|item| println!("  {item}"));
+        if items.len() > LISTED {
+            println!("  and {} more", items.len() - LISTED);
+        }
+    };
+    let rows: Vec<String> = done.rows.iter().map(|(table, n)| format!("{n} {table}")).collect();
+    println!("the database of {} was made anew: {}", args.data_dir.display(), rows.join(", "));
+    list("sources that were not whole", done.sources);
+    list("rows brought back from the journal", done.restored);
+    let (unknown, lost): (Vec<_>, Vec<_>) =
+        done.lost.into_iter().partition(|lost| matches!(lost, storage::Lost::Unknown(_)));
+    list("what could not be brought back", lost.iter().map(ToString::to_string).collect());
+    list("objects that no row names, which are kept", unknown.iter().map(ToString::to_string).collect());
+    println!("the files from before are in {}", done.kept_in.display());
     Ok(())
 }
 

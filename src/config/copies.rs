@@ -1,15 +1,35 @@
-//! Settings of backup and restore.
+//! Settings of backup, restore and recovery.
 
 use std::path::PathBuf;
 
 use clap::Args;
 
-/// Arguments of `rigcast backup` and `rigcast restore`.
+/// Arguments of `rigcast backup`.
+#[derive(Debug, Clone, Args)]
+pub struct BackupArgs {
+    /// The two directories.
+    #[command(flatten)]
+    pub copy: CopyArgs,
+
+    /// An earlier backup; what it has is linked and not copied again.
+    #[arg(long)]
+    pub previous: Option<PathBuf>,
+}
+
+/// Arguments of `rigcast restore`, and some of `rigcast backup`.
 #[derive(Debug, Clone, Args)]
 pub struct CopyArgs {
     /// Directory of the backup.
     pub backup: PathBuf,
 
+    /// Directory of the registry, the signals and the weights.
+    #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
+    pub data_dir: PathBuf,
+}
+
+/// Arguments of `rigcast recover`.
+#[derive(Debug, Clone, Args)]
+pub struct RecoverArgs {
     /// Directory of the registry, the signals and the weights.
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,

@@ -20,7 +20,7 @@ use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
 pub use connections::ConnectionSettings;
-pub use copies::CopyArgs;
+pub use copies::{BackupArgs, CopyArgs, RecoverArgs};
 pub use demo::DemoArgs;
 pub use health::HealthArgs;
 pub use jobs::JobArgs;
@@ -48,9 +48,11 @@ pub enum Command {
     /// Check whether a running service is alive; the exit status is 0 if it answers (for containers and monitors).
     Health(HealthArgs),
     /// Copy a data directory, which may be in use, into a new directory.
-    Backup(CopyArgs),
+    Backup(BackupArgs),
     /// Make a new data directory from a backup.
     Restore(CopyArgs),
+    /// Make the database of a stopped service anew from its journal, after a start was refused.
+    Recover(RecoverArgs),
     /// Do one job for the `rigcast serve` that starts this process.
     #[command(hide = true)]
     Work(LogArgs),

@@ -85,7 +85,7 @@ pub struct RigDraft {
     /// Id.
     pub id: RigId,
     /// Name for people; left out: the id.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "not_blank")]
     pub name: String,
     /// Samples per second of its runs.
     pub sample_rate_hz: f64,
@@ -94,6 +94,15 @@ pub struct RigDraft {
     /// The fits that arriving runs start.
     #[serde(default)]
     pub fit_policy: Option<FitPolicy>,
+}
+
+/// A name that is given is one. Left out, it is the id.
+fn not_blank<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let name = String::deserialize(deserializer)?;
+    if name.trim().is_empty() {
+        return Err(serde::de::Error::custom("a name that is not blank, or none at all"));
+    }
+    Ok(name)
 }
 
 /// A rig as the contract shows it.

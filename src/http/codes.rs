@@ -66,6 +66,7 @@ codes! {
     IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
     IDEMPOTENCY_KEY_MALFORMED = "idempotency_key.malformed", 400, "Idempotency-Key cannot be read";
     IDEMPOTENCY_KEY_IN_USE = "idempotency_key.in_use", 409, "A request under the same key is under way";
+    IDEMPOTENCY_KEY_GONE = "idempotency_key.gone", 410, "What was created under the key is deleted";
     IDEMPOTENCY_KEY_REUSED = "idempotency_key.reused", 422, "The key belongs to another request";
 
     // Rigs.

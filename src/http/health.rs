@@ -14,6 +14,8 @@ use crate::models::Degraded;
 #[derive(Debug, Serialize)]
 struct Ready {
     status: &'static str,
+    /// `ok`, or `full`: reads and predictions go on, and only deletions and changes of the active model are taken.
+    store: &'static str,
     degraded: Vec<Degraded>,
     degraded_models: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -35,14 +37,15 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     let room = http.store.ping().await.map_err(|error| {
         Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
     })?;
-    let checks = if verbose { Some(checks(&http, room).await?) } else { None };
+    let store = if room { "ok" } else { "full" };
+    let checks = if verbose { Some(checks(&http, store).await?) } else { None };
     let mut degraded = http.models.degraded().await?;
     let degraded_models = degraded.len();
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
-    json::answer(&Ready { status: "ready", degraded, degraded_models, checks })
+    json::answer(&Ready { status: "ready", store, degraded, degraded_models, checks })
 }
 
-async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
+async fn checks(http: &Shared, store: &str) -> Answer<serde_json::Value> {
     let jobs: serde_json::Map<_, _> = http
         .store
         .count_jobs()
@@ -50,7 +53,6 @@ async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
         .into_iter()
         .map(|(state, n)| (state.as_str().to_owned(), n.into()))
         .collect();
-    let store = if room { "ok" } else { "full" };
     let compute = [Class::Predict, Class::Long].map(|class| http.compute.queue(class));
     let queues: serde_json::Map<_, _> = http
         .admission
@@ -64,6 +66,7 @@ async fn checks(http: &Shared, room: bool) -> Answer<serde_json::Value> {
         .collect();
     let loaded_models = http.models.loaded();
     Ok(json!({
-        "store": store, "draining": false, "jobs": jobs, "queues": queues, "loaded_models": loaded_models
+        "store": store, "draining": false, "jobs": jobs, "queues": queues, "loaded_models": loaded_models,
+        "quarantined": http.store.quarantined().await?,
     }))
 }

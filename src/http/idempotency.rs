@@ -17,7 +17,7 @@ use sha2::{Digest as _, Sha256};
 use super::auth::Caller;
 use super::body::{Limited, media_type};
 use super::problem::{Answer, FieldError, Problem};
-use super::{Shared, codes, json};
+use super::{Http, Shared, codes, json};
 use crate::domain::Created;
 use crate::storage::{Digest, IdempotencyKey, StoredAnswer};
 
@@ -54,7 +54,7 @@ pub async fn answer_once(
     }
 }
 
-async fn under_key(http: &Shared, request: Request, next: Next) -> Answer {
+async fn under_key(http: &Http, request: Request, next: Next) -> Answer {
     let (mut parts, body) = request.into_parts();
     let keyed = KeyedRequest {
         owner: owner(&parts),
@@ -67,7 +67,7 @@ async fn under_key(http: &Shared, request: Request, next: Next) -> Answer {
         while let Some(chunk) = body.next().await? {
             keyed.hash(&chunk);
         }
-        return keyed.again(before);
+        return keyed.again(http, before).await;
     }
     let hashing = keyed.clone();
     let body = body.into_data_stream().inspect(move |chunk| {
@@ -82,7 +82,7 @@ async fn under_key(http: &Shared, request: Request, next: Next) -> Answer {
         .get::<Problem>()
         .is_some_and(|problem| problem.code() == codes::IDEMPOTENCY_KEY_IN_USE.name);
     if repeated && let Some(before) = http.store.answer_under_key(&keyed.owner, &keyed.key).await? {
-        return keyed.again(before);
+        return keyed.again(http, before).await;
     }
     Ok(response)
 }
@@ -128,12 +128,19 @@ impl KeyedRequest {
     }
 
     /// The answer to a request whose key was used before.
-    fn again(&self, before: StoredAnswer) -> Answer {
-        if before.fingerprint == self.fingerprint().as_str() {
-            return created(before.answer);
+    async fn again(&self, http: &Http, before: StoredAnswer) -> Answer {
+        if before.fingerprint != self.fingerprint().as_str() {
+            let detail = "Another request came under this Idempotency-Key; a new request needs a new key.";
+            return Err(Problem::new(codes::IDEMPOTENCY_KEY_REUSED, detail));
         }
-        let detail = "Another request came under this Idempotency-Key; a new request needs a new key.";
-        Err(Problem::new(codes::IDEMPOTENCY_KEY_REUSED, detail))
+        if !http.store.is_still_there(&before.answer.location).await? {
+            let detail = format!(
+                "The request was done before under this Idempotency-Key, and {} was deleted since.",
+                before.answer.location
+            );
+            return Err(Problem::new(codes::IDEMPOTENCY_KEY_GONE, detail));
+        }
+        created(before.answer)
     }
 }
 

@@ -118,10 +118,25 @@ impl<S: Send + Sync> FromRequestParts<S> for Params {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        if let Some(name) = parts.uri.query().and_then(not_utf8) {
+            let detail = format!("Query parameter {name} is no UTF-8 text.");
+            return Err(Problem::new(codes::REQUEST_MALFORMED, detail)
+                .with(FieldError::new(format!("?{name}"), "percent-encoded UTF-8")));
+        }
         Query::<Vec<(String, String)>>::try_from_uri(&parts.uri)
             .map(|Query(pairs)| Self(pairs))
             .map_err(|e| Problem::new(codes::REQUEST_MALFORMED, format!("The query cannot be read: {e}.")))
     }
+}
+
+/// The first parameter of a query whose name or value is no UTF-8. The parser would put U+FFFD in place of its bytes.
+fn not_utf8(query: &str) -> Option<String> {
+    let replaced = |text: &str| text.matches('\u{fffd}').count();
+    let sent = |pair: &str| replaced(pair) + pair.to_ascii_uppercase().matches("%EF%BF%BD").count();
+    query.split('&').find_map(|pair| {
+        let (name, value) = form_urlencoded::parse(pair.as_bytes()).next()?;
+        (replaced(&name) + replaced(&value) > sent(pair)).then(|| name.into_owned())
+    })
 }
 
 impl<S: Send + Sync> FromRequestParts<S> for NoParams {
@@ -139,6 +154,14 @@ mod tests {
     async fn params(query: &str) -> Params {
         let request = axum::http::Request::get(format!("/?{query}")).body(()).expect("a request");
         Params::from_request_parts(&mut request.into_parts().0, &()).await.expect("a query")
+    }
+
+    #[test]
+    fn a_parameter_that_is_no_utf8_is_found() {
+        assert_eq!(not_utf8("name=%ff"), Some("name".into()));
+        assert_eq!(not_utf8("kind=noise&name=a%C3&x=1"), Some("name".into()));
+        assert_eq!(not_utf8("name=%C3%BC+%EF%BF%BD&tag=%ef%bf%bd"), None);
+        assert_eq!(not_utf8(""), None);
     }
 
     #[tokio::test]

@@ -23,12 +23,14 @@ impl Store {
         for model in all::<_, Model>(rows)? {
             match self.adoption_of(&model).await {
                 Ok(adoption) => {
+                    let mut tx = self.write().await?;
                     sqlx::query("UPDATE models SET adoption = ?3 WHERE rig = ?1 AND version = ?2")
                         .bind(model.rig.as_str())
                         .bind(model.version)
                         .bind(adoption.as_ref().map(json))
-                        .execute(&mut *self.write_one().await?)
+                        .execute(&mut *tx)
                         .await?;
+                    tx.commit().await?;
                 }
                 Err(error) => {
                     tracing::error!(

@@ -2,6 +2,19 @@
 
 use crate::telemetry::names;
 
+/// Acknowledged changes that a database lacks.
+#[derive(Debug)]
+pub struct Acknowledged {
+    /// The database.
+    pub path: std::path::PathBuf,
+    /// Its data directory.
+    pub data_dir: std::path::PathBuf,
+    /// How many changes it lacks.
+    pub changes: i64,
+    /// Rows that it does not have as they were acknowledged.
+    pub rows: String,
+}
+
 /// A failure of the store; never the client's fault.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -72,10 +85,42 @@ pub enum StoreError {
     /// Another request with the same idempotency key was done first.
     #[error("the request was done before under its idempotency key")]
     Repeated,
+    /// The database lacks changes that clients were told are stored.
+    #[error(
+        "{path} lacks the last {changes} changes that were acknowledged ({rows}): its write-ahead log was lost or damaged. \
+         Nothing was removed. `rigcast recover --data-dir {data_dir}` puts them back",
+        path = .0.path.display(), changes = .0.changes, rows = .0.rows, data_dir = .0.data_dir.display()
+    )]
+    Behind(Box<Acknowledged>),
+    /// The journal is gone, though the database has had one.
+    #[error(
+        "{path} is missing, so nobody can tell whether the database has all that was acknowledged. Put the file back, or \
+         go on with the database as it is by `rigcast recover`"
+    )]
+    JournalMissing {
+        /// The journal.
+        path: std::path::PathBuf,
+    },
+    /// The journal could not be synced to the disk.
+    #[error("{path} could not be synced to the disk, so nothing more is accepted; start the service again")]
+    JournalStopped {
+        /// The journal.
+        path: std::path::PathBuf,
+    },
+    /// There is nothing that a database could be made of.
+    #[error(
+        "nothing in {path} says what was stored: {why}. Restore a backup into another directory with `rigcast restore`"
+    )]
+    NothingToRecover {
+        /// The data directory.
+        path: std::path::PathBuf,
+        /// What was found.
+        why: String,
+    },
     /// A damaged file.
     #[error(
-        "{path} is damaged: {what}; nothing was changed. Keep the directory as it is and restore a backup \
-         into another one with `rigcast restore`"
+        "{path} is damaged: {what}; nothing was changed. Keep the directory as it is; `rigcast recover` makes the \
+         database anew from its journal, and `rigcast restore` makes another directory from a backup"
     )]
     Damaged {
         /// The file.
@@ -83,6 +128,9 @@ pub enum StoreError {
         /// The damage.
         what: String,
     },
+    /// The disk has no room but the reserve for writes that make room.
+    #[error("the disk is full")]
+    Full,
     /// The service stops, and the work was given up.
     #[error("the service stops")]
     Stopped,
@@ -104,6 +152,7 @@ impl StoreError {
         /// `SQLITE_FULL`, and `SQLITE_IOERR_SHMSIZE`: no room for the index of the write-ahead log.
         const FULL: [u32; 2] = [13, 4874];
         match self {
+            Self::Full => true,
             Self::Database(error) => sqlite_code(error).is_some_and(|code| FULL.contains(&code)),
             Self::DataDir { source, .. } => is_storage_full(source),
             Self::Objects(error) => {
@@ -122,6 +171,19 @@ impl StoreError {
 }
 
 impl StoreError {
+    /// A failure that sound tables and rows cannot have, as damage of the database; others stay as they are.
+    pub(super) fn as_damage(self, database: &std::path::Path) -> Self {
+        let damage = match &self {
+            Self::Database(_) => !self.is_unavailable() && !self.is_disk_full(),
+            Self::Row { .. } | Self::Migrate(_) => true,
+            _ => false,
+        };
+        if !damage {
+            return self;
+        }
+        Self::Damaged { path: database.to_owned(), what: self.to_string() }
+    }
+
     /// Kind of the failure, as a metric's label.
     pub fn kind(&self) -> &'static str {
         match self {
@@ -151,7 +213,7 @@ impl StoreError {
         match self {
             Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
             Self::Database(error) => sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff))),
-            Self::Objects(_) | Self::DataDir { .. } | Self::Stopped => true,
+            Self::Objects(_) | Self::DataDir { .. } | Self::JournalStopped { .. } | Self::Stopped => true,
             _ => false,
         }
     }

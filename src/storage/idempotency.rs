@@ -79,6 +79,31 @@ pub(super) async fn record(
 }
 
 impl Store {
+    /// Whether what an answer's `Location` names is still there.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn is_still_there(&self, location: &str) -> Result<bool, StoreError> {
+        let parts: Vec<&str> = location.trim_matches('/').split('/').collect();
+        let (query, keys): (&'static str, &[&str]) = match parts.as_slice() {
+            ["v1", "rigs", rig] => ("SELECT EXISTS (SELECT 1 FROM rigs WHERE id = ?)", &[rig]),
+            ["v1", "jobs", job] => ("SELECT EXISTS (SELECT 1 FROM jobs WHERE id = ?)", &[job]),
+            ["v1", "rigs", rig, "runs", run] => {
+                ("SELECT EXISTS (SELECT 1 FROM runs WHERE rig = ? AND id = ?)", &[rig, run])
+            }
+            ["v1", "rigs", rig, "models", version] => (
+                "SELECT EXISTS (SELECT 1 FROM models WHERE rig = ? AND version = CAST(? AS INTEGER))",
+                &[rig, version],
+            ),
+            _ => return Ok(true),
+        };
+        let mut query = sqlx::query_scalar::<_, bool>(query);
+        for key in keys {
+            query = query.bind(*key);
+        }
+        Ok(query.fetch_one(self.reader()).await?)
+    }
+
     /// The stored answer to an earlier request under this key, if there was one.
     ///
     /// # Errors

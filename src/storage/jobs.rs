@@ -8,6 +8,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 use sqlx::SqliteConnection;
 
+use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
 use super::{IdempotencyKey, Store, StoreError, idempotency};
@@ -233,7 +234,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn request_cancel(&self, id: JobId, now: Timestamp) -> Result<CancelOutcome, StoreError> {
-        let mut tx = self.write().await?;
+        with_reserve!(self, self.cancel_row(id, now))
+    }
+
+    async fn cancel_row(&self, id: JobId, now: Timestamp) -> Result<CancelOutcome, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         sqlx::query(
             "UPDATE jobs SET state = 'cancelled', cancel_requested = 1, finished_us = ?2, eta_s = NULL,
                              event = event + 1
@@ -271,6 +276,7 @@ impl Store {
         lease_until: Timestamp,
         now: Timestamp,
     ) -> Result<Option<Claim>, StoreError> {
+        let mut tx = self.write().await?;
         let row: Option<JobRow> = sqlx::query_as(
             "UPDATE jobs SET state = 'running', worker = ?1, lease_until_us = ?2, started_us = ?3,
                              lease_token = lease_token + 1, attempt = attempt + 1, progress = 0,
@@ -281,9 +287,10 @@ impl Store {
         .bind(worker)
         .bind(us(lease_until))
         .bind(us(now))
-        .fetch_optional(&mut *self.write_one().await?)
+        .fetch_optional(&mut *tx)
         .await?;
         let Some(row) = row else { return Ok(None) };
+        tx.commit().await?;
         let (request, token) = (row.request()?, row.lease_token.unsigned_abs());
         let job: Job = row.try_into()?;
         Ok(Some(Claim { lease: Lease { job: job.id, token }, job, request }))
@@ -302,7 +309,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<Beat, StoreError> {
         let progress = if progress.is_finite() { progress.clamp(0.0, 1.0) } else { 0.0 };
-        let mut tx = self.write().await?;
+        let mut tx = self.write_with_reserve().await?;
         let held: Option<(i64, bool)> = sqlx::query_as(
             "UPDATE jobs SET lease_until_us = ?3, progress = max(progress, ?4),
                              stage = CASE WHEN cancel_requested THEN stage ELSE ?5 END,
@@ -324,7 +331,7 @@ impl Store {
             .bind(eta_s(progress, elapsed_s))
             .execute(&mut *tx)
             .await?;
-        tx.commit().await?;
+        tx.commit_progress().await?;
         Ok(if cancel_requested { Beat::CancelRequested } else { Beat::Held })
     }
 
@@ -340,7 +347,7 @@ impl Store {
         outcome: Outcome,
         now: Timestamp,
     ) -> Result<bool, StoreError> {
-        let mut tx = self.write().await?;
+        let mut tx = self.write_with_reserve().await?;
         let row: Option<JobRow> =
             sqlx::query_as("SELECT * FROM jobs WHERE id = ? AND lease_token = ? AND state = 'running'")
                 .bind(lease.job.to_string())
@@ -366,7 +373,7 @@ impl Store {
         held: &[JobId],
         now: Timestamp,
     ) -> Result<Vec<JobId>, StoreError> {
-        let mut tx = self.write().await?;
+        let mut tx = self.write_with_reserve().await?;
         let rows: Vec<JobRow> =
             sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= ? ORDER BY id")
                 .bind(us(expired_at))

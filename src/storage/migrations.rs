@@ -12,6 +12,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (5, "idempotency", include_str!("../../migrations/0005_idempotency.sql")),
     (7, "model_frf", include_str!("../../migrations/0007_model_frf.sql")),
     (8, "adopted", include_str!("../../migrations/0008_adopted.sql")),
+    (9, "changes", include_str!("../../migrations/0009_changes.sql")),
 ];
 
 /// Migrations up to this number.

@@ -7,6 +7,7 @@ use sqlx::SqliteConnection;
 
 use super::jobs::succeed;
 use super::objects::{ObjectWrite, to_the_end};
+use super::reserve::with_reserve;
 use super::rigs::{if_match, rig_in};
 use super::rows::{ModelRow, all, int, json, us, word};
 use super::{Digest, IdempotencyKey, Lease, Store, StoreError, idempotency};
@@ -270,7 +271,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn delete_model(&self, rig: &RigId, version: u32) -> Result<ModelDelete, StoreError> {
-        let mut tx = self.write().await?;
+        with_reserve!(self, self.delete_model_row(rig, version))
+    }
+
+    async fn delete_model_row(&self, rig: &RigId, version: u32) -> Result<ModelDelete, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let Some(model) = model_in(&mut tx, rig, version).await? else { return Ok(ModelDelete::Missing) };
         if model.active {
             return Ok(ModelDelete::Active);
@@ -305,7 +310,17 @@ impl Store {
         if_match_header: &str,
         now: Timestamp,
     ) -> Result<ActiveUpdate, StoreError> {
-        let mut tx = self.write().await?;
+        with_reserve!(self, self.point_active(rig_id, version, if_match_header, now))
+    }
+
+    async fn point_active(
+        &self,
+        rig_id: &RigId,
+        version: Option<u32>,
+        if_match_header: &str,
+        now: Timestamp,
+    ) -> Result<ActiveUpdate, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let (Some(rig), Some(current)) = (rig_in(&mut tx, rig_id).await?, active_in(&mut tx, rig_id).await?)
         else {
             return Ok(ActiveUpdate::MissingRig);

@@ -10,11 +10,11 @@ use object_store::ObjectStoreExt;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
-use sqlx::{Sqlite, Transaction};
 use tokio::sync::RwLockReadGuard;
 
 use super::corruption::CorruptObjects;
-use super::{Store, StoreError};
+use super::write::Write;
+use super::{Store, StoreError, quarantine};
 
 /// SHA-256 of some bytes, as 64 lower-case hex digits.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -122,7 +122,36 @@ impl Objects {
 
     /// Removes all objects but these.
     pub(super) fn retain(&self, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
-        let failed = |source| StoreError::DataDir { path: self.root.clone(), source };
+        self.keep(wanted, |file| std::fs::remove_file(file).map_err(|source| self.failed(source)))
+    }
+
+    /// Puts all objects but these into the quarantine of the data directory, and removes unfinished files.
+    pub(super) fn put_others_aside(
+        &self,
+        wanted: &BTreeSet<String>,
+        data_dir: &Path,
+    ) -> Result<(), StoreError> {
+        self.keep(wanted, |file| {
+            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if name.len() == 64 && name.bytes().all(|c| c.is_ascii_hexdigit()) {
+                tracing::warn!(object.digest = name, "put an object aside that no row names");
+                return quarantine::put_aside(data_dir, file);
+            }
+            std::fs::remove_file(file).map_err(|source| self.failed(source))
+        })
+    }
+
+    fn failed(&self, source: std::io::Error) -> StoreError {
+        StoreError::DataDir { path: self.root.clone(), source }
+    }
+
+    /// Does away with all objects but these, and counts the bytes of these.
+    fn keep(
+        &self,
+        wanted: &BTreeSet<String>,
+        do_away: impl Fn(&Path) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let failed = |source| self.failed(source);
         let mut kept = 0;
         for directory in std::fs::read_dir(&self.root).map_err(failed)? {
             let directory = directory.map_err(failed)?.path();
@@ -132,8 +161,7 @@ impl Objects {
             for file in std::fs::read_dir(&directory).map_err(failed)? {
                 let file = file.map_err(failed)?;
                 if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
-                    tracing::info!(file = %file.path().display(), "removed an object without a row");
-                    std::fs::remove_file(file.path()).map_err(failed)?;
+                    do_away(&file.path())?;
                 } else {
                     kept += file.metadata().map_err(failed)?.len();
                 }
@@ -207,7 +235,7 @@ async fn join<T>(task: tokio::task::JoinHandle<Result<T, StoreError>>) -> Result
 /// it ends.
 pub(super) struct ObjectWrite<'a> {
     pub(super) gate: RwLockReadGuard<'a, ()>,
-    pub(super) tx: Transaction<'static, Sqlite>,
+    pub(super) tx: Write,
 }
 
 impl Store {
@@ -265,17 +293,23 @@ impl Store {
         Ok(found != 0)
     }
 
-    /// Removes every file below `objects` that no row refers to, left by a process that died. Only at a
-    /// start, while no one else writes.
+    /// Puts every object aside that no row refers to: its upload was cut short, or its row was lost. Only at a start,
+    /// while no one else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
         let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
-        let objects = self.objects().clone();
-        off_thread(move || objects.retain(&rows.into_iter().collect())).await
+        let (objects, data_dir) = (self.objects().clone(), self.data_dir().to_owned());
+        off_thread(move || {
+            let wanted = rows.into_iter().collect();
+            quarantine::bring_back(&data_dir, &wanted)?;
+            objects.put_others_aside(&wanted, &data_dir)
+        })
+        .await
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{TestStore, draft, now};
     use super::*;
 
     fn file_of(dir: &Path, digest: &Digest) -> PathBuf {
@@ -313,7 +347,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_start_removes_objects_without_a_row_and_unfinished_files() {
+    async fn a_start_puts_objects_without_a_row_aside_and_removes_unfinished_files() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path()).await.unwrap();
         let digest = Digest::of(b"orphan");
@@ -322,7 +356,35 @@ mod tests {
         let unfinished = path.with_file_name(format!("{}#1", digest.as_str()));
         std::fs::write(&unfinished, b"orp").unwrap();
         drop(store);
-        Store::open(dir.path()).await.unwrap();
+        let store = Store::open(dir.path()).await.unwrap();
         assert!(!path.exists() && !unfinished.exists());
+        assert_eq!(store.quarantined().await.unwrap(), [digest.as_str()]);
+        assert_eq!(store.usage().await.unwrap().objects, 0);
+        let aside = dir.path().join("quarantine").join(digest.as_str());
+        assert_eq!(std::fs::read(&aside).unwrap(), b"orphan");
+        let age = async |store: &Store, days: u64| {
+            let since = std::time::SystemTime::now() - std::time::Duration::from_secs(days * 24 * 3600);
+            std::fs::File::options().append(true).open(&aside).unwrap().set_modified(since).unwrap();
+            store.close().await;
+        };
+        age(&store, 6).await;
+        drop(store);
+        assert!(aside.exists(), "its week is not over");
+        let store = Store::open(dir.path()).await.unwrap();
+        age(&store, 8).await;
+        assert!(!aside.exists());
+    }
+
+    #[tokio::test]
+    async fn an_object_that_was_put_aside_comes_back_with_its_row() {
+        let store = TestStore::open().await;
+        let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+        let run = store.upload(&rig, &[1.0]).await.run;
+        let data_dir = store.data_dir().to_owned();
+        quarantine::put_aside(&data_dir, &file_of(&data_dir, &Digest(run.object.clone()))).unwrap();
+        assert!(store.load_signal(&run).await.is_err());
+        let store = store.reopened().await;
+        assert_eq!(store.load_signal(&run).await.unwrap().channel(0), [1.0]);
+        assert_eq!(store.quarantined().await.unwrap(), [] as [String; 0]);
     }
 }

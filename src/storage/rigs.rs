@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use serde_json::Value;
 use sqlx::SqliteConnection;
 
+use super::reserve::with_reserve;
 use super::rows::{RigRow, all, json, us};
 use super::{IdempotencyKey, Store, StoreError, idempotency};
 use crate::domain::{Created, FieldError, Page, PageRequest, Rig, RigDraft, RigId};
@@ -198,7 +199,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn delete_rig(&self, id: &RigId) -> Result<bool, StoreError> {
-        let mut tx = self.write().await?;
+        with_reserve!(self, self.delete_rig_rows(id))
+    }
+
+    async fn delete_rig_rows(&self, id: &RigId) -> Result<bool, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let objects: Vec<String> = sqlx::query_scalar(
             "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1
              UNION SELECT findings FROM diagnoses WHERE rig = ?1",

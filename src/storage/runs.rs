@@ -4,6 +4,7 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::objects::{ObjectWrite, to_the_end};
+use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{RunRow, all, int, json, us};
 use super::{IdempotencyKey, PreparedRun, Store, StoreError, idempotency, npy, policy};
@@ -182,7 +183,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn delete_run(&self, rig: &RigId, id: RunId) -> Result<bool, StoreError> {
-        let mut tx = self.write().await?;
+        with_reserve!(self, self.delete_run_row(rig, id))
+    }
+
+    async fn delete_run_row(&self, rig: &RigId, id: RunId) -> Result<bool, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let Some(run) = run_in(&mut tx, rig, id).await? else { return Ok(false) };
         promote_duplicate(&mut tx, id).await?;
         sqlx::query("DELETE FROM runs WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;

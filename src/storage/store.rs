@@ -3,16 +3,23 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use sqlx::migrate::MigrateError;
-use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Sqlite, SqlitePool, Transaction};
+use sqlx::{SqliteConnection, SqlitePool};
 use tokio::sync::RwLock;
 
 use super::error::sqlite_code;
+use super::journal::{self, Journal};
+use super::reserve::Reserve;
 use super::{Objects, StoreError, migrations};
+
+/// Name of the database in a data directory and in a backup.
+pub(super) const DATABASE: &str = "rigcast.db";
+
+/// How long a start waits for the lock of a process that is about to end.
+const LOCK_WAIT: Duration = Duration::from_secs(2);
 
 /// How long a statement waits for a lock of another process, such as a backup tool.
 pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
@@ -33,6 +40,9 @@ struct Inner {
     writer: SqlitePool,
     readers: SqlitePool,
     objects: Objects,
+    /// A store that only reads has none.
+    journal: Option<Journal>,
+    reserve: Option<Reserve>,
     /// Held shared from before an object is written until a row refers to it, and exclusively while
     /// unreferenced objects are removed. Otherwise a removal could delete an object before its row is
     /// written.
@@ -42,28 +52,37 @@ struct Inner {
 }
 
 impl Store {
-    /// Opens (or makes) a data directory: locks it, migrates the database, opens the objects and
-    /// removes what an interrupted upload left.
+    /// Opens (or makes) a data directory: locks it, compares the database with its journal, migrates it, opens the
+    /// objects and puts aside those that no row names.
     ///
     /// # Errors
-    /// [`StoreError::Locked`] if another process uses it; a damaged or newer database; the file system's
-    /// errors.
+    /// [`StoreError::Locked`] if another process uses it; a damaged or newer database, or one that lacks acknowledged
+    /// changes; the file system's errors.
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
-        let lock = prepare_directory(data_dir)?;
-        let database = data_dir.join("rigcast.db");
+        let lock = lock(data_dir)?;
+        prepare_directory(data_dir)?;
+        let database = data_dir.join(DATABASE);
         never_empty(&database, data_dir)?;
         let options = options(&database).create_if_missing(true);
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
         let writer = writer.map_err(|error| sound(error, &database))?;
-        check_integrity(&writer, &database).await?;
-        migrate(&writer, &database).await?;
-        let readers = readers(&database).await?;
-        let objects = Objects::open(&data_dir.join("objects"))?;
+        let mut connection = writer.acquire().await?;
+        let started = start(data_dir, &database, &mut connection).await;
+        drop(connection);
+        let last = match started {
+            Ok(last) => last,
+            Err(error) => {
+                writer.close().await;
+                return Err(error);
+            }
+        };
         let inner = Inner {
             data_dir: data_dir.to_owned(),
             writer,
-            readers,
-            objects,
+            readers: readers(&database).await?,
+            objects: Objects::open(&data_dir.join("objects"))?,
+            journal: Some(Journal::open(data_dir, last)?),
+            reserve: Some(Reserve::of(data_dir)),
             objects_gate: Arc::default(),
             _lock: Some(lock),
         };
@@ -75,7 +94,7 @@ impl Store {
 
     /// Whether a directory holds a registry already.
     pub fn exists(data_dir: &Path) -> bool {
-        data_dir.join("rigcast.db").exists()
+        data_dir.join(DATABASE).exists()
     }
 
     /// Opens the data directory of a running service to read from it: for the worker processes of
@@ -84,12 +103,14 @@ impl Store {
     /// # Errors
     /// No database; the file system's errors.
     pub async fn open_to_read(data_dir: &Path) -> Result<Self, StoreError> {
-        let readers = readers(&data_dir.join("rigcast.db")).await?;
+        let readers = readers(&data_dir.join(DATABASE)).await?;
         let inner = Inner {
             data_dir: data_dir.to_owned(),
             writer: readers.clone(),
             readers,
             objects: Objects::open(&data_dir.join("objects"))?,
+            journal: None,
+            reserve: None,
             objects_gate: Arc::default(),
             _lock: None,
         };
@@ -104,17 +125,16 @@ impl Store {
     pub async fn ping(&self) -> Result<bool, StoreError> {
         sqlx::query("SELECT id FROM rigs LIMIT 1").fetch_optional(self.reader()).await?;
         let path = self.scratch_dir().join(".ping");
-        let written = match tokio::fs::write(&path, b"ping").await {
-            Ok(()) => tokio::fs::remove_file(&path).await,
-            Err(error) => Err(error),
+        let failed = |source| StoreError::DataDir { path: path.clone(), source };
+        let written = tokio::fs::write(&path, b"ping").await.map_err(failed);
+        // Two pings at once may remove the same file.
+        let removed = match tokio::fs::remove_file(&path).await {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(failed(source)),
+            _ => Ok(()),
         };
-        match written {
-            // Two pings at once may remove the same file.
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                let error = StoreError::DataDir { path, source };
-                if error.is_disk_full() { Ok(false) } else { Err(error) }
-            }
-            _ => Ok(true),
+        match written.and(removed) {
+            Err(error) if error.is_disk_full() => Ok(false),
+            done => done.map(|()| self.reserve().is_none_or(Reserve::hold)),
         }
     }
 
@@ -135,6 +155,11 @@ impl Store {
 
     /// Closes the database cleanly. Further calls on any clone fail.
     pub async fn close(&self) {
+        if self.journal().is_some()
+            && let Err(error) = self.empty_quarantine().await
+        {
+            tracing::warn!(%error, "the quarantine was left as it is");
+        }
         self.inner.readers.close().await;
         self.inner.writer.close().await;
     }
@@ -147,24 +172,32 @@ impl Store {
         &self.inner.objects_gate
     }
 
-    /// The connection for a write of one statement.
-    pub(super) async fn write_one(&self) -> Result<PoolConnection<Sqlite>, StoreError> {
-        Ok(self.inner.writer.acquire().await?)
+    pub(super) fn writer(&self) -> &SqlitePool {
+        &self.inner.writer
     }
 
-    /// Begins a write with `BEGIN IMMEDIATE`, so that rows that it reads cannot change before it writes.
-    pub(super) async fn write(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        const BEGIN: &str = "BEGIN IMMEDIATE";
-        match self.inner.writer.begin_with(BEGIN).await {
-            Err(sqlx::Error::InvalidSavePointStatement) => {
-                // After a full disk or a failed write SQLite has ended the last transaction by itself,
-                // but the connection still counts it and cannot be used any more.
-                self.inner.writer.acquire().await?.close().await?;
-                Ok(self.inner.writer.begin_with(BEGIN).await?)
-            }
-            begun => Ok(begun?),
-        }
+    pub(super) fn reserve(&self) -> Option<&Reserve> {
+        self.inner.reserve.as_ref()
     }
+
+    pub(super) fn journal(&self) -> Option<&Journal> {
+        self.inner.journal.as_ref()
+    }
+}
+
+/// Compares the database with its journal, migrates it, and brings the journal up to it. Returns the number of its
+/// last change.
+async fn start(
+    data_dir: &Path,
+    database: &Path,
+    connection: &mut SqliteConnection,
+) -> Result<i64, StoreError> {
+    let as_damage = |error: StoreError| error.as_damage(database);
+    check_integrity(connection, database).await?;
+    let compared = journal::compare(data_dir, connection).await.map_err(as_damage)?;
+    check_references(connection, database).await?;
+    migrate(connection, database).await.map_err(as_damage)?;
+    compared.bring_up(data_dir, connection).await.map_err(as_damage)
 }
 
 fn options(database: &Path) -> SqliteConnectOptions {
@@ -183,8 +216,8 @@ async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
     Ok(SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?)
 }
 
-/// Makes the directories, takes the lock, empties the scratch directory.
-fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
+/// Makes the data directory and takes its lock. A process that was just killed may still hold it for a moment.
+pub(super) fn lock(data_dir: &Path) -> Result<File, StoreError> {
     let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
     let new = !data_dir.exists();
     std::fs::create_dir_all(data_dir).map_err(failed)?;
@@ -194,10 +227,28 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
         .write(true)
         .open(data_dir.join("lock"))
         .map_err(failed)?;
-    lock.try_lock().map_err(|error| match error {
-        TryLockError::WouldBlock => StoreError::Locked { path: data_dir.to_owned() },
-        TryLockError::Error(source) => failed(source),
-    })?;
+    let until = Instant::now() + LOCK_WAIT;
+    loop {
+        match lock.try_lock() {
+            Ok(()) => break,
+            Err(TryLockError::WouldBlock) if Instant::now() < until => {
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            Err(TryLockError::WouldBlock) => return Err(StoreError::Locked { path: data_dir.to_owned() }),
+            Err(TryLockError::Error(source)) => return Err(failed(source)),
+        }
+    }
+    // Otherwise a power cut could lose a new directory with all acknowledged data.
+    let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
+    if let Some(parent) = parent {
+        File::open(parent).and_then(|directory| directory.sync_all()).map_err(failed)?;
+    }
+    Ok(lock)
+}
+
+/// Makes the directories, empties the scratch directory.
+fn prepare_directory(data_dir: &Path) -> Result<(), StoreError> {
+    let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
     let scratch = data_dir.join("scratch");
     match std::fs::remove_dir_all(&scratch) {
         Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(failed(source)),
@@ -205,23 +256,17 @@ fn prepare_directory(data_dir: &Path) -> Result<File, StoreError> {
     }
     std::fs::create_dir_all(&scratch).map_err(failed)?;
     std::fs::create_dir_all(data_dir.join("objects")).map_err(failed)?;
-    // Otherwise a power cut could lose a new directory with all acknowledged data.
-    let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
-    for directory in [Some(data_dir), parent].into_iter().flatten() {
-        File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
-    }
-    Ok(lock)
+    File::open(data_dir).and_then(|directory| directory.sync_all()).map_err(failed)
 }
 
-/// Refuses objects without a database: the database was lost, and an empty start would remove the
-/// objects.
+/// Refuses objects or a journal without a database: the database was lost, and a start would be an empty one.
 fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
     let empty = match std::fs::metadata(database) {
         Ok(found) => found.len() == 0,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => true,
         Err(source) => return Err(StoreError::DataDir { path: database.to_owned(), source }),
     };
-    if empty && Objects::any(&data_dir.join("objects")) {
+    if empty && (journal::is_there(data_dir) || Objects::any(&data_dir.join("objects"))) {
         let what = "it is missing or empty, but there are runs and models beside it".into();
         return Err(StoreError::Damaged { path: database.to_owned(), what });
     }
@@ -229,9 +274,9 @@ fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
 }
 
 /// Brings the schema up to this program's.
-async fn migrate(writer: &SqlitePool, database: &Path) -> Result<(), StoreError> {
+async fn migrate(connection: &mut SqliteConnection, database: &Path) -> Result<(), StoreError> {
     let known = migrations::latest();
-    match migrations::up_to(known).run(writer).await {
+    match migrations::up_to(known).run(connection).await {
         Err(MigrateError::VersionMissing(found)) if found > known => {
             Err(StoreError::Newer { path: database.to_owned(), found, known })
         }
@@ -240,23 +285,30 @@ async fn migrate(writer: &SqlitePool, database: &Path) -> Result<(), StoreError>
 }
 
 /// Refuses a damaged database, which must be neither read nor written.
-pub(super) async fn check_integrity(pool: &SqlitePool, database: &Path) -> Result<(), StoreError> {
-    let damaged = |what| StoreError::Damaged { path: database.to_owned(), what };
+pub(super) async fn check_integrity(
+    connection: &mut SqliteConnection,
+    database: &Path,
+) -> Result<(), StoreError> {
     let verdict: String = sqlx::query_scalar("PRAGMA integrity_check(1)")
-        .fetch_one(pool)
+        .fetch_one(connection)
         .await
         .map_err(|error| sound(error, database))?;
-    if verdict != "ok" {
-        return Err(damaged(verdict));
+    if verdict == "ok" {
+        return Ok(());
     }
+    Err(StoreError::Damaged { path: database.to_owned(), what: verdict })
+}
+
+/// Refuses a database with a row that belongs to a row that is gone.
+pub(super) async fn check_references(
+    connection: &mut SqliteConnection,
+    database: &Path,
+) -> Result<(), StoreError> {
     let orphan: Option<(String, Option<i64>, String, i64)> =
-        sqlx::query_as("PRAGMA foreign_key_check").fetch_optional(pool).await?;
-    match orphan {
-        None => Ok(()),
-        Some((table, _, parent, _)) => {
-            Err(damaged(format!("a row of {table} names one of {parent} that is gone")))
-        }
-    }
+        sqlx::query_as("PRAGMA foreign_key_check").fetch_optional(connection).await?;
+    let Some((table, _, parent, _)) = orphan else { return Ok(()) };
+    let what = format!("a row of {table} names one of {parent} that is gone");
+    Err(StoreError::Damaged { path: database.to_owned(), what })
 }
 
 /// Turns SQLite's error about a damaged file into a helpful message.

@@ -102,6 +102,14 @@ impl TestStore {
         Self { store: Store::open(dir.path()).await.unwrap(), _dir: dir }
     }
 
+    /// The same data after an orderly stop and a new start.
+    pub(crate) async fn reopened(self) -> Self {
+        let Self { store, _dir } = self;
+        store.close().await;
+        drop(store);
+        Self { store: Store::open(_dir.path()).await.unwrap(), _dir }
+    }
+
     /// A run whose drive is `u` and whose response is twice as large.
     pub(crate) fn prepare(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> PreparedRun {
         let y = u.iter().map(|v| 2.0 * v.clamp(-1e100, 1e100)).collect();

@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 
+use super::reserve::with_reserve;
 use super::rows::{TokenRow, all, json, us};
 use super::{Store, StoreError};
 use crate::domain::{Page, PageRequest, SecretDigest, Token, TokenDraft, TokenId, new_id};
@@ -99,11 +100,17 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn revoke_token(&self, id: TokenId, now: Timestamp) -> Result<bool, StoreError> {
+        with_reserve!(self, self.revoke_token_row(id, now))
+    }
+
+    async fn revoke_token_row(&self, id: TokenId, now: Timestamp) -> Result<bool, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let done = sqlx::query("UPDATE tokens SET revoked_us = ?2 WHERE id = ?1 AND revoked_us IS NULL")
             .bind(id.to_string())
             .bind(us(now))
-            .execute(&mut *self.write_one().await?)
+            .execute(&mut *tx)
             .await?;
+        tx.commit().await?;
         Ok(done.rows_affected() == 1)
     }
 }

@@ -62,6 +62,13 @@ async fn upload(client: &Client, seed: u64, samples: usize) -> Result<Value, Cli
     client.upload("bench", &[("kind", "noise")], "text/csv", noise_csv(samples, seed).into_bytes()).await
 }
 
+async fn activate(base: &str, version: Value) {
+    let url = format!("{base}/v1/rigs/bench/active-model");
+    let request = reqwest::Client::new().put(url).header("if-match", "*").json(&json!({"version": version}));
+    let answer = request.send().await.expect("an answer");
+    assert_eq!(answer.status(), 200, "{}", answer.text().await.expect("text"));
+}
+
 fn size(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |found| found.len())
 }
@@ -80,6 +87,7 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
     let rounds: u64 = std::env::var("RIGCAST_TEST_FILLINGS").map_or(4, |n| n.parse().expect("a number"));
     for round in 1..=rounds {
+        let spare = upload(&client, 100 * round + 98, 3000).await.expect("room at first");
         // Filled by uploads, or at once by another file.
         let ballast = (round % 2 == 0).then(|| disk.fill());
         let full = loop {
@@ -103,6 +111,12 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
         }
         let ready = client.get("/readyz?verbose").await.expect("ready to predict");
         assert_eq!(ready["checks"]["store"], "full");
+        assert_eq!(ready["store"], "full");
+        // A full disk can be emptied, and the last model that worked can be put back.
+        let spare = format!("/v1/rigs/bench/runs/{}", spare["id"].as_str().expect("an id"));
+        client.delete(&spare).await.expect("deleted on a full disk");
+        activate(program.base(), json!(null)).await;
+        activate(program.base(), json!(1)).await;
         std::fs::remove_file(filler).expect("room");
         if let Some(ballast) = ballast.filter(|path| size(path) > 0) {
             std::fs::remove_file(ballast).expect("room");

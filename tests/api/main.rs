@@ -26,6 +26,7 @@ mod operations;
 mod overload;
 mod predictions;
 mod problems;
+mod recovery;
 mod request_bodies;
 mod rigs;
 mod runs;

@@ -274,6 +274,17 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
     if !meta.range.is_empty() && meta.range.len() != meta.inputs.len() {
         return Err(wrong(format!("range: {} entries for {} inputs", meta.range.len(), meta.inputs.len())));
     }
+    if let Some(name) = meta.outputs.iter().find(|name| meta.inputs.contains(name)) {
+        return Err(wrong(format!("outputs: channel {name:?} is an input too")));
+    }
+    for (i, range) in meta.range.iter().enumerate() {
+        if !(range.min <= range.max && range.max_rate >= 0.0) {
+            return Err(wrong(format!(
+                "range[{i}]: min {} to max {}, max_rate {}: min must not be above max, and max_rate not negative",
+                range.min, range.max, range.max_rate
+            )));
+        }
+    }
     check_bands(meta)?;
     if meta.effects.len() > MAX_EFFECTS {
         return Err(wrong(format!("effects: {}, at most {MAX_EFFECTS} are read", meta.effects.len())));

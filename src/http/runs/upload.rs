@@ -91,8 +91,9 @@ async fn receive_into(directory: &Path, headers: &HeaderMap, body: Body, limits:
     Ok(Upload { file, size, sha256 })
 }
 
-/// The SHA-256 that `Content-Digest` promises (RFC 9530); other algorithms are ignored.
+/// The SHA-256 that `Content-Digest` promises (RFC 9530), once or several times alike; other algorithms are ignored.
 fn content_digest(headers: &HeaderMap) -> Answer<Option<[u8; 32]>> {
+    let mut found: Option<[u8; 32]> = None;
     for value in headers.get_all("content-digest") {
         for member in value.to_str().map_err(|_| malformed())?.split(',') {
             let Some(encoded) = member.trim().strip_prefix("sha-256=") else { continue };
@@ -100,11 +101,16 @@ fn content_digest(headers: &HeaderMap) -> Answer<Option<[u8; 32]>> {
                 .strip_prefix(':')
                 .and_then(|e| e.strip_suffix(':'))
                 .and_then(|e| STANDARD.decode(e).ok())
-                .and_then(|d| d.try_into().ok());
-            return digest.map(Some).ok_or_else(malformed);
+                .and_then(|d| d.try_into().ok())
+                .ok_or_else(malformed)?;
+            if found.replace(digest).is_some_and(|other| other != digest) {
+                let detail = "Content-Digest names two different SHA-256 digests.";
+                return Err(Problem::new(codes::DIGEST_MALFORMED, detail)
+                    .with(FieldError::new("", "one sha-256 digest")));
+            }
         }
     }
-    Ok(None)
+    Ok(found)
 }
 
 fn malformed() -> Problem {

@@ -1,0 +1,206 @@
+//! Backup and restore of a data directory, which may be in use.
+//!
+//! A backup is a directory of the same form: a copy of the database as of one moment, every object that
+//! it refers to, verified, and a manifest. The manifest is written last, so that a backup without it is
+//! incomplete. An incomplete backup or restore is gone on with by the same command.
+
+mod copy;
+mod manifest;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{Connection, SqliteConnection};
+
+use super::objects::{Objects, REFERENCED, off_thread};
+use super::store::{BUSY_TIMEOUT, DATABASE, check_integrity, check_references};
+use super::{Digest, Store, StoreError, journal};
+use copy::copy_objects;
+
+pub use copy::Progress;
+use manifest::MANIFEST;
+pub use manifest::Manifest;
+
+/// Marks a directory whose backup or restore has begun and not ended.
+const UNFINISHED: &str = "unfinished";
+
+/// How often the database is copied again because objects of the last copy were removed meanwhile.
+const SNAPSHOTS: usize = 5;
+
+/// Backs a data directory up into `target`, which is empty, missing, or an incomplete backup. A service may run on
+/// it. Objects that `previous`, an earlier backup, has are linked to it, or copied from it if its file system cannot.
+///
+/// # Errors
+/// A missing or damaged database; a missing or damaged object, by name; a target that holds something else; a
+/// `previous` that is no backup; the file system's errors.
+pub async fn backup(
+    data_dir: &Path,
+    target: &Path,
+    previous: Option<&Path>,
+    now: Timestamp,
+    progress: Progress,
+) -> Result<Manifest, StoreError> {
+    if !Store::exists(data_dir) {
+        let what = format!("it has no {DATABASE}; name the one that `rigcast serve` uses with --data-dir");
+        return Err(something_else(data_dir, "data directory", what));
+    }
+    if let Some(previous) = previous {
+        manifest::of(previous)?;
+    }
+    begin(target)?;
+    let objects = target.join("objects");
+    std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
+    let from = data_dir.join("objects");
+    let previous = previous.map(|previous| previous.join("objects"));
+    let copy = target.join(DATABASE);
+    for attempt in 1.. {
+        snapshot(&data_dir.join(DATABASE), &copy).await?;
+        let wanted = referenced(&copy).await?;
+        match copy_objects(&from, previous.as_deref(), &objects, &wanted, &progress).await {
+            // A run or model was deleted after the copy; a new copy does not name it.
+            Err(StoreError::ObjectMissing { .. }) if attempt < SNAPSHOTS => {}
+            Err(error) => return Err(error),
+            Ok(bytes) => {
+                Objects::open(&objects)?.retain(&wanted)?;
+                let manifest = Manifest {
+                    created_at: now,
+                    code_version: crate::VERSION.into(),
+                    database_sha256: digest(&copy).await?,
+                    objects: wanted.len() as u64,
+                    bytes,
+                };
+                let json = serde_json::to_vec_pretty(&manifest).expect("text and numbers always serialise");
+                write(&target.join(MANIFEST), &json)?;
+                end(target)?;
+                return Ok(manifest);
+            }
+        }
+    }
+    unreachable!("the last attempt answers")
+}
+
+/// Makes a data directory, which is empty, missing, or an incomplete restore, from a backup. The database comes last,
+/// so that no service starts on an interrupted restore.
+///
+/// # Errors
+/// A missing or damaged backup; a data directory that holds something else; the file system's errors.
+pub async fn restore(source: &Path, data_dir: &Path, progress: Progress) -> Result<Manifest, StoreError> {
+    let manifest = manifest::of(source)?;
+    let database = source.join(DATABASE);
+    if digest(&database).await? != manifest.database_sha256 {
+        return Err(damaged(&database, "its bytes are not those that were backed up".into()));
+    }
+    begin(data_dir)?;
+    let objects = data_dir.join("objects");
+    std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
+    // Opening a database may write files beside it, and the backup must stay as it is.
+    let copy = data_dir.join("rigcast.db.restoring");
+    let bytes = std::fs::read(&database).map_err(failed(&database))?;
+    write(&copy, &bytes)?;
+    let wanted = referenced(&copy).await?;
+    copy_objects(&source.join("objects"), None, &objects, &wanted, &progress).await?;
+    Objects::open(&objects)?.retain(&wanted)?;
+    let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&copy)).await?;
+    journal::rewrite(data_dir, &mut connection).await?;
+    connection.close().await?;
+    let place = data_dir.join(DATABASE);
+    std::fs::rename(&copy, &place).map_err(failed(&place))?;
+    end(data_dir)?;
+    Ok(manifest)
+}
+
+/// Marks a directory as unfinished. One that holds anything must have the mark already.
+fn begin(directory: &Path) -> Result<(), StoreError> {
+    let mark = directory.join(UNFINISHED);
+    if !mark.exists() {
+        empty(directory)?;
+        std::fs::create_dir_all(directory).map_err(failed(directory))?;
+        std::fs::write(&mark, b"").map_err(failed(&mark))?;
+    }
+    sync_directory(directory)
+}
+
+/// Takes the mark away.
+fn end(directory: &Path) -> Result<(), StoreError> {
+    let mark = directory.join(UNFINISHED);
+    std::fs::remove_file(&mark).map_err(failed(&mark))?;
+    sync_directory(directory)
+}
+
+fn something_else(path: &Path, wanted: &'static str, what: String) -> StoreError {
+    StoreError::SomethingElse { path: path.to_owned(), wanted, what }
+}
+
+/// Copies a database as of one moment, even while others write to it.
+async fn snapshot(database: &Path, copy: &Path) -> Result<(), StoreError> {
+    match std::fs::remove_file(copy) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(copy)(error)),
+        _ => {}
+    }
+    let options = SqliteConnectOptions::new().filename(database).busy_timeout(BUSY_TIMEOUT);
+    let mut connection = SqliteConnection::connect_with(&options).await?;
+    sqlx::query("VACUUM INTO ?").bind(copy.to_string_lossy().as_ref()).execute(&mut connection).await?;
+    connection.close().await?;
+    std::fs::File::open(copy).and_then(|file| file.sync_all()).map_err(failed(copy))?;
+    sync_directory(copy.parent().unwrap_or(Path::new(".")))
+}
+
+/// Names of all objects that a database refers to.
+async fn referenced(database: &Path) -> Result<BTreeSet<String>, StoreError> {
+    let options = SqliteConnectOptions::new().filename(database).read_only(true).immutable(true);
+    let mut connection = SqliteConnection::connect_with(&options).await?;
+    check_integrity(&mut connection, database).await?;
+    check_references(&mut connection, database).await?;
+    let names: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(&mut connection).await?;
+    connection.close().await?;
+    Ok(names.into_iter().collect())
+}
+
+async fn digest(file: &Path) -> Result<String, StoreError> {
+    let file = file.to_owned();
+    off_thread(move || {
+        let bytes = std::fs::read(&file).map_err(failed(&file))?;
+        Ok(Digest::of(&bytes).as_str().to_owned())
+    })
+    .await
+}
+
+/// Writes a file atomically: it is complete or not there.
+fn write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    use std::io::Write;
+    let directory = path.parent().unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(directory).map_err(failed(directory))?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(failed(path))?;
+    file.persist(path).map_err(|error| failed(path)(error.error))?;
+    sync_directory(directory)
+}
+
+fn sync_directory(directory: &Path) -> Result<(), StoreError> {
+    std::fs::File::open(directory).and_then(|file| file.sync_all()).map_err(failed(directory))
+}
+
+/// Refuses a directory that holds anything.
+fn empty(directory: &Path) -> Result<(), StoreError> {
+    match std::fs::read_dir(directory).map(|mut entries| entries.next().is_none()) {
+        Ok(true) => Ok(()),
+        Ok(false) => {
+            let error = std::io::Error::from(std::io::ErrorKind::DirectoryNotEmpty);
+            Err(failed(directory)(error))
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(failed(directory)(error)),
+    }
+}
+
+fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> StoreError + use<> {
+    let path: PathBuf = path.to_owned();
+    move |source| StoreError::DataDir { path, source }
+}
+
+fn damaged(path: &Path, what: String) -> StoreError {
+    StoreError::Damaged { path: path.to_owned(), what }
+}

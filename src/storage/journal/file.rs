@@ -1,0 +1,161 @@
+//! The journal's file: read whole, appended to, or replaced.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::Path;
+
+use super::entry::{Entry, Header, Image, RowName, checked, line};
+use crate::storage::StoreError;
+
+/// Version of the form that is written.
+pub(super) const FORM: u32 = 1;
+
+/// What a journal says.
+#[derive(Debug, Default)]
+pub(super) struct Contents {
+    /// The first line; `None` if it is damaged.
+    pub header: Option<Header>,
+    /// Number of the last change that a whole line has.
+    pub last: i64,
+    /// Damaged lines, a last line that was cut off among them.
+    pub damaged: u64,
+    /// Damaged lines after the last whole one.
+    pub damaged_at_end: i64,
+    /// Each row as its last whole line has it.
+    pub rows: BTreeMap<RowName, LastLine>,
+    /// Lines, the damaged ones included.
+    lines: usize,
+}
+
+/// The last whole line about a row.
+#[derive(Debug)]
+pub(super) struct LastLine {
+    /// Number of its change.
+    pub seq: i64,
+    /// The row; `None` once it is deleted.
+    pub row: Option<Image>,
+}
+
+/// A journal is written anew at a start if it has this many lines more than four for each row.
+const OLD_LINES: usize = 1000;
+
+/// Reads a journal; `None` if there is none.
+///
+/// # Errors
+/// The file system's errors. Damage is none.
+pub(super) fn read(path: &Path) -> Result<Option<Contents>, StoreError> {
+    let file = match File::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        opened => opened.map_err(failed(path))?,
+    };
+    let mut contents = Contents::default();
+    let mut reader = BufReader::new(file);
+    let mut bytes = Vec::new();
+    for n in 0.. {
+        bytes.clear();
+        if reader.read_until(b'\n', &mut bytes).map_err(failed(path))? == 0 {
+            break;
+        }
+        let json = bytes.strip_suffix(b"\n").and_then(checked);
+        let whole = match (n, json) {
+            (_, None) => false,
+            (0, Some(json)) => contents.begin(json),
+            (_, Some(json)) => contents.add(json),
+        };
+        if whole {
+            contents.damaged_at_end = 0;
+        } else {
+            contents.damaged += 1;
+            contents.damaged_at_end += 1;
+        }
+        contents.lines += 1;
+    }
+    Ok(Some(contents))
+}
+
+impl Contents {
+    fn begin(&mut self, json: &[u8]) -> bool {
+        self.header = serde_json::from_slice(json).ok().filter(|header: &Header| header.journal == FORM);
+        self.last = self.header.as_ref().map_or(0, |header| header.seq);
+        self.header.is_some()
+    }
+
+    /// Whether most lines are about former states of rows.
+    pub(super) fn mostly_old(&self) -> bool {
+        let rows = self.rows.values().filter(|line| line.row.is_some()).count();
+        self.lines > 4 * rows + OLD_LINES
+    }
+
+    fn add(&mut self, json: &[u8]) -> bool {
+        let Ok(entry) = serde_json::from_slice::<Entry>(json) else { return false };
+        self.last = self.last.max(entry.seq);
+        self.rows.insert(entry.name, LastLine { seq: entry.seq, row: entry.row });
+        true
+    }
+}
+
+/// A failed append.
+#[derive(Debug)]
+pub(super) enum AppendError {
+    /// Nothing was appended.
+    Unwritten(io::Error),
+    /// What is on the disk is not known.
+    Unsynced(io::Error),
+}
+
+impl AppendError {
+    pub(super) fn on(self, path: &Path) -> StoreError {
+        let (Self::Unwritten(source) | Self::Unsynced(source)) = self;
+        failed(path)(source)
+    }
+}
+
+/// A journal that is appended to.
+#[derive(Debug)]
+pub(super) struct JournalFile {
+    file: File,
+    /// Bytes up to the end of the last whole line.
+    len: u64,
+}
+
+impl JournalFile {
+    pub(super) fn append_to(path: &Path) -> Result<Self, StoreError> {
+        let file = File::options().append(true).open(path).map_err(failed(path))?;
+        let len = file.metadata().map_err(failed(path))?.len();
+        Ok(Self { file, len })
+    }
+
+    /// Appends the entries, durably. After a failed write the file is as it was.
+    pub(super) fn append(&mut self, entries: &[Entry]) -> Result<(), AppendError> {
+        let lines: String = entries.iter().map(line).collect();
+        if let Err(error) = self.file.write_all(lines.as_bytes()) {
+            self.file.set_len(self.len).map_err(AppendError::Unsynced)?;
+            return Err(AppendError::Unwritten(error));
+        }
+        self.file.sync_data().map_err(AppendError::Unsynced)?;
+        self.len += lines.len() as u64;
+        Ok(())
+    }
+}
+
+/// Writes a journal of these rows in the place of the one that is there, whole or not at all.
+pub(super) fn replace(path: &Path, header: &Header, entries: &[Entry]) -> Result<(), StoreError> {
+    let new = path.with_extension("journal.new");
+    let write = || {
+        let mut file = BufWriter::new(File::create(&new)?);
+        file.write_all(line(header).as_bytes())?;
+        for entry in entries {
+            file.write_all(line(entry).as_bytes())?;
+        }
+        file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
+        std::fs::rename(&new, path)?;
+        File::open(path.parent().unwrap_or(Path::new(".")))?.sync_all()
+    };
+    write().map_err(failed(path))
+}
+
+pub(super) fn failed(path: &Path) -> impl FnOnce(io::Error) -> StoreError + use<> {
+    let path = path.to_owned();
+    move |source| StoreError::DataDir { path, source }
+}

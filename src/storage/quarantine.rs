@@ -1,0 +1,120 @@
+//! Objects that no row names. They are put aside, not deleted: the row may have been lost and not the object.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use super::objects::off_thread;
+use super::{Store, StoreError};
+
+/// How long an object is kept after it was put aside.
+const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
+
+fn directory(data_dir: &Path) -> PathBuf {
+    data_dir.join("quarantine")
+}
+
+fn failed(path: &Path) -> impl FnOnce(io::Error) -> StoreError + use<> {
+    let path = path.to_owned();
+    move |source| StoreError::DataDir { path, source }
+}
+
+/// Names of the objects below a directory of objects.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn names_in(objects: &Path) -> Result<Vec<String>, StoreError> {
+    let mut names = Vec::new();
+    for folder in std::fs::read_dir(objects).map_err(failed(objects))? {
+        let folder = folder.map_err(failed(objects))?.path();
+        if !folder.is_dir() {
+            continue;
+        }
+        for file in std::fs::read_dir(&folder).map_err(failed(&folder))? {
+            names.extend(file.map_err(failed(&folder))?.file_name().into_string());
+        }
+    }
+    Ok(names)
+}
+
+fn place(data_dir: &Path, name: &str) -> PathBuf {
+    data_dir.join("objects").join(name.get(..2).unwrap_or("xx")).join(name)
+}
+
+/// Puts an object aside. Its week begins now.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn put_aside(data_dir: &Path, object: &Path) -> Result<(), StoreError> {
+    let directory = directory(data_dir);
+    std::fs::create_dir_all(&directory).map_err(failed(&directory))?;
+    let Some(name) = object.file_name() else { return Ok(()) };
+    let file = std::fs::File::options().append(true).open(object).map_err(failed(object))?;
+    file.set_modified(SystemTime::now()).map_err(failed(object))?;
+    std::fs::rename(object, directory.join(name)).map_err(failed(object))
+}
+
+/// Puts those of `wanted` back that are missing among the objects.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn bring_back(data_dir: &Path, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
+    for (name, path) in files(data_dir)? {
+        let place = place(data_dir, &name);
+        if wanted.contains(&name) && !place.exists() {
+            let folder = place.parent().unwrap_or(data_dir);
+            std::fs::create_dir_all(folder).map_err(failed(folder))?;
+            std::fs::rename(&path, &place).map_err(failed(&place))?;
+            tracing::warn!(object.digest = name, "an object that a row names was brought back");
+        }
+    }
+    Ok(())
+}
+
+/// Names and paths of the objects that were put aside.
+fn files(data_dir: &Path) -> Result<Vec<(String, PathBuf)>, StoreError> {
+    let directory = directory(data_dir);
+    let entries = match std::fs::read_dir(&directory) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(failed(&directory))?,
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(failed(&directory))?.path();
+        if let Some(name) = path.file_name().and_then(|name| name.to_str()) {
+            files.push((name.to_owned(), path));
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+impl Store {
+    /// Names of the objects that were put aside because no row names them.
+    ///
+    /// # Errors
+    /// The file system's errors.
+    pub async fn quarantined(&self) -> Result<Vec<String>, StoreError> {
+        let data_dir = self.data_dir().to_owned();
+        off_thread(move || Ok(files(&data_dir)?.into_iter().map(|(name, _)| name).collect())).await
+    }
+
+    /// Deletes what was put aside more than a week ago. Called at an orderly stop, never after a crash.
+    pub(super) async fn empty_quarantine(&self) -> Result<(), StoreError> {
+        let data_dir = self.data_dir().to_owned();
+        off_thread(move || {
+            for (name, path) in files(&data_dir)? {
+                let since =
+                    std::fs::metadata(&path).and_then(|file| file.modified()).map_err(failed(&path))?;
+                // An age before the present, by a clock that went back, is none.
+                if since.elapsed().is_ok_and(|age| age > KEPT) {
+                    tracing::info!(object.digest = name, "deleted an object that no row named for a week");
+                    std::fs::remove_file(&path).map_err(failed(&path))?;
+                }
+            }
+            Ok(())
+        })
+        .await
+    }
+}
