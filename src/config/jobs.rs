@@ -41,6 +41,10 @@ pub struct JobArgs {
     /// Longest time for one attempt of a job, seconds.
     #[arg(long, env = "RIGCAST_JOB_TIME_LIMIT_S", default_value = "86400", value_parser = seconds)]
     pub job_time_limit_s: Duration,
+
+    /// Jobs that one token asked for and that wait for their turn; further ones are refused.
+    #[arg(long, env = "RIGCAST_WAITING_JOBS", default_value_t = JobSettings::default().max_waiting, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    pub waiting_jobs: u64,
 }
 
 /// A time of a tenth of a second to a minute: a crash costs two of them at most.
@@ -72,6 +76,7 @@ impl JobArgs {
             sweep: self.sweep_s,
             checkpoint_every: self.checkpoint_s,
             program: Some(program),
+            max_waiting: self.waiting_jobs,
             ..JobSettings::default()
         })
     }

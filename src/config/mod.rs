@@ -232,6 +232,7 @@ mod tests {
         assert_eq!(config.compute, ComputeSettings::default());
         assert_eq!(config.admission, AdmissionSettings::default());
         assert_eq!(config.connections, ConnectionSettings::default());
+        assert_eq!(config.jobs.max_waiting, JobSettings::default().max_waiting);
     }
 
     #[test]

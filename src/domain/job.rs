@@ -6,8 +6,22 @@ use serde::{Deserialize, Serialize};
 use super::ids::{JobId, RigId};
 use super::problem::Problem;
 
-/// Most attempts of a job; a job that was interrupted this often has failed.
+/// Most attempts of a job. An attempt counts if its worker failed while the service lived.
 pub const MAX_ATTEMPTS: u32 = 3;
+
+/// Most deaths of the service in a row under a job that made no progress in between; at the next one the
+/// job has failed.
+///
+/// A service that dies takes its workers with it, so its death says little about the jobs at hand and costs
+/// them no attempt. A job can still be the cause: a control group may end the whole service for the memory
+/// of one worker, and a machine may hang. Such a job meets its end at the same place each time and makes no
+/// progress, so only deaths without progress are counted. There may be many of them, because a machine that
+/// crashes for a reason of its own can also do so several times before a job comes to its first checkpoint.
+pub const MAX_SERVICE_DEATHS: u32 = 20;
+
+/// Deaths of the service in a row and without progress after which a job is suspect: it then no longer
+/// resumes before other jobs, so that they are done even if this one ends the service each time.
+pub const SUSPECT_AFTER: u32 = 3;
 
 /// Kinds of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -118,7 +132,7 @@ pub struct Job {
     pub progress: f64,
     /// Estimated seconds until it is done, from the speed so far; only while it runs.
     pub eta_s: Option<f64>,
-    /// Number of attempts.
+    /// Number of attempts; those that a stop or the death of the service ended do not count.
     pub attempt: u32,
     /// When it was queued.
     pub created_at: Timestamp,

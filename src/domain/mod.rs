@@ -15,6 +15,7 @@ pub mod rig;
 pub mod run;
 pub mod strict;
 pub mod token;
+pub mod turns;
 
 pub use crate::engine::{Quantity, RunKind, Split};
 pub use created::Created;

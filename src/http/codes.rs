@@ -110,6 +110,7 @@ codes! {
 
     // Fits and jobs.
     JOB_NOT_FOUND = "job.not_found", 404, "No such job";
+    JOB_TOO_MANY_WAITING = "job.too_many_waiting", 429, "Too many jobs of the token wait";
     FIT_NO_RUNS = "fit.no_runs", 409, "No run matches the selection";
     FIT_INVALID = "fit.invalid", 422, "The fit does not suit the rig";
     FIT_MISSING_CHANNEL = "fit.missing_channel", 422, "A run lacks a channel of the fit";

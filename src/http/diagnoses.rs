@@ -9,6 +9,7 @@ use axum::response::IntoResponse;
 use jiff::Timestamp;
 use serde::Serialize;
 
+use super::auth::Caller;
 use super::headers::SCRIPT_FREE_PAGE;
 use super::idempotency::{RequestKey, created};
 use super::json::{self, Json};
@@ -44,13 +45,15 @@ struct Shown<'a> {
 /// `POST /v1/rigs/{rig}/diagnoses`
 pub async fn start(
     State(http): State<Shared>,
+    caller: Caller,
     OfRig(id): OfRig,
     _: NoParams,
     key: RequestKey,
     Json(request): Json<DiagnosisRequest>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let job = http.jobs.submit_diagnosis(&rig, &request, key.stored().as_ref()).await?;
+    let (token, key) = (caller.token_id(), key.stored());
+    let job = http.jobs.submit_diagnosis(&rig, &request, token, key.as_ref()).await?;
     created(Created::job(&job))
 }
 

@@ -11,6 +11,9 @@ use crate::models::ModelError;
 use crate::storage::StoreError;
 use crate::telemetry::names;
 
+/// Seconds after which a token with too many waiting jobs may ask again: about the time of a short job.
+const WAITING_JOBS_S: u32 = 30;
+
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         error.count();
@@ -76,6 +79,7 @@ impl From<FitProblem> for Problem {
     fn from(error: FitProblem) -> Self {
         match error {
             FitProblem::Store(error) => error.into(),
+            FitProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
             error => error.problem().into(),
         }
     }
@@ -85,6 +89,7 @@ impl From<DiagnosisProblem> for Problem {
     fn from(error: DiagnosisProblem) -> Self {
         match error {
             DiagnosisProblem::Store(error) => error.into(),
+            DiagnosisProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
             error => error.problem().into(),
         }
     }

@@ -3,6 +3,7 @@
 use axum::extract::State;
 
 use super::Shared;
+use super::auth::Caller;
 use super::idempotency::{RequestKey, created};
 use super::json::Json;
 use super::params::NoParams;
@@ -14,12 +15,13 @@ use crate::domain::fits::FitRequest;
 /// `POST /v1/rigs/{rig}/fits`
 pub async fn start(
     State(http): State<Shared>,
+    caller: Caller,
     OfRig(id): OfRig,
     _: NoParams,
     key: RequestKey,
     Json(request): Json<FitRequest>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let job = http.jobs.submit_fit(&rig, &request, key.stored().as_ref()).await?;
+    let job = http.jobs.submit_fit(&rig, &request, caller.token_id(), key.stored().as_ref()).await?;
     created(Created::job(&job))
 }

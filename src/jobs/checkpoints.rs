@@ -12,12 +12,16 @@ use crate::storage::{Checkpoint, Store, StoreError};
 
 use super::control::Control;
 
+/// Time from the start of an attempt to its first checkpoint, unless the setting is shorter.
+const FIRST: Duration = Duration::from_millis(500);
+
 /// The checkpoints of one attempt.
 #[derive(Debug)]
 pub(super) struct JobCheckpoints {
     control: Arc<Control>,
     fits: String,
     found: HashMap<String, Bytes>,
+    /// Longest time between two checkpoints.
     every: Duration,
     opened: Instant,
     /// When each part was last saved.
@@ -43,6 +47,13 @@ impl JobCheckpoints {
         Ok(Self { control, fits, found, every, opened: Instant::now(), put: Mutex::default() })
     }
 
+    /// Longest time between two checkpoints so far. The first ones come early, so that work goes forward
+    /// even on a machine that crashes every few seconds; as an attempt lives on they come less often, up to
+    /// the setting.
+    fn interval(&self) -> Duration {
+        self.every.min(FIRST.max(self.opened.elapsed() / 2))
+    }
+
     fn put(&self) -> std::sync::MutexGuard<'_, HashMap<String, Instant>> {
         self.put.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -56,7 +67,7 @@ impl CheckpointStore for JobCheckpoints {
     fn is_due(&self, part: &str, done: bool) -> bool {
         let last = self.put().get(part).copied().unwrap_or(self.opened);
         // A part that ended within a moment is not worth a write.
-        last.elapsed() >= if done { self.every / 4 } else { self.every }
+        last.elapsed() >= if done { self.interval() / 4 } else { self.interval() }
     }
 
     fn save(&self, part: &str, state: Vec<u8>) {

@@ -11,7 +11,7 @@ use crate::domain::{
 use crate::engine::model::{FitSplit, ModelKind, Preset, RunLengths, Section, Sections, Task};
 use crate::storage::{Store, StoreError};
 
-use super::problem::{codes, sentence};
+use super::problem::{codes, sentence, too_many_waiting};
 use super::selection::{by_id, matching};
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
@@ -68,6 +68,9 @@ pub enum FitProblem {
     /// The rig was deleted meanwhile (404 `rig.not_found`).
     #[error("the rig is gone")]
     RigGone,
+    /// This many jobs of the token wait, as many as it may have (429 `job.too_many_waiting`).
+    #[error("{0} jobs of the token wait already")]
+    TooManyWaiting(u64),
     /// The store.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -100,6 +103,7 @@ impl FitProblem {
                     .with(vec![FieldError::new(*pointer, "at least one run of the rig")])
             }
             Self::RigGone => Problem::new(404, codes::RIG_NOT_FOUND, "No such rig", format!("{self}.")),
+            Self::TooManyWaiting(most) => too_many_waiting(*most),
             Self::Store(_) => Problem::new(
                 503,
                 codes::STORE_UNAVAILABLE,

@@ -22,13 +22,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use futures::Stream;
-use jiff::Timestamp;
 use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig};
-use crate::storage::{CancelOutcome, IdempotencyKey, Store, StoreError};
+use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig, TokenId};
+use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
@@ -56,6 +55,8 @@ pub struct JobSettings {
     pub program: Option<WorkerProgram>,
     /// Least time between two progress writes of a job.
     pub progress_every: Duration,
+    /// Most jobs that one token asked for and that wait for their turn.
+    pub max_waiting: u64,
 }
 
 impl Default for JobSettings {
@@ -68,6 +69,7 @@ impl Default for JobSettings {
             checkpoint_every: Duration::from_secs(30),
             program: None,
             progress_every: Duration::from_millis(500),
+            max_waiting: 1000,
         }
     }
 }
@@ -101,8 +103,8 @@ impl Jobs {
         fit: FitFunction,
     ) -> Result<Self, StoreError> {
         // The data directory is locked, so the process that had these jobs is gone.
-        for id in store.requeue_expired(Timestamp::MAX, &[], clock()).await? {
-            tracing::warn!(job.id = %id, "a job was interrupted when its process ended");
+        for id in store.requeue_interrupted(clock()).await? {
+            tracing::warn!(job.id = %id, "a job was interrupted when the service died");
         }
         let count = settings.workers;
         let executor = match settings.program.clone() {
@@ -119,7 +121,7 @@ impl Jobs {
         Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
     }
 
-    /// Checks a fit and queues it.
+    /// Checks a fit and queues it for a token.
     ///
     /// # Errors
     /// [`FitProblem`]: an error of the request, or the store's failure.
@@ -127,17 +129,27 @@ impl Jobs {
         &self,
         rig: &Rig,
         request: &FitRequest,
+        token: Option<TokenId>,
         key: Option<&IdempotencyKey>,
     ) -> Result<Job, FitProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         fit::check(store, rig, request).await?;
-        let job = store.insert_fit_job(&rig.id, request, key, clock()).await?;
-        let job = job.ok_or(FitProblem::RigGone)?;
-        self.wake();
-        Ok(job)
+        let asker = self.asker(token);
+        match store.insert_fit_job(&rig.id, request, asker, key, clock()).await? {
+            JobInsert::Queued(job) => {
+                self.wake();
+                Ok(*job)
+            }
+            JobInsert::MissingRig => Err(FitProblem::RigGone),
+            JobInsert::TooManyWaiting => Err(FitProblem::TooManyWaiting(asker.max_waiting)),
+        }
     }
 
-    /// Checks a diagnosis and queues it, its model and runs resolved.
+    fn asker(&self, token: Option<TokenId>) -> Asker {
+        Asker { token, max_waiting: self.runner.settings.max_waiting }
+    }
+
+    /// Checks a diagnosis and queues it for a token, its model and runs resolved.
     ///
     /// # Errors
     /// [`DiagnosisProblem`]: an error of the request, or the store's failure.
@@ -145,13 +157,20 @@ impl Jobs {
         &self,
         rig: &Rig,
         request: &DiagnosisRequest,
+        token: Option<TokenId>,
         key: Option<&IdempotencyKey>,
     ) -> Result<Job, DiagnosisProblem> {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = diagnosis::check(store, rig, request).await?;
-        let job = store.insert_diagnosis_job(&rig.id, &plan.request, key, clock()).await?;
-        self.wake();
-        job.ok_or(DiagnosisProblem::RigGone)
+        let asker = self.asker(token);
+        match store.insert_diagnosis_job(&rig.id, &plan.request, asker, key, clock()).await? {
+            JobInsert::Queued(job) => {
+                self.wake();
+                Ok(*job)
+            }
+            JobInsert::MissingRig => Err(DiagnosisProblem::RigGone),
+            JobInsert::TooManyWaiting => Err(DiagnosisProblem::TooManyWaiting(asker.max_waiting)),
+        }
     }
 
     /// Records the request to cancel, and stops the work if it runs here. Idempotent.

@@ -35,6 +35,8 @@ pub mod codes {
     pub const RIG_NOT_FOUND: &str = "rig.not_found";
     /// The fit's model cannot be activated (422).
     pub const MODEL_NOT_FORWARD: &str = "model.not_forward";
+    /// So many jobs of the token wait that it may have no more (429).
+    pub const JOB_TOO_MANY_WAITING: &str = "job.too_many_waiting";
     /// A panic ended the job (500).
     pub const JOB_PANICKED: &str = "job.panicked";
     /// The job's worker died too often (500).
@@ -116,6 +118,13 @@ pub(super) fn panicked(message: &str) -> JobError {
     tracing::error!(panic = message, "a job panicked: this is a bug");
     let detail = "A defect of the program ended the job; the log has the details.";
     JobError::failed(Problem::new(500, codes::JOB_PANICKED, "A defect ended the job", detail))
+}
+
+/// The refusal of a job because `most` jobs of its token wait already.
+pub(super) fn too_many_waiting(most: u64) -> Problem {
+    let detail = format!("{most} jobs of this token wait already; ask again when some of them have started.");
+    Problem::new(429, codes::JOB_TOO_MANY_WAITING, "Too many jobs of the token wait", detail)
+        .with(vec![FieldError::new("", format!("at most {most} waiting jobs of one token"))])
 }
 
 /// A place and its limit, in words.

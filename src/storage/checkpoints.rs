@@ -22,7 +22,8 @@ pub struct Checkpoint {
 
 impl Store {
     /// Stores a checkpoint in place of the part's previous one; `false` if the lease is lost and nothing
-    /// was changed. The end of a job deletes its checkpoints.
+    /// was changed. It is progress, so the deaths of the service under the job count from here on. The end
+    /// of a job deletes its checkpoints.
     ///
     /// # Errors
     /// The store's failures; the previous one is then still there.
@@ -32,6 +33,7 @@ impl Store {
         checkpoint: &Checkpoint,
         now: Timestamp,
     ) -> Result<bool, StoreError> {
+        let mut tx = self.write_with_reserve().await?;
         let done = sqlx::query(
             "INSERT INTO checkpoints (job, part, fits, sha256, state, written_us)
              SELECT id, ?3, ?4, ?5, ?6, ?7 FROM jobs
@@ -47,9 +49,17 @@ impl Store {
         .bind(Digest::of(&checkpoint.state).as_str())
         .bind(&checkpoint.state[..])
         .bind(us(now))
-        .execute(&mut *self.write_one().await?)
+        .execute(&mut *tx)
         .await?;
-        Ok(done.rows_affected() == 1)
+        if done.rows_affected() == 0 {
+            return Ok(false);
+        }
+        sqlx::query("UPDATE jobs SET service_deaths = 0 WHERE id = ?")
+            .bind(lease.job.to_string())
+            .execute(&mut *tx)
+            .await?;
+        tx.commit_progress().await?;
+        Ok(true)
     }
 
     /// The checkpoints of a job with this digest; damaged ones are skipped.

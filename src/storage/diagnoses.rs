@@ -8,10 +8,10 @@ use super::jobs::succeed;
 use super::objects::ObjectWrite;
 use super::rigs::rig_in;
 use super::rows::{DiagnosisRow, all, int, json, us, word};
-use super::{Digest, IdempotencyKey, Lease, Store, StoreError};
+use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, Store, StoreError};
 use crate::domain::diagnosis::{DiagnosedModel, VerdictSummary};
 use crate::domain::{
-    DiagnosisId, DiagnosisRequest, DiagnosisSummary, Job, JobKind, JobResult, Page, PageRequest, RigId,
+    DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobKind, JobResult, Page, PageRequest, RigId,
     StoredDiagnosis, new_id,
 };
 
@@ -32,7 +32,7 @@ pub struct NewDiagnosis {
 }
 
 impl Store {
-    /// Queues a diagnosis; `None` when there is no such rig.
+    /// Queues a diagnosis.
     ///
     /// # Errors
     /// The store's failures.
@@ -40,10 +40,11 @@ impl Store {
         &self,
         rig: &RigId,
         request: &DiagnosisRequest,
+        asker: Asker,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Job>, StoreError> {
-        self.insert_requested_job(rig, JobKind::Diagnosis, request, key, now).await
+    ) -> Result<JobInsert, StoreError> {
+        self.insert_requested_job(rig, JobKind::Diagnosis, request, asker, key, now).await
     }
 
     /// Stores a diagnosis and ends its job, whose last words are `stage`, in one transaction, if the
@@ -174,7 +175,7 @@ mod tests {
 
     use super::super::testing::{TestStore, draft, now};
     use super::*;
-    use crate::domain::{JobState, Rig};
+    use crate::domain::{Job, JobState, Rig};
 
     fn request() -> DiagnosisRequest {
         serde_json::from_value(serde_json::json!({"runs": []})).unwrap()
@@ -194,8 +195,16 @@ mod tests {
         }
     }
 
+    async fn queued(store: &TestStore, rig: &Rig) -> Job {
+        let asker = Asker { token: None, max_waiting: 1 };
+        match store.insert_diagnosis_job(&rig.id, &request(), asker, None, now()).await.unwrap() {
+            JobInsert::Queued(job) => *job,
+            other => panic!("{other:?}"),
+        }
+    }
+
     async fn published(store: &TestStore, rig: &Rig, findings: &'static [u8]) -> DiagnosisId {
-        store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
+        queued(store, rig).await;
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         store.publish_diagnosis(&lease, new(findings), "found", now()).await.unwrap().unwrap()
     }
@@ -204,7 +213,7 @@ mod tests {
     async fn a_diagnosis_is_stored_once_with_the_end_of_its_job_and_goes_with_its_rig() {
         let store = TestStore::open().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-        let job = store.insert_diagnosis_job(&rig.id, &request(), None, now()).await.unwrap().unwrap();
+        let job = queued(&store, &rig).await;
         assert_eq!(job.kind, JobKind::Diagnosis);
         let lease = store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease;
         let lost = Lease { token: lease.token + 1, ..lease.clone() };

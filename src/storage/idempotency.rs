@@ -127,6 +127,7 @@ impl Store {
 #[cfg(test)]
 mod tests {
     use super::super::testing::{TestStore, draft, now};
+    use super::super::{Asker, JobInsert};
     use super::*;
 
     fn keyed(key: &str) -> IdempotencyKey {
@@ -138,9 +139,11 @@ mod tests {
         let store = TestStore::open().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
-        let fit =
-            async |key: &str, now| store.insert_fit_job(&rig.id, &request, Some(&keyed(key)), now).await;
-        let job = fit("a", now()).await.unwrap().unwrap();
+        let asker = Asker { token: None, max_waiting: 10 };
+        let fit = async |key: &str, now| {
+            store.insert_fit_job(&rig.id, &request, asker, Some(&keyed(key)), now).await
+        };
+        let JobInsert::Queued(job) = fit("a", now()).await.unwrap() else { panic!("it is the first") };
         assert!(matches!(fit("a", now()).await, Err(StoreError::Repeated)));
         let before = store.answer_under_key("", "a").await.unwrap().unwrap();
         assert_eq!(
@@ -155,7 +158,8 @@ mod tests {
         assert!(store.answer_under_key("", "b").await.unwrap().is_some());
         // A failed request does not use up its key.
         let gone = "gone".parse().unwrap();
-        assert_eq!(store.insert_fit_job(&gone, &request, Some(&keyed("d")), now()).await.unwrap(), None);
+        let refused = store.insert_fit_job(&gone, &request, asker, Some(&keyed("d")), now()).await.unwrap();
+        assert_eq!(refused, JobInsert::MissingRig);
         assert_eq!(store.answer_under_key("", "d").await.unwrap(), None);
     }
 }

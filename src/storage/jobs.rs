@@ -1,4 +1,4 @@
-//! Jobs in the store: queue, leases, states.
+//! Jobs in the store: queue, leases, states. Claims are in [`super::turns`].
 //!
 //! Every change of a running job names its lease; a worker whose lease was taken changes nothing.
 
@@ -11,11 +11,12 @@ use sqlx::SqliteConnection;
 use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
-use super::{IdempotencyKey, Store, StoreError, idempotency};
+use super::{IdempotencyKey, Store, StoreError, idempotency, turns};
 use crate::domain::fits::FitRequest;
-use crate::domain::job::{MAX_ATTEMPTS, eta_s};
+use crate::domain::job::{MAX_ATTEMPTS, SUSPECT_AFTER, eta_s};
+use crate::domain::turns::Urgency;
 use crate::domain::{
-    Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, new_id,
+    Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, TokenId, new_id,
 };
 
 /// A filter of jobs; the default is all jobs.
@@ -70,7 +71,7 @@ pub enum Outcome {
     Failed(Problem),
     /// It was cancelled.
     Cancelled,
-    /// It goes back into the queue, its attempt not counted: the service stops.
+    /// It goes back into the queue, its attempt not counted: the service stops, or has died.
     Released,
     /// It goes back into the queue; if its attempts are used up, it has failed.
     Retry(Problem),
@@ -85,6 +86,26 @@ pub enum CancelOutcome {
     Noted(Box<Job>),
 }
 
+/// The token that asks for a job, and how many of its jobs may wait.
+#[derive(Debug, Clone, Copy)]
+pub struct Asker {
+    /// The token; `None` while there are none, when all requests share one limit.
+    pub token: Option<TokenId>,
+    /// Most jobs that were asked for and wait.
+    pub max_waiting: u64,
+}
+
+/// Outcome of a request for a job.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobInsert {
+    /// It waits for its turn.
+    Queued(Box<Job>),
+    /// No such rig.
+    MissingRig,
+    /// So many jobs of the token wait that it may have no more.
+    TooManyWaiting,
+}
+
 /// The origin of a job.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum JobOrigin {
@@ -94,18 +115,23 @@ pub(super) enum JobOrigin {
     Policy,
 }
 
-/// Queues a job of an existing rig.
+/// Queues a job of an existing rig for a token.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     rig: &RigId,
     kind: JobKind,
     request: &impl Serialize,
     origin: JobOrigin,
+    token: Option<TokenId>,
     now: Timestamp,
 ) -> Result<Job, StoreError> {
+    let urgency = match origin {
+        JobOrigin::Request => Urgency::of_request(kind),
+        JobOrigin::Policy => Urgency::Background,
+    };
     let row: JobRow = sqlx::query_as(
-        "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us)
-         VALUES (?, ?, ?, 'queued', ?, ?, ?) RETURNING *",
+        "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us, owner, urgency)
+         VALUES (?, ?, ?, 'queued', ?, ?, ?, ?, ?) RETURNING *",
     )
     .bind(new_id(now).to_string())
     .bind(rig.as_str())
@@ -116,9 +142,16 @@ pub(super) async fn insert(
     })
     .bind(json(request))
     .bind(us(now))
+    .bind(owner(token))
+    .bind(urgency as i64)
     .fetch_one(connection)
     .await?;
     row.try_into()
+}
+
+/// A token as the owner of jobs; empty without tokens.
+fn owner(token: Option<TokenId>) -> String {
+    token.map(|id| id.to_string()).unwrap_or_default()
 }
 
 /// Ends a job with a result; `false` when the lease is lost.
@@ -129,6 +162,7 @@ pub(super) async fn succeed(
     stage: &str,
     now: Timestamp,
 ) -> Result<bool, StoreError> {
+    turns::charge(connection, lease, now).await?;
     let done = sqlx::query(
         "UPDATE jobs SET state = 'succeeded', result = ?3, stage = ?4, progress = 1, eta_s = NULL,
                          finished_us = ?5, lease_until_us = NULL, event = event + 1
@@ -145,7 +179,7 @@ pub(super) async fn succeed(
 }
 
 impl Store {
-    /// Queues a fit that a client asked for; `None` when there is no such rig.
+    /// Queues a fit that a client asked for.
     ///
     /// # Errors
     /// The store's failures.
@@ -153,30 +187,41 @@ impl Store {
         &self,
         rig: &RigId,
         request: &FitRequest,
+        asker: Asker,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Job>, StoreError> {
-        self.insert_requested_job(rig, JobKind::Fit, request, key, now).await
+    ) -> Result<JobInsert, StoreError> {
+        self.insert_requested_job(rig, JobKind::Fit, request, asker, key, now).await
     }
 
-    /// Queues a job that a client asked for; `None` when there is no such rig.
+    /// Queues a job that a client asked for.
     pub(super) async fn insert_requested_job(
         &self,
         rig: &RigId,
         kind: JobKind,
         request: &(impl Serialize + Sync),
+        asker: Asker,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Job>, StoreError> {
+    ) -> Result<JobInsert, StoreError> {
         let mut tx = self.write().await?;
         idempotency::check_unused(&mut tx, key).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
+            return Ok(JobInsert::MissingRig);
         }
-        let job = insert(&mut tx, rig, kind, request, JobOrigin::Request, now).await?;
+        let waiting: i64 = sqlx::query_scalar(
+            "SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = ? AND origin = 'request'",
+        )
+        .bind(owner(asker.token))
+        .fetch_one(&mut *tx)
+        .await?;
+        if waiting >= int(asker.max_waiting) {
+            return Ok(JobInsert::TooManyWaiting);
+        }
+        let job = insert(&mut tx, rig, kind, request, JobOrigin::Request, asker.token, now).await?;
         idempotency::record(&mut tx, key, || Created::job(&job), now).await?;
         tx.commit().await?;
-        Ok(Some(job))
+        Ok(JobInsert::Queued(Box::new(job)))
     }
 
     /// One job.
@@ -266,36 +311,6 @@ impl Store {
         }
     }
 
-    /// Claims the oldest queued job for `worker`, until `lease_until` unless a heartbeat extends it.
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn claim_job(
-        &self,
-        worker: &str,
-        lease_until: Timestamp,
-        now: Timestamp,
-    ) -> Result<Option<Claim>, StoreError> {
-        let mut tx = self.write().await?;
-        let row: Option<JobRow> = sqlx::query_as(
-            "UPDATE jobs SET state = 'running', worker = ?1, lease_until_us = ?2, started_us = ?3,
-                             lease_token = lease_token + 1, attempt = attempt + 1, progress = 0,
-                             stage = NULL, eta_s = NULL, problem = NULL, event = event + 1
-             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' ORDER BY id LIMIT 1)
-             RETURNING *",
-        )
-        .bind(worker)
-        .bind(us(lease_until))
-        .bind(us(now))
-        .fetch_optional(&mut *tx)
-        .await?;
-        let Some(row) = row else { return Ok(None) };
-        tx.commit().await?;
-        let (request, token) = (row.request()?, row.lease_token.unsigned_abs());
-        let job: Job = row.try_into()?;
-        Ok(Some(Claim { lease: Lease { job: job.id, token }, job, request }))
-    }
-
     /// Extends a lease and records the progress of the job.
     ///
     /// # Errors
@@ -312,6 +327,8 @@ impl Store {
         let mut tx = self.write_with_reserve().await?;
         let held: Option<(i64, bool)> = sqlx::query_as(
             "UPDATE jobs SET lease_until_us = ?3, progress = max(progress, ?4),
+                             service_deaths = CASE WHEN ?4 > furthest THEN 0 ELSE service_deaths END,
+                             furthest = max(furthest, ?4),
                              stage = CASE WHEN cancel_requested THEN stage ELSE ?5 END,
                              event = event + 1
              WHERE id = ?1 AND lease_token = ?2 AND state = 'running'
@@ -325,6 +342,7 @@ impl Store {
         .fetch_optional(&mut *tx)
         .await?;
         let Some((started_us, cancel_requested)) = held else { return Ok(Beat::Lost) };
+        turns::charge(&mut tx, lease, now).await?;
         let elapsed_s = (us(now) - started_us) as f64 * 1e-6;
         sqlx::query("UPDATE jobs SET eta_s = ?2 WHERE id = ?1")
             .bind(lease.job.to_string())
@@ -356,49 +374,22 @@ impl Store {
                 .await?;
         let Some(row) = row else { return Ok(false) };
         let job: Job = row.try_into()?;
+        turns::charge(&mut tx, lease, now).await?;
         leave_running(&mut tx, &job, outcome, now).await?;
         tx.commit().await?;
         Ok(true)
-    }
-
-    /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them if their
-    /// attempts are used up. Returns their ids. Jobs in `held` stay as they are. At a start every lease
-    /// is over, because no other process can have the data directory: pass [`Timestamp::MAX`].
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn requeue_expired(
-        &self,
-        expired_at: Timestamp,
-        held: &[JobId],
-        now: Timestamp,
-    ) -> Result<Vec<JobId>, StoreError> {
-        let mut tx = self.write_with_reserve().await?;
-        let rows: Vec<JobRow> =
-            sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= ? ORDER BY id")
-                .bind(us(expired_at))
-                .fetch_all(&mut *tx)
-                .await?;
-        let mut jobs: Vec<Job> = all(rows)?;
-        jobs.retain(|job| !held.contains(&job.id));
-        for job in &jobs {
-            let detail = format!("the worker died or was stopped {} times while it had the job", job.attempt);
-            let problem = Problem::new(500, "job.interrupted", "The job was interrupted too often", detail);
-            leave_running(&mut tx, job, Outcome::Retry(problem), now).await?;
-        }
-        tx.commit().await?;
-        Ok(jobs.into_iter().map(|job| job.id).collect())
     }
 }
 
 /// Moves a running job to its next state. The caller holds the write transaction in which it read the
 /// job.
-async fn leave_running(
+pub(super) async fn leave_running(
     connection: &mut SqliteConnection,
     job: &Job,
     outcome: Outcome,
     now: Timestamp,
 ) -> Result<(), StoreError> {
+    let released = matches!(outcome, Outcome::Released);
     let (state, problem, attempt) = match outcome {
         Outcome::Failed(problem) => (JobState::Failed, Some(problem), job.attempt),
         Outcome::Cancelled => (JobState::Cancelled, None, job.attempt),
@@ -414,6 +405,7 @@ async fn leave_running(
         "UPDATE jobs SET state = ?2, problem = ?3, attempt = ?4, finished_us = ?5, eta_s = NULL,
                          stage = CASE WHEN ?2 = 'failed' THEN stage ELSE NULL END,
                          progress = CASE WHEN ?2 = 'queued' THEN 0 ELSE progress END,
+                         goes_on = (?2 = 'queued' AND ?6 AND service_deaths < ?7),
                          worker = NULL, lease_until_us = NULL, event = event + 1
          WHERE id = ?1",
     )
@@ -422,6 +414,8 @@ async fn leave_running(
     .bind(problem.as_ref().map(json))
     .bind(job.attempt.min(attempt))
     .bind(state.is_terminal().then(|| us(now)))
+    .bind(released)
+    .bind(SUSPECT_AFTER)
     .execute(connection)
     .await?;
     Ok(())
@@ -479,7 +473,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_are_claimed_oldest_first_and_each_once() {
+    async fn jobs_of_one_rig_are_claimed_oldest_first_and_each_once() {
         let store = TestStore::open().await;
         let jobs = queued(&store, 2).await;
         let first = claim(&store, now()).await.unwrap();
@@ -532,21 +526,6 @@ mod tests {
         let failed = cancel(jobs[1].id).await;
         assert_eq!((failed.state, failed.problem), (JobState::Failed, Some(problem())));
         assert_eq!(store.request_cancel(new_id(now()), now()).await.unwrap(), CancelOutcome::Missing);
-    }
-
-    #[tokio::test]
-    async fn an_interrupted_job_is_tried_three_times() {
-        let store = TestStore::open().await;
-        let id = queued(&store, 1).await[0].id;
-        for attempt in 1..=MAX_ATTEMPTS {
-            let claimed = claim(&store, now()).await.unwrap();
-            assert_eq!((claimed.job.attempt, claimed.lease.token), (attempt, u64::from(attempt)));
-            assert_eq!(store.requeue_expired(now(), &[], now()).await.unwrap().len(), 0, "its lease lasts");
-            assert_eq!(store.requeue_expired(Timestamp::MAX, &[], now()).await.unwrap(), [id]);
-        }
-        assert_eq!(claim(&store, now()).await, None);
-        let job = store.job(id).await.unwrap().unwrap();
-        assert_eq!((job.state, job.problem.unwrap().code.as_str()), (JobState::Failed, "job.interrupted"));
     }
 
     #[tokio::test]

@@ -13,6 +13,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (7, "model_frf", include_str!("../../migrations/0007_model_frf.sql")),
     (8, "adopted", include_str!("../../migrations/0008_adopted.sql")),
     (9, "changes", include_str!("../../migrations/0009_changes.sql")),
+    (10, "job_turns", include_str!("../../migrations/0010_job_turns.sql")),
 ];
 
 /// Migrations up to this number.

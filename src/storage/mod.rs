@@ -10,6 +10,7 @@ mod corruption;
 mod diagnoses;
 mod error;
 mod idempotency;
+mod interruptions;
 mod jobs;
 mod journal;
 mod migrations;
@@ -29,6 +30,7 @@ pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 mod tokens;
+mod turns;
 mod usage;
 mod write;
 
@@ -37,7 +39,7 @@ pub use corruption::CorruptObject;
 pub use diagnoses::NewDiagnosis;
 pub use error::{Acknowledged, StoreError};
 pub use idempotency::{IdempotencyKey, StoredAnswer};
-pub use jobs::{Beat, CancelOutcome, Claim, JobQuery, Lease, Outcome};
+pub use jobs::{Asker, Beat, CancelOutcome, Claim, JobInsert, JobQuery, Lease, Outcome};
 pub use journal::{Lost, Recovered, recover};
 pub use models::{Activation, ActiveUpdate, KeyedImport, ModelDelete, NewModel};
 pub use objects::{Digest, Objects};

@@ -11,14 +11,15 @@ use sqlx::SqliteConnection;
 use super::StoreError;
 use super::jobs::{JobOrigin, insert};
 use super::rows::json;
-use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunKind, Split};
+use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunKind, Split, TokenId};
 
-/// Applies the rig's policy to a run that was just added. Gives the jobs that it queued or joined, and a
+/// Applies the rig's policy to a run that a token has just added; its jobs are the token's. Gives the jobs that it queued or joined, and a
 /// sentence: the reason for no jobs, or the number of fits.
 pub(super) async fn after_run(
     connection: &mut SqliteConnection,
     rig: &Rig,
     run: &Run,
+    token: Option<TokenId>,
     now: Timestamp,
 ) -> Result<(Vec<JobId>, String), StoreError> {
     let Some(policy) = &rig.fit_policy else { return Ok((Vec::new(), "the rig has no fit_policy".into())) };
@@ -55,7 +56,10 @@ pub(super) async fn after_run(
                 })?;
                 (id, false)
             }
-            None => (insert(connection, &rig.id, JobKind::Fit, fit, JobOrigin::Policy, now).await?.id, true),
+            None => {
+                let (kind, origin) = (JobKind::Fit, JobOrigin::Policy);
+                (insert(connection, &rig.id, kind, fit, origin, token, now).await?.id, true)
+            }
         };
         // The same fit twice in a policy is one job.
         if !jobs.contains(&id) {

@@ -288,6 +288,7 @@ row! {
         cancel_requested: bool,
         event: i64,
         pub(super) lease_token: i64,
+        pub(super) service_deaths: i64,
     }
 }
 

@@ -10,7 +10,7 @@ use super::rows::{RunRow, all, int, json, us};
 use super::{IdempotencyKey, PreparedRun, Store, StoreError, idempotency, npy, policy};
 use crate::domain::{
     Created, FieldError, InsertedRun, Lineage, Page, PageRequest, RigId, Run, RunId, RunKind, RunMeta,
-    RunPatch, Split, new_id,
+    RunPatch, Split, TokenId, new_id,
 };
 use crate::engine::Signal;
 
@@ -50,8 +50,8 @@ pub enum RunUpdate {
 }
 
 impl Store {
-    /// Accepts a run: stores its object first, then its row, the fit policy's jobs and the answer under
-    /// a key in one transaction. Completes even if the caller goes away.
+    /// Accepts a run of a token: stores its object first, then its row, the fit policy's jobs and the
+    /// answer under a key in one transaction. Completes even if the caller goes away.
     ///
     /// # Errors
     /// The store's failures.
@@ -59,13 +59,14 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
+        token: Option<TokenId>,
         key: Option<IdempotencyKey>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
             let object = run.object.clone();
-            let inserted = store.insert_run_gated(&rig, run, key.as_ref(), now);
+            let inserted = store.insert_run_gated(&rig, run, token, key.as_ref(), now);
             let made = |inserted: &RunInsert| matches!(inserted, RunInsert::Inserted(_));
             store.discard_unless(made, &object, inserted).await
         })
@@ -76,6 +77,7 @@ impl Store {
         &self,
         rig: &RigId,
         run: PreparedRun,
+        token: Option<TokenId>,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
@@ -88,7 +90,7 @@ impl Store {
             return Ok(RunInsert::RigChanged);
         }
         let run = insert_row(&mut tx, &rig.id, &run, now).await?;
-        let (jobs, policy) = policy::after_run(&mut tx, &rig, &run, now).await?;
+        let (jobs, policy) = policy::after_run(&mut tx, &rig, &run, token, now).await?;
         let inserted = InsertedRun { run, jobs, policy };
         idempotency::record(&mut tx, key, || Created::run(&inserted), now).await?;
         tx.commit().await?;
@@ -410,13 +412,13 @@ mod tests {
         let prepared = store.prepare(&rig, meta(), &[1.0]);
         let object = prepared.object.as_str().to_owned();
         store.delete_rig(&rig.id).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared.clone(), None, now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, prepared.clone(), None, None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::MissingRig);
         assert!(matches!(store.objects().get(&object).await, Err(StoreError::ObjectMissing { .. })));
         let mut other = draft("bench");
         other.sample_rate_hz = 200.0;
         store.insert_rig(&other, None, now()).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared, None, now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, prepared, None, None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::RigChanged);
     }
 }

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use tempfile::TempDir;
 
-use super::{Activation, Digest, NewModel, PreparedRun, RunInsert, Store, StoreError};
+use super::{Activation, Asker, Digest, JobInsert, NewModel, PreparedRun, RunInsert, Store, StoreError};
 use crate::domain::{
     Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
     Span, Split,
@@ -121,7 +121,7 @@ impl TestStore {
 
     pub(crate) async fn upload_with(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> InsertedRun {
         let prepared = self.prepare(rig, meta, u);
-        match self.insert_run(&rig.id, prepared, None, now()).await.unwrap() {
+        match self.insert_run(&rig.id, prepared, None, None, now()).await.unwrap() {
             RunInsert::Inserted(inserted) => *inserted,
             other => panic!("{other:?}"),
         }
@@ -163,6 +163,10 @@ impl TestStore {
 
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {
         let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
-        self.insert_fit_job(&rig.id, &request, None, now()).await.unwrap().unwrap()
+        let asker = Asker { token: None, max_waiting: u64::MAX };
+        match self.insert_fit_job(&rig.id, &request, asker, None, now()).await.unwrap() {
+            JobInsert::Queued(job) => *job,
+            other => panic!("{other:?}"),
+        }
     }
 }

@@ -11,9 +11,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::testing::{TestStore, draft, imported, now};
-use super::{Activation, Beat, Checkpoint, JobQuery, Lease, Outcome, StoreError};
+use super::{Activation, Asker, Beat, Checkpoint, JobInsert, JobQuery, Lease, Outcome, StoreError};
 use crate::domain::job::MAX_ATTEMPTS;
-use crate::domain::{Job, JobId, JobState, Model, PageRequest, Problem, Rig};
+use crate::domain::{Job, JobId, JobState, Model, PageRequest, Problem, Rig, TokenId, new_id};
 
 const STEPS: usize = 60;
 const LEASE_S: i64 = 30;
@@ -21,6 +21,7 @@ const LEASE_S: i64 = 30;
 struct World {
     store: TestStore,
     rig: Rig,
+    tokens: [TokenId; 2],
     random: ChaCha8Rng,
     now: Timestamp,
     /// Every lease that a worker ever had: dead workers may come back.
@@ -38,7 +39,8 @@ impl World {
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let random = ChaCha8Rng::seed_from_u64(seed);
         let (leases, ended, known) = (Vec::new(), BTreeMap::new(), BTreeSet::new());
-        Self { store, rig, random, now: now(), leases, ended, known, weights: 0 }
+        let tokens = [new_id(now()), new_id(now())];
+        Self { store, rig, tokens, random, now: now(), leases, ended, known, weights: 0 }
     }
 
     fn any_lease(&mut self) -> Option<Lease> {
@@ -67,8 +69,12 @@ impl World {
         match self.random.random_range(0..100) {
             0..15 => {
                 let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
-                let job = self.store.insert_fit_job(&self.rig.id, &request, None, self.now).await?;
-                self.known.insert(job.expect("the rig is there").id);
+                let token = self.tokens[self.random.random_range(0..2)];
+                let asker = Asker { token: Some(token), max_waiting: 1000 };
+                let inserted =
+                    self.store.insert_fit_job(&self.rig.id, &request, asker, None, self.now).await?;
+                let JobInsert::Queued(job) = inserted else { panic!("{inserted:?}") };
+                self.known.insert(job.id);
             }
             15..40 => self.claim().await?,
             40..50 => {
@@ -117,7 +123,7 @@ impl World {
                 let hours = [-1, 1, 24 * 365][self.random.random_range(0..3)];
                 self.now += (hours * 3600_i64).seconds();
             }
-            93..96 => drop(self.store.requeue_expired(Timestamp::MAX, &[], self.now).await?),
+            93..96 => drop(self.store.requeue_interrupted(self.now).await?),
             _ => {
                 let known: Vec<JobId> = self.known.iter().copied().collect();
                 if !known.is_empty() {
@@ -153,7 +159,7 @@ impl World {
 
     /// Healthy workers bring every job to its end.
     async fn finish(&mut self) {
-        self.store.requeue_expired(Timestamp::MAX, &[], self.now).await.unwrap();
+        self.store.requeue_interrupted(self.now).await.unwrap();
         loop {
             let before = self.leases.len();
             self.claim().await.unwrap();

@@ -55,6 +55,17 @@ async fn every_creating_request_is_done_once_under_its_key() {
 }
 
 #[tokio::test]
+async fn a_repeat_after_what_it_made_was_deleted_says_so() {
+    let app = TestApp::start();
+    let create = async || app.call("POST", "/v1/rigs").header(KEY, "k").json(&bench()).send().await;
+    create().await.expect(201);
+    app.call("DELETE", "/v1/rigs/bench").send().await.expect(204);
+    let problem = create().await.problem(410, "idempotency_key.gone");
+    assert!(problem["detail"].as_str().expect("text").contains("/v1/rigs/bench"), "{problem}");
+    assert_eq!(app.get("/v1/rigs").await.expect(200).json()["items"], json!([]));
+}
+
+#[tokio::test]
 async fn fifty_requests_with_one_key_make_one_job_and_a_restart_does_not_forget_it() {
     let app = TestApp::start();
     app.rig(&bench()).await;

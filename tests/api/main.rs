@@ -36,4 +36,5 @@ mod start;
 mod stops;
 mod support;
 mod torch;
+mod turns;
 mod workers;

@@ -41,6 +41,8 @@ async fn weights_that_do_not_fit_store_nothing() {
     import(b"\x80\x04pickle".to_vec()).await.problem(422, "weights.malformed");
     let whole = gain_weights(&["u"], &["y"], 2.0);
     import(whole[..whole.len() - 1].to_vec()).await.problem(422, "weights.malformed");
+    let problem = import(gain_weights(&["u"], &["u"], 2.0)).await.problem(422, "weights.malformed");
+    assert!(problem["detail"].as_str().expect("text").contains("is an input too"), "{problem}");
     let problem = import(gain_weights(&["u"], &["q"], 2.0)).await.problem(422, "model.unknown_channel");
     assert_eq!(problem["errors"][0]["channel"], "q");
     let mut fast = gain_model(&["u"], &["y"], 2.0);

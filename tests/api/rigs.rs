@@ -26,6 +26,25 @@ async fn a_rig_without_a_name_is_called_by_its_id() {
     let mut draft = bench();
     draft.as_object_mut().expect("an object").remove("name");
     assert_eq!(app.post_json("/v1/rigs", &draft).await.expect(201).json()["name"], "bench");
+    for blank in ["", " \t"] {
+        draft["name"] = json!(blank);
+        draft["id"] = json!("another");
+        let problem = app.post_json("/v1/rigs", &draft).await.problem(422, "body.invalid_value");
+        assert_eq!(problem["errors"][0]["pointer"], "/name", "{problem}");
+    }
+}
+
+#[tokio::test]
+async fn a_query_that_is_no_utf8_is_refused_and_one_that_is_is_kept_exactly() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let upload = async |name: &str| {
+        let path = format!("/v1/rigs/bench/runs?kind=noise&name={name}");
+        app.call("POST", &path).body("text/csv", noise_csv(300, 1).into_bytes()).send().await
+    };
+    let problem = upload("%ff").await.problem(400, "request.malformed");
+    assert_eq!(problem["errors"][0]["pointer"], "?name", "{problem}");
+    assert_eq!(upload("%EF%BF%BD%C3%BC").await.expect(201).json()["name"], "\u{fffd}ü");
 }
 
 #[tokio::test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use axum::extract::{FromRequestParts, OptionalFromRequestParts};
 use axum::http::request::Parts;
 
-use crate::domain::{RigId, Token, TokenRole};
+use crate::domain::{RigId, Token, TokenId, TokenRole};
 use crate::http::Shared;
 use crate::http::problem::{Answer, Problem};
 
@@ -26,6 +26,11 @@ impl Caller {
             Self::Everybody => None,
             Self::Token(token) => Some(token),
         }
+    }
+
+    /// The token's id, once there are any.
+    pub fn token_id(&self) -> Option<TokenId> {
+        self.token().map(|token| token.id)
     }
 
     /// The caller's role.

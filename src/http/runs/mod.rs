@@ -12,6 +12,7 @@ use axum::response::IntoResponse;
 use crate::compute::Class;
 use crate::domain::run::RunMeta;
 use crate::domain::{Created, RunKind, RunPatch, Split};
+use crate::http::auth::Caller;
 use crate::http::idempotency::{RequestKey, created};
 use crate::http::jobs::word;
 use crate::http::params::{NoParams, Params, invalid, page};
@@ -39,6 +40,7 @@ pub async fn list(State(http): State<Shared>, OfRig(rig): OfRig, mut params: Par
 /// `POST /v1/rigs/{rig}/runs`
 pub async fn upload(
     State(http): State<Shared>,
+    caller: Caller,
     OfRig(id): OfRig,
     mut params: Params,
     key: RequestKey,
@@ -53,7 +55,7 @@ pub async fn upload(
     let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
     let run = http.off_thread(class, move || file.prepare(&rig, meta, format, &upload)).await??;
-    match http.store.insert_run(&id, run, key.stored(), http.now()).await? {
+    match http.store.insert_run(&id, run, caller.token_id(), key.stored(), http.now()).await? {
         RunInsert::Inserted(inserted) => {
             if !inserted.jobs.is_empty() {
                 http.jobs.wake();

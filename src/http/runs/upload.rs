@@ -161,6 +161,10 @@ mod tests {
     async fn a_wrong_digest_or_size_leaves_nothing_behind() {
         let wrong = format!("sha-256=:{}:", ABC_BASE64.replace('u', "v"));
         assert_eq!(received(Some(&wrong), 3).await, (Err("digest.mismatch".into()), 0));
+        let two = format!("sha-256=:{ABC_BASE64}:, {wrong}");
+        assert_eq!(received(Some(&two), 3).await, (Err("digest.malformed".into()), 0));
+        let alike = format!("sha-256=:{ABC_BASE64}:, sha-256=:{ABC_BASE64}:");
+        assert_eq!(received(Some(&alike), 3).await, (Ok(ABC_HEX.into()), 0));
         assert_eq!(received(Some("sha-256=abc"), 3).await, (Err("digest.malformed".into()), 0));
         assert_eq!(received(None, 2).await, (Err("body.too_large".into()), 0));
     }

@@ -4,7 +4,7 @@ use crate::domain::{FieldError, FitChannels, Problem};
 use crate::engine::EngineError;
 use crate::storage::StoreError;
 
-use crate::jobs::problem::{JobError, codes, of_engine, sentence};
+use crate::jobs::problem::{JobError, codes, of_engine, sentence, too_many_waiting};
 
 /// Why a diagnosis cannot be done.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +42,9 @@ pub enum DiagnosisProblem {
     /// The rig was deleted meanwhile (404 `rig.not_found`).
     #[error("the rig is gone")]
     RigGone,
+    /// This many jobs of the token wait, as many as it may have (429 `job.too_many_waiting`).
+    #[error("{0} jobs of the token wait already")]
+    TooManyWaiting(u64),
     /// The store.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -86,6 +89,7 @@ impl DiagnosisProblem {
                     .with(at("/model", "a version of the rig"))
             }
             Self::RigGone => Problem::new(404, codes::RIG_NOT_FOUND, "No such rig", format!("{self}.")),
+            Self::TooManyWaiting(most) => too_many_waiting(*most),
             Self::Store(_) => Problem::new(
                 503,
                 codes::STORE_UNAVAILABLE,

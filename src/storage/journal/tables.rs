@@ -25,8 +25,20 @@ pub(super) const TABLES: [Table; 7] = [
 ];
 
 /// Columns of a job that a worker or the queue changes while it waits or runs. They are not journaled until it ends.
-const PROGRESS: [&str; 8] =
-    ["stage", "progress", "eta_s", "event", "worker", "lease_token", "lease_until_us", "started_us"];
+const PROGRESS: [&str; 12] = [
+    "stage",
+    "progress",
+    "eta_s",
+    "event",
+    "worker",
+    "lease_token",
+    "lease_until_us",
+    "started_us",
+    "charged_us",
+    "goes_on",
+    "furthest",
+    "service_deaths",
+];
 
 impl Table {
     /// The journaled table of this name.

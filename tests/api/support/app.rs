@@ -10,7 +10,7 @@ use std::time::Duration;
 use rigcast::app::{App, AppError};
 use rigcast::config::Config;
 use rigcast::http::Limits;
-use rigcast::jobs::{JobSettings, WorkerProgram};
+use rigcast::jobs::WorkerProgram;
 use rigcast::storage::StoreError;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -60,7 +60,8 @@ impl TestApp {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
         let listen = ([127, 0, 0, 1], 0).into();
-        let config = Config { jobs: jobs(), ..change(Config::new(directory.path().to_owned(), listen)) };
+        let mut config = change(Config::new(directory.path().to_owned(), listen));
+        config.jobs.program = Some(worker());
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
@@ -228,15 +229,14 @@ async fn build(config: &Config) -> App {
     panic!("the directory stays locked")
 }
 
-/// Jobs as in `rigcast serve`: each in a process of the real program.
-fn jobs() -> JobSettings {
-    let program = WorkerProgram {
+/// Jobs run as in `rigcast serve`: each in a process of the real program.
+fn worker() -> WorkerProgram {
+    WorkerProgram {
         program: env!("CARGO_BIN_EXE_rigcast").into(),
         arguments: ["work", "--log", "error"].map(Into::into).to_vec(),
         memory_bytes: 4 << 30,
         time_limit: Duration::from_secs(600),
-    };
-    JobSettings { program: Some(program), ..JobSettings::default() }
+    }
 }
 
 impl Drop for TestApp {
