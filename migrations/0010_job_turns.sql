@@ -12,8 +12,8 @@ UPDATE jobs SET urgency = CASE WHEN origin = 'policy' OR kind = 'study' THEN 2
                                ELSE 1 END
 WHERE state IN ('queued', 'running');
 
--- All that is read of the queue when a job is claimed.
-CREATE INDEX jobs_waiting ON jobs (owner, rig, urgency, goes_on, id, created_us) WHERE state = 'queued';
+-- All that is read of the queue when a job is claimed, so that the requests of waiting jobs are not read then.
+CREATE INDEX jobs_waiting ON jobs (owner, rig, urgency, goes_on, state, id, created_us) WHERE state = 'queued';
 
 -- Time of workers that the jobs of each token and rig have used of late; half of it counts after an hour.
 CREATE TABLE worker_time (

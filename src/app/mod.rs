@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
@@ -20,12 +21,12 @@ use tower::Layer;
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::{Config, ConnectionSettings};
 use crate::domain::TokenRole;
-use crate::http::{self, Admission, Auth, ClientAddress, Http, Shared};
+use crate::http::{self, Admission, Auth, ClientAddress, Http, PredictionMemory, Shared};
 use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry::{self, names};
-use connection::{ConnectionSlot, Connections, ProblemStream, WriteTimeout};
+use connection::{Client, ConnectionSlot, Connections, ProblemStream, WriteTimeout};
 
 pub use address::{Address, AddressError};
 
@@ -125,6 +126,7 @@ impl App {
             models,
             compute,
             admission: Admission::new(config.admission.clone()),
+            predictions: PredictionMemory::new(config.limits.prediction_bytes),
             limits: config.limits,
             clock: now,
             draining: seen,
@@ -221,16 +223,34 @@ impl App {
         // Without it each request takes a few milliseconds longer.
         let _ = stream.set_nodelay(true);
         let mut server = http1::Builder::new();
-        // The timeout of a head also runs while a connection is idle, and ends it.
+        // The timeout of a head also runs while a connection is idle, and ends it. A client that has closed
+        // its sending half may wait for its answer: with `half_close` hyper does not read while a request is
+        // being answered, and `Client::gone` sees the end of a connection in its place.
         server.timer(TokioTimer::new()).header_read_timeout(self.settings.head_timeout).half_close(true);
+        let client = Client::new(stream);
         let router = Extension(ClientAddress(peer.ip())).layer(self.router.clone());
-        let service = TowerToHyperService::new(router);
-        let stream = WriteTimeout::new(stream, self.settings.answer_timeout);
+        let router = TowerToHyperService::new(router);
+        let asked = Arc::clone(&client);
+        let service = service_fn(move |request| {
+            let (answering, answer) = (asked.answering(), router.call(request));
+            async move {
+                let answer = answer.await;
+                drop(answering);
+                answer
+            }
+        });
+        let stream = WriteTimeout::new(client.stream(), self.settings.answer_timeout);
         let begun = stream.begun();
         let stream = ProblemStream::new(stream, self.http.clone());
         let connection = connections.watch(server.serve_connection(TokioIo::new(stream), service));
         tokio::spawn(async move {
-            if let Err(error) = connection.await {
+            // The work for an answer ends with the connection that waits for it.
+            let served = tokio::select! {
+                biased;
+                served = connection => served,
+                () = client.gone() => Ok(()),
+            };
+            if let Err(error) = served {
                 if error.is_timeout() {
                     let slow_in = if begun.load(Ordering::Relaxed) { "head" } else { "idle" };
                     metrics::counter!(names::CONNECTIONS_ENDED, "slow_in" => slow_in).increment(1);

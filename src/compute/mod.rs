@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use tokio::sync::oneshot;
 
 use fair_queue::{ClientId, FairQueue, QueueSettings, Refused};
 
@@ -115,6 +116,8 @@ pub struct Compute {
     predict: Arc<Lane>,
     long: Arc<Lane>,
     fit: Arc<Lane>,
+    /// Write the pieces of answers that have begun to go out.
+    answers: Arc<ThreadPool>,
 }
 
 /// Permits and threads of one class.
@@ -131,12 +134,7 @@ impl Compute {
     /// [`ComputeError::Threads`] when the system gives no threads.
     pub fn new(settings: &ComputeSettings) -> Result<Self, ComputeError> {
         let lane = |name, queue, threads: usize, niceness| -> Result<Arc<Lane>, ComputeError> {
-            let threads = ThreadPoolBuilder::new()
-                .num_threads(threads.max(1))
-                .thread_name(move |i| format!("{name}-{i}"))
-                .start_handler(move |_| lower_priority(niceness))
-                .build()
-                .map_err(|error| ComputeError::Threads(error.to_string()))?;
+            let threads = pool(name, threads, niceness)?;
             Ok(Arc::new(Lane { queue: FairQueue::new(name, queue), threads }))
         };
         let s = settings;
@@ -145,6 +143,7 @@ impl Compute {
             predict: lane("predict", s.predict.clone(), s.predict_threads, 0)?,
             long: lane("long", s.long.clone(), s.long_threads, LONG_NICENESS)?,
             fit: lane("fit", fits, s.fit_threads, FIT_NICENESS)?,
+            answers: Arc::new(pool("answer", s.long_threads, LONG_NICENESS)?),
         })
     }
 
@@ -173,6 +172,30 @@ impl Compute {
         }
     }
 
+    /// Writes a short piece of an answer that has begun to go out. Such work is never refused, and waits for
+    /// no permit: pieces are written in the order in which they were asked for, one a thread.
+    ///
+    /// # Errors
+    /// [`ComputeError::Panicked`].
+    pub async fn piece<T, F>(&self, work: F) -> Result<T, ComputeError>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        let (done, written) = oneshot::channel();
+        let span = tracing::Span::current();
+        self.answers.spawn_fifo(move || {
+            let inside = || span.in_scope(|| catch_unwind(AssertUnwindSafe(work)));
+            // Nobody waits for it if the client has left.
+            let _ = done.send(inside());
+        });
+        match written.await {
+            Ok(Ok(piece)) => Ok(piece),
+            Ok(Err(panic)) => Err(ComputeError::Panicked(message(panic.as_ref()))),
+            Err(gone) => Err(ComputeError::Threads(gone.to_string())),
+        }
+    }
+
     /// The permits and the queue of a class.
     pub fn queue(&self, class: Class) -> &FairQueue {
         &self.lane(class).queue
@@ -185,6 +208,15 @@ impl Compute {
             Class::Fit => &self.fit,
         }
     }
+}
+
+fn pool(name: &'static str, threads: usize, niceness: i32) -> Result<ThreadPool, ComputeError> {
+    ThreadPoolBuilder::new()
+        .num_threads(threads.max(1))
+        .thread_name(move |i| format!("{name}-{i}"))
+        .start_handler(move |_| lower_priority(niceness))
+        .build()
+        .map_err(|error| ComputeError::Threads(error.to_string()))
 }
 
 /// Lowers the priority of the calling thread (on Linux niceness belongs to the thread). On other
@@ -353,6 +385,26 @@ mod tests {
             assert!(names.iter().all(|found| found.starts_with(name)), "{names:?}");
             assert_eq!(compute.run(class, None, rayon::current_num_threads).await, Ok(threads));
         }
+    }
+
+    #[tokio::test]
+    async fn pieces_of_answers_wait_for_no_long_work() {
+        let compute = compute(1, 1);
+        let (release, gate) = mpsc::channel::<()>();
+        let long = tokio::spawn({
+            let compute = compute.clone();
+            async move { compute.run(Class::Long, None, move || gate.recv().unwrap()).await }
+        });
+        while compute.queue(Class::Long).depth().1 == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let name = compute.piece(|| std::thread::current().name().unwrap().to_owned()).await.unwrap();
+        assert!(name.starts_with("answer-"), "{name}");
+        let panicked = compute.piece(|| -> () { panic!("a defect") }).await;
+        assert_eq!(panicked, Err(ComputeError::Panicked("a defect".into())));
+        assert_eq!(compute.piece(|| 7).await, Ok(7), "the thread goes on");
+        release.send(()).unwrap();
+        long.await.unwrap().unwrap();
     }
 
     #[cfg(target_os = "linux")]

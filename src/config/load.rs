@@ -7,7 +7,7 @@ use clap::Args;
 use super::{ConnectionSettings, seconds};
 use crate::compute::ComputeSettings;
 use crate::compute::fair_queue::QueueSettings;
-use crate::http::{AdmissionSettings, Pace};
+use crate::http::{AdmissionSettings, Limits, Pace};
 
 /// Settings of load.
 #[derive(Debug, Clone, Args)]
@@ -37,6 +37,11 @@ pub struct LoadArgs {
     /// Longest time to compute an answer once its request was read, seconds.
     #[arg(long, env = "RIGCAST_PREDICT_DEADLINE_S", default_value = "60", value_parser = seconds)]
     pub predict_deadline_s: Duration,
+
+    /// Memory of all predictions of more than 16 MiB together, from their inputs to the last byte of their
+    /// answers, bytes. One that needs more is computed alone.
+    #[arg(long, env = "RIGCAST_PREDICT_MEMORY_BYTES", default_value_t = Limits::default().prediction_bytes)]
+    pub predict_memory_bytes: usize,
 
     /// Connections at once.
     #[arg(long, env = "RIGCAST_CONNECTIONS", default_value_t = ConnectionSettings::default().most)]

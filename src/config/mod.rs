@@ -194,6 +194,7 @@ impl ServeArgs {
                 drive_bytes: self.drive_limit_bytes,
                 upload_bytes: self.upload_limit_bytes,
                 pace: self.load.pace(),
+                prediction_bytes: self.load.predict_memory_bytes,
                 deadline: self.load.predict_deadline_s,
             },
             compute: self.load.compute(),

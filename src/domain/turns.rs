@@ -76,7 +76,7 @@ pub struct WorkerTime {
 
 impl WorkerTime {
     /// Seconds that still count.
-    pub fn at(&self, now: Timestamp) -> f64 {
+    pub fn left_at(&self, now: Timestamp) -> f64 {
         self.used_s * 0.5_f64.powf(seconds_between(self.at, now) / HALF_LIFE_S)
     }
 }
@@ -96,7 +96,7 @@ pub fn next<'a>(waiting: &'a [WaitingJobs], times: &[WorkerTime], now: Timestamp
     let mut of_token: HashMap<&str, f64> = HashMap::new();
     let mut of_rig: HashMap<(&str, &RigId), f64> = HashMap::new();
     for time in times {
-        let used_s = time.at(now);
+        let used_s = time.left_at(now);
         *of_token.entry(&time.owner).or_default() += used_s;
         *of_rig.entry((&time.owner, &time.rig)).or_default() += used_s;
     }
@@ -104,11 +104,11 @@ pub fn next<'a>(waiting: &'a [WaitingJobs], times: &[WorkerTime], now: Timestamp
     // decides.
     let whole = |used_s: Option<&f64>| used_s.map_or(0, |used_s| used_s.round() as u64);
     waiting.iter().min_by_key(|jobs| {
-        let patient = jobs.urgency == Urgency::Background && seconds_between(jobs.since, now) < PATIENCE_S;
-        let urgency = if patient { jobs.urgency } else { jobs.urgency.min(Urgency::Requested) };
+        let may_wait = jobs.urgency == Urgency::Background && seconds_between(jobs.since, now) < PATIENCE_S;
+        let urgency = if may_wait { jobs.urgency } else { jobs.urgency.min(Urgency::Requested) };
         let of_token = whole(of_token.get(&*jobs.owner));
         let of_rig = whole(of_rig.get(&(&*jobs.owner, &jobs.rig)));
-        (!jobs.go_on, patient, of_token, of_rig, urgency, jobs.oldest)
+        (!jobs.go_on, may_wait, of_token, of_rig, urgency, jobs.oldest)
     })
 }
 
@@ -164,10 +164,10 @@ mod tests {
     #[test]
     fn worker_time_counts_for_less_and_less_and_a_clock_that_goes_back_changes_nothing() {
         let time = used("a", "x", 100.0);
-        assert_eq!(time.at(now()), 100.0);
-        assert!((time.at(now() + 1.hour()) - 50.0).abs() < 1e-9);
-        assert!((time.at(now() + 3.hours()) - 12.5).abs() < 1e-9);
-        assert_eq!(time.at(now() - 1.hour()), 100.0);
+        assert_eq!(time.left_at(now()), 100.0);
+        assert!((time.left_at(now() + 1.hour()) - 50.0).abs() < 1e-9);
+        assert!((time.left_at(now() + 3.hours()) - 12.5).abs() < 1e-9);
+        assert_eq!(time.left_at(now() - 1.hour()), 100.0);
         let all = [waiting(1, "a", "x", Urgency::Requested), waiting(2, "b", "x", Urgency::Requested)];
         let older = WorkerTime { at: now() - 4.hours(), ..used("a", "x", 100.0) };
         check(&all, &[older, used("b", "x", 10.0)], 1);

@@ -12,6 +12,7 @@
 //!   refused, since it may be a lost sample.
 
 mod number;
+mod pieces;
 mod rows;
 mod time;
 mod write;
@@ -24,6 +25,7 @@ use number::{number, trim};
 use rows::Rows;
 use time::TimeColumn;
 
+pub use pieces::{CsvPieces, TimeOfRows};
 pub use write::write;
 
 /// Reads a file.

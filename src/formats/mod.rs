@@ -23,6 +23,9 @@ pub const MAX_CHANNELS: usize = 1024;
 /// Bytes of a piece of a file.
 const PIECE: usize = 64 << 10;
 
+/// Numbers of a piece that is written: a third of a millisecond as text.
+pub const NUMBERS_AT_ONCE: usize = 1 << 14;
+
 /// Longest name of a channel: longer than a rig's may be.
 pub const MAX_NAME_BYTES: usize = 4096;
 

@@ -5,6 +5,7 @@
 //! files with npyz.
 
 mod header;
+mod pieces;
 
 use std::io::Read;
 
@@ -13,6 +14,7 @@ use realfft::num_complex::Complex64;
 use super::{ChannelAt, FormatError, ParsedRun, ReadError};
 
 pub use header::{Header, header};
+pub use pieces::NpyPieces;
 
 /// Type of one number in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,11 +1,14 @@
 //! The time at which work for an answer stops: at the deadline, or when the caller goes away.
 
+use std::ops::ControlFlow;
 use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use super::problem::{Answer, Problem};
 use super::{Http, codes};
 use crate::compute::Class;
+use crate::engine::Progress;
+use crate::storage::StoreError;
 use crate::telemetry::names;
 
 /// Checked by long work between its steps.
@@ -24,6 +27,11 @@ impl Deadline {
     pub fn check(&self) -> Answer<()> {
         if Instant::now() > self.at || self.caller.strong_count() == 0 { Err(over()) } else { Ok(()) }
     }
+
+    /// [`Deadline::check`] as the engine asks it.
+    pub fn watch(&self, _: Progress<'_>) -> ControlFlow<()> {
+        if self.check().is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    }
 }
 
 /// The refusal of a request whose answer was not ready in time.
@@ -34,15 +42,16 @@ pub fn over() -> Problem {
 
 impl Http {
     /// Does work for an answer that must be ready before the deadline, the wait in the queue included.
-    /// Work that has begun goes on, and keeps its permit, until it next checks the deadline.
+    /// Work that has begun goes on, and keeps its permit, until it next checks the deadline. Work that waits
+    /// leaves the queue at once when its caller goes away.
     pub(super) async fn in_time<T, F>(&self, class: Class, work: F) -> Answer<T>
     where
         T: Send + 'static,
         F: FnOnce(&Deadline) -> Answer<T> + Send + 'static,
     {
-        let caller = Arc::new(());
+        let mut caller = Caller::default();
         let deadline =
-            Deadline { at: Instant::now() + self.limits.deadline, caller: Arc::downgrade(&caller) };
+            Deadline { at: Instant::now() + self.limits.deadline, caller: Arc::downgrade(&caller.waits) };
         let work = self.off_thread(class, move || {
             deadline.check()?;
             work(&deadline)
@@ -51,10 +60,43 @@ impl Http {
             Ok(done) => done.flatten(),
             Err(_) => Err(over()),
         };
-        if done.as_ref().is_err_and(|problem| problem.code() == codes::PREDICT_DEADLINE.name) {
-            metrics::counter!(names::DEADLINES).increment(1);
+        caller.answered = true;
+        counted(done)
+    }
+
+    /// Reads for an answer that must begin before the deadline.
+    pub(super) async fn read_in_time<T>(
+        &self,
+        read: impl Future<Output = Result<T, StoreError>>,
+    ) -> Answer<T> {
+        match tokio::time::timeout(self.limits.deadline, read).await {
+            Ok(read) => Ok(read?),
+            Err(_) => counted(Err(over())),
         }
-        done
+    }
+}
+
+/// Counts an answer that was not ready in time.
+fn counted<T>(done: Answer<T>) -> Answer<T> {
+    if done.as_ref().is_err_and(|problem| problem.code() == codes::PREDICT_DEADLINE.name) {
+        metrics::counter!(names::DEADLINES).increment(1);
+    }
+    done
+}
+
+/// The caller of some work. It is dropped before it is answered when its connection ends.
+#[derive(Debug, Default)]
+struct Caller {
+    waits: Arc<()>,
+    answered: bool,
+}
+
+impl Drop for Caller {
+    fn drop(&mut self) {
+        if !self.answered {
+            metrics::counter!(names::ABANDONED).increment(1);
+            tracing::info!("given up: the client has gone");
+        }
     }
 }
 

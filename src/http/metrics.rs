@@ -33,7 +33,7 @@ pub fn begin(http: &Http) {
     names::LIMITS.iter().for_each(|limit| count(names::CONNECTIONS_REFUSED, &[("limit", limit)]));
     names::SLOW_IN.iter().for_each(|slow| count(names::CONNECTIONS_ENDED, &[("slow_in", slow)]));
     let compute = [Class::Predict, Class::Long, Class::Fit].map(|class| http.compute.queue(class));
-    for queue in http.admission.all().into_iter().chain(compute) {
+    for queue in http.admission.all().into_iter().chain(compute).chain([http.predictions.queue()]) {
         let class = ("class", queue.depth().0);
         metrics::gauge!(names::QUEUE_DEPTH, &[class]).increment(0.0);
         metrics::gauge!(names::TURNS, &[class]).increment(0.0);
@@ -55,6 +55,8 @@ pub fn begin(http: &Http) {
         let reasons = codes::ALL.iter().filter(|code| code.name.starts_with(own));
         reasons.for_each(|code| count(names::PARSE_ERRORS, &[("format", format), ("reason", code.name)]));
     }
+    count(names::DEADLINES, &[]);
+    count(names::ABANDONED, &[]);
     names::STORE_FAILURES.iter().for_each(|kind| count(names::STORE_ERRORS, &[("kind", kind)]));
 }
 

@@ -62,6 +62,7 @@ pub use auth::{Auth, Right};
 pub use body::Pace;
 pub use metrics::begin as begin_metrics;
 pub use observe::ClientAddress;
+pub use predict::PredictionMemory;
 pub use refusals::{too_many_connections, unreadable_request};
 
 /// Largest bodies, and longest times for a body and for an answer.
@@ -75,18 +76,21 @@ pub struct Limits {
     pub upload_bytes: u64,
     /// Slowest bodies.
     pub pace: Pace,
+    /// Memory of all large predictions together, their answers included, bytes.
+    pub prediction_bytes: usize,
     /// Longest time for an answer once its request was read, the wait in the queue included.
     pub deadline: Duration,
 }
 
 impl Default for Limits {
-    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB; a minute.
+    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB; 256 MiB; a minute.
     fn default() -> Self {
         Self {
             json_bytes: 64 << 20,
             drive_bytes: 128 << 20,
             upload_bytes: 4 << 30,
             pace: Pace::default(),
+            prediction_bytes: 256 << 20,
             deadline: Duration::from_secs(60),
         }
     }
@@ -106,6 +110,8 @@ pub struct Http {
     pub compute: Compute,
     /// Permits for requests.
     pub admission: Admission,
+    /// Memory of large predictions.
+    pub predictions: PredictionMemory,
     /// Largest and slowest bodies.
     pub limits: Limits,
     /// The time.

@@ -24,6 +24,7 @@ mod reserve;
 mod rigs;
 mod rows;
 mod runs;
+mod samples;
 mod store;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -46,6 +47,7 @@ pub use objects::{Digest, Objects};
 pub use prepare::PreparedRun;
 pub use rigs::{RigAtAGlance, RigUpdate};
 pub use runs::{RunInsert, RunQuery, RunUpdate};
+pub use samples::StoredSamples;
 pub use store::Store;
 pub use tokens::{TokenInsert, TokenTable};
 pub use usage::Usage;

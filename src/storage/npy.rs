@@ -4,7 +4,7 @@
 //! written, so reading means comparing the header with the expected one.
 
 /// The header of a signal: 64-byte aligned, as NumPy writes it.
-fn header(samples: usize, channels: usize) -> Vec<u8> {
+pub(super) fn header(samples: usize, channels: usize) -> Vec<u8> {
     let mut dict = format!("{{'descr': '<f8', 'fortran_order': True, 'shape': ({samples}, {channels}), }}");
     // Magic, version and length take ten bytes; a line feed ends the header.
     let padding = 63 - (10 + dict.len()) % 64;
@@ -17,8 +17,9 @@ fn header(samples: usize, channels: usize) -> Vec<u8> {
     header
 }
 
-/// Channels, equally long, as an NPY file.
-pub(super) fn encode(channels: &[Vec<f64>]) -> Vec<u8> {
+/// Channels, equally long, as an NPY file. Each is dropped once it is written, so that a long run is in memory
+/// little more than once.
+pub(super) fn encode(channels: Vec<Vec<f64>>) -> Vec<u8> {
     let samples = channels.first().map_or(0, Vec::len);
     let mut bytes = header(samples, channels.len());
     bytes.reserve_exact(8 * samples * channels.len());
@@ -26,6 +27,12 @@ pub(super) fn encode(channels: &[Vec<f64>]) -> Vec<u8> {
         bytes.extend(channel.iter().flat_map(|value| value.to_le_bytes()));
     }
     bytes
+}
+
+/// Bytes of a file of this shape, header included.
+pub(super) fn size(samples: usize, channels: usize) -> Option<u64> {
+    let numbers = (samples as u64).checked_mul(channels as u64)?;
+    numbers.checked_mul(8)?.checked_add(header(samples, channels).len() as u64)
 }
 
 /// Channels of an NPY file that [`encode`] made; `None` when it is not one of this shape.
@@ -46,7 +53,7 @@ mod tests {
     #[test]
     fn a_signal_survives_bit_for_bit() {
         let channels = vec![vec![0.1, -0.0, f64::MAX], vec![f64::MIN_POSITIVE, 5e-324, 1.0]];
-        let bytes = encode(&channels);
+        let bytes = encode(channels.clone());
         let back = decode(&bytes, 3, 2).unwrap();
         let bits = |c: &[Vec<f64>]| c.iter().flatten().map(|v| v.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&back), bits(&channels));
@@ -55,7 +62,7 @@ mod tests {
 
     #[test]
     fn the_file_is_what_other_programs_call_npy() {
-        let bytes = encode(&[vec![1.0, 2.0], vec![3.0, 4.0], vec![5.0, 6.0]]);
+        let bytes = encode(vec![vec![1.0, 2.0], vec![3.0, 4.0], vec![5.0, 6.0]]);
         let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
         assert_eq!((npy.shape(), npy.order()), (&[2u64, 3][..], npyz::Order::Fortran));
         assert_eq!(npy.into_vec::<f64>().unwrap(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
@@ -66,7 +73,7 @@ mod tests {
 
     #[test]
     fn another_shape_or_length_is_refused() {
-        let bytes = encode(&[vec![1.0, 2.0], vec![3.0, 4.0]]);
+        let bytes = encode(vec![vec![1.0, 2.0], vec![3.0, 4.0]]);
         assert!(decode(&bytes, 4, 1).is_none());
         assert!(decode(&bytes[..bytes.len() - 1], 2, 2).is_none());
         assert!(decode(&[], 2, 2).is_none());

@@ -35,6 +35,11 @@ impl Digest {
         Self(hex)
     }
 
+    /// Digest of the bytes that were hashed piece by piece.
+    pub(super) fn finished(hash: Sha256) -> Self {
+        Self::hex(&hash.finalize())
+    }
+
     /// As hex.
     pub fn as_str(&self) -> &str {
         &self.0
@@ -115,9 +120,14 @@ impl Objects {
         self.bytes.load(Ordering::Relaxed)
     }
 
+    /// The file of an object, whether it is there or not.
+    pub(super) fn path_of(&self, digest: &str) -> PathBuf {
+        self.root.join(key(digest).as_ref())
+    }
+
     /// Size of an object; 0 if it is not there.
     async fn size(&self, digest: &str) -> u64 {
-        tokio::fs::metadata(self.root.join(key(digest).as_ref())).await.map_or(0, |file| file.len())
+        tokio::fs::metadata(self.path_of(digest)).await.map_or(0, |file| file.len())
     }
 
     /// Removes all objects but these.

@@ -36,11 +36,11 @@ impl PreparedRun {
         meta: RunMeta,
         channels: Vec<String>,
         units: Option<Vec<String>>,
-        signal: &Signal,
+        signal: Signal,
         sha256: String,
     ) -> Result<Self, Vec<FieldError>> {
         let meta = meta.check()?;
-        let units = check_channels(rig, &channels, units.as_deref(), signal)?;
+        let units = check_channels(rig, &channels, units.as_deref(), &signal)?;
         if !Signal::same_rate(rig.sample_rate_hz, signal.sample_rate_hz()) {
             let found = signal.sample_rate_hz();
             let limit = format!("{} Hz, the rig's sample rate; found {found} Hz", rig.sample_rate_hz);
@@ -49,15 +49,16 @@ impl PreparedRun {
         if signal.n_samples() == 0 {
             return Err(vec![FieldError::new("", "at least one sample")]);
         }
-        let quality = Quality::assess(&channels, signal);
-        let bytes = npy::encode(signal.channels());
+        let quality = Quality::assess(&channels, &signal);
+        let samples = signal.n_samples();
+        let bytes = npy::encode(signal.into_channels());
         Ok(Self {
             meta,
             channels,
             units,
-            samples: signal.n_samples() as u64,
+            samples: samples as u64,
             // Uses the rig's rate, because files round theirs.
-            duration_s: signal.n_samples() as f64 / rig.sample_rate_hz,
+            duration_s: samples as f64 / rig.sample_rate_hz,
             sample_rate_hz: rig.sample_rate_hz,
             sha256,
             quality,
@@ -111,7 +112,14 @@ mod tests {
         signal: &Signal,
     ) -> Result<PreparedRun, Vec<FieldError>> {
         let own = |texts: &[&str]| texts.iter().map(|t| (*t).to_owned()).collect::<Vec<_>>();
-        PreparedRun::new(&rig(&draft("bench")), meta(), own(channels), units.map(own), signal, "00".into())
+        PreparedRun::new(
+            &rig(&draft("bench")),
+            meta(),
+            own(channels),
+            units.map(own),
+            signal.clone(),
+            "00".into(),
+        )
     }
 
     fn signal(rate: f64, channels: &[&[f64]]) -> Signal {

@@ -62,7 +62,7 @@ impl Store {
 async fn next(connection: &mut SqliteConnection, now: Timestamp) -> Result<Option<WaitingJobs>, StoreError> {
     let rows: Vec<WaitingRow> = sqlx::query_as(
         "SELECT owner, rig, urgency, goes_on, min(id), min(created_us)
-         FROM jobs WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on",
+         FROM jobs INDEXED BY jobs_waiting WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on",
     )
     .fetch_all(&mut *connection)
     .await?;
@@ -148,7 +148,7 @@ async fn add(
     sqlx::query("INSERT OR REPLACE INTO worker_time (owner, rig, used_s, at_us) VALUES (?, ?, ?, ?)")
         .bind(owner)
         .bind(rig.as_str())
-        .bind(before.map_or(0.0, |time| time.at(now)) + seconds)
+        .bind(before.map_or(0.0, |time| time.left_at(now)) + seconds)
         .bind(us(now))
         .execute(&mut *connection)
         .await?;

@@ -48,6 +48,8 @@ metrics! {
     STAGE_SECONDS = Histogram "rigcast_prediction_stage_seconds",
         "Time of a prediction's stages: receive, load, wait, parse, simulate, report.";
     DEADLINES = Counter "rigcast_predict_deadlines_total", "Work for an answer that was given up at its deadline.";
+    ABANDONED = Counter "rigcast_predict_abandoned_total",
+        "Work for an answer that was given up, or not begun, because its client had gone.";
     JOBS = Gauge "rigcast_jobs", "Jobs in the store, by state.";
     ATTEMPTS = Counter "rigcast_job_attempts_total",
         "Attempts of jobs that ended, by kind and outcome: succeeded, failed, retry, cancelled, released, lost.";

@@ -20,6 +20,7 @@ mod idempotency;
 mod isa;
 mod jobs;
 mod kills;
+mod large_answers;
 mod logs;
 mod models;
 mod operations;

@@ -30,7 +30,7 @@ mod train;
 mod validate;
 
 pub use net::{LstmBlock, LstmNet};
-pub use predict::{Streaming, predict};
+pub use predict::{Streaming, predict, predict_watched};
 pub use settings::{
     HybridStart, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, WindowOffset,
 };

@@ -10,6 +10,7 @@ use super::params::{Shape, flatten};
 use super::settings::Recombine;
 use super::stream::{Stream, StreamState, StreamWeights};
 use crate::engine::EngineError;
+use crate::engine::progress::{Watch, report, unwatched};
 use crate::engine::simd::{Isa, LANES, Lanes, dispatch};
 use crate::engine::windowing::{Weights, Windows, check_window};
 
@@ -26,6 +27,9 @@ const GROUPS_PER_SLAB: usize = 64;
 /// Steps between which inputs are gathered and outputs are scattered; small enough for the
 /// second-level cache.
 const STEPS_PER_CHUNK: usize = 64;
+
+/// Steps of a stream between two looks at whether to go on: some ten milliseconds.
+const STEPS_PER_LOOK: usize = 4096;
 
 /// Predicts a whole signal from standardised planar inputs `[channel][sample]` of one sample or more.
 /// Returns `[output][sample]`, standardised.
@@ -44,13 +48,28 @@ pub fn predict(
     hop: usize,
     recombine: Recombine,
 ) -> Result<Vec<Vec<f32>>, EngineError> {
-    predict_on(Isa::of_process()?, net, x, window_len, hop, recombine)
+    predict_on(Isa::of_process()?, net, x, window_len, hop, recombine, &unwatched)
 }
 
-/// [`predict`] on a given instruction set.
+/// [`predict`] that asks `watch` between groups of windows whether to go on.
 ///
 /// # Errors
-/// As [`predict`].
+/// As [`predict`]; [`EngineError::Cancelled`].
+pub fn predict_watched(
+    net: &LstmNet,
+    x: &[Vec<f32>],
+    window_len: usize,
+    hop: usize,
+    recombine: Recombine,
+    watch: Watch<'_>,
+) -> Result<Vec<Vec<f32>>, EngineError> {
+    predict_on(Isa::of_process()?, net, x, window_len, hop, recombine, watch)
+}
+
+/// [`predict_watched`] on a given instruction set.
+///
+/// # Errors
+/// As [`predict_watched`].
 pub(super) fn predict_on(
     isa: Isa,
     net: &LstmNet,
@@ -58,6 +77,7 @@ pub(super) fn predict_on(
     window_len: usize,
     hop: usize,
     recombine: Recombine,
+    watch: Watch<'_>,
 ) -> Result<Vec<Vec<f32>>, EngineError> {
     net.check()?;
     let samples = check_channels("input", x, net.inputs())?;
@@ -67,16 +87,16 @@ pub(super) fn predict_on(
         Recombine::Welch => {
             let windows = Windows::new(window_len, hop, samples)?;
             if isa != Isa::Avx512 {
-                welch::<4, 1>(isa, &shape, &row, x, windows)
+                welch::<4, 1>(isa, &shape, &row, x, windows, watch)?
             } else if windows.count() <= SMALL {
-                welch::<16, 1>(isa, &shape, &row, x, windows)
+                welch::<16, 1>(isa, &shape, &row, x, windows, watch)?
             } else {
-                welch::<4, 4>(isa, &shape, &row, x, windows)
+                welch::<4, 4>(isa, &shape, &row, x, windows, watch)?
             }
         }
         Recombine::Stream => {
             check_window(window_len, hop)?;
-            Streaming::begin(isa, shape, &row, window_len).run(x)
+            Streaming::begin(isa, shape, &row, window_len).run(x, watch)?
         }
     };
     check_result(&y)?;
@@ -182,7 +202,8 @@ fn welch<const R: usize, const NV: usize>(
     row: &[f32],
     x: &[Vec<f32>],
     windows: Windows,
-) -> Vec<Vec<f32>> {
+    watch: Watch<'_>,
+) -> Result<Vec<Vec<f32>>, EngineError> {
     let samples = x[0].len();
     let packed = Packed::<R>::new(shape, row);
     let weights = windows.weights();
@@ -191,13 +212,17 @@ fn welch<const R: usize, const NV: usize>(
         (0..windows.count()).step_by(group).map(|first| first..windows.count().min(first + group)).collect();
     let mut y = vec![vec![0.0; samples]; shape.outputs];
     for slab in groups.chunks(GROUPS_PER_SLAB) {
+        let done = slab[0].start as f64 / windows.count() as f64;
         let parts: Vec<PartialSum> = slab
             .par_iter()
             .map_init(
                 || State::<NV>::new(shape),
-                |state, group| part::<R, NV>(isa, &packed, state, x, windows, &weights, group.clone()),
+                |state, group| {
+                    report(watch, "LSTM", done)?;
+                    Ok(part::<R, NV>(isa, &packed, state, x, windows, &weights, group.clone()))
+                },
             )
-            .collect();
+            .collect::<Result<_, EngineError>>()?;
         // Always in the order of the signal, whichever thread was first.
         for part in &parts {
             for (y, part_y) in y.iter_mut().zip(&part.y) {
@@ -205,7 +230,7 @@ fn welch<const R: usize, const NV: usize>(
             }
         }
     }
-    y
+    Ok(y)
 }
 
 /// The weighted sum of some windows.
@@ -299,28 +324,34 @@ impl Streaming {
         }
     }
 
-    /// The outputs of the next samples, both standardised and planar.
+    /// The outputs of the next samples, both standardised and planar. Asks `watch` now and then whether to
+    /// go on; a stream that was cancelled has no next samples.
     ///
     /// # Errors
-    /// As [`predict`].
-    pub fn next(&mut self, x: &[Vec<f32>]) -> Result<Vec<Vec<f32>>, EngineError> {
+    /// As [`predict`]; [`EngineError::Cancelled`].
+    pub fn next(&mut self, x: &[Vec<f32>], watch: Watch<'_>) -> Result<Vec<Vec<f32>>, EngineError> {
         check_channels("input", x, self.shape.blocks[0].inputs)?;
-        let y = self.run(x);
+        let y = self.run(x, watch)?;
         check_result(&y)?;
         Ok(y)
     }
 
-    fn run(&mut self, x: &[Vec<f32>]) -> Vec<Vec<f32>> {
+    fn run(&mut self, x: &[Vec<f32>], watch: Watch<'_>) -> Result<Vec<Vec<f32>>, EngineError> {
         let (samples, outputs) = (x[0].len(), self.shape.outputs);
         let mut interleaved = vec![0.0; samples * x.len()];
         for (channel, from) in x.iter().enumerate() {
             interleaved[channel..].iter_mut().step_by(x.len()).zip(from).for_each(|(to, &from)| *to = from);
         }
         let mut out = vec![0.0; samples * outputs];
-        let pre_roll = std::mem::take(&mut self.pre_roll);
-        let (weights, state) = (&self.weights, &mut self.state);
-        dispatch(self.isa, Stream { weights, state, x: &interleaved, y: &mut out, pre_roll });
-        (0..outputs).map(|c| out[c..].iter().step_by(outputs).copied().collect()).collect()
+        let stretches =
+            interleaved.chunks(STEPS_PER_LOOK * x.len()).zip(out.chunks_mut(STEPS_PER_LOOK * outputs));
+        for (i, (x, y)) in stretches.enumerate() {
+            report(watch, "LSTM", (i * STEPS_PER_LOOK) as f64 / samples as f64)?;
+            let pre_roll = std::mem::take(&mut self.pre_roll);
+            let (weights, state) = (&self.weights, &mut self.state);
+            dispatch(self.isa, Stream { weights, state, x, y, pre_roll });
+        }
+        Ok((0..outputs).map(|c| out[c..].iter().step_by(outputs).copied().collect()).collect())
     }
 }
 
@@ -347,7 +378,7 @@ mod tests {
     /// 1e-5 of the output's standard deviation: some ten roundings of `f32`.
     fn assert_agrees(isa: Isa, net: &LstmNet, x: &[Vec<f32>], len: usize, hop: usize, way: Recombine) {
         let expected = Twin::of(net).predict(x, len, hop, way);
-        let found = predict_on(isa, net, x, len, hop, way).unwrap();
+        let found = predict_on(isa, net, x, len, hop, way, &unwatched).unwrap();
         let bound = 1e-5 * std_of(&expected).max(0.05);
         let error = distance(&found, &expected);
         assert!(
@@ -403,7 +434,7 @@ mod tests {
         for isa in sets() {
             let on = |threads| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| predict_on(isa, &net, &x, 16, 5, Recombine::Welch).unwrap())
+                pool.install(|| predict_on(isa, &net, &x, 16, 5, Recombine::Welch, &unwatched).unwrap())
             };
             let one = on(1);
             assert_eq!(one, on(2));
@@ -431,11 +462,32 @@ mod tests {
             let mut at = 0;
             for len in cuts {
                 let piece: Vec<Vec<f32>> = x.iter().map(|x| x[at..at + len].to_vec()).collect();
-                let y = streaming.next(&piece).unwrap();
+                let y = streaming.next(&piece, &unwatched).unwrap();
                 found.iter_mut().zip(y).for_each(|(found, y)| found.extend(y));
                 at += len;
             }
             assert_eq!(found, whole, "{cuts:?}");
+        }
+    }
+
+    #[test]
+    fn a_prediction_that_nobody_wants_any_more_ends_at_the_next_look() {
+        use std::ops::ControlFlow;
+        use std::sync::atomic::{AtomicUsize, Ordering};
+
+        let net = net(2, &[5], 2, 6);
+        let x = noise(2, 4 * STEPS_PER_LOOK, 8);
+        for way in [Recombine::Welch, Recombine::Stream] {
+            let looks = AtomicUsize::new(0);
+            let third = |_: crate::engine::Progress<'_>| match looks.fetch_add(1, Ordering::Relaxed) {
+                2.. => ControlFlow::Break(()),
+                _ => ControlFlow::Continue(()),
+            };
+            let found = predict_watched(&net, &x, 16, 8, way, &third);
+            assert_eq!(found, Err(EngineError::Cancelled), "{way:?}");
+            let asked = looks.into_inner();
+            // Each thread may have asked once more.
+            assert!((3..3 + rayon::current_num_threads().max(2)).contains(&asked), "{way:?}: {asked}");
         }
     }
 

@@ -10,6 +10,7 @@ use super::params::{Shape, flatten};
 use super::predict::{predict_on, run_windows};
 use super::samples::{distance, std_of};
 use super::settings::Recombine;
+use crate::engine::progress::unwatched;
 use crate::engine::simd::Isa;
 use crate::engine::simd::{LANES, dispatch};
 
@@ -176,7 +177,7 @@ fn whole_signals_agree_with_pytorch_in_both_recombinations() {
                 y.iter_mut().for_each(|y| *y = (*y - mean) / std);
             }
             for isa in sets() {
-                let found = predict_on(isa, &net, &to_f32(&x), 64, 32, recombine).unwrap();
+                let found = predict_on(isa, &net, &to_f32(&x), 64, 32, recombine, &unwatched).unwrap();
                 let error = distance(&found, &y) / std_of(&y);
                 assert!(error < FORWARD, "{name} {way} {}: {error:e}", isa.name());
             }

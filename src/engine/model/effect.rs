@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use crate::engine::diagnosis::Augmented;
+use crate::engine::progress::{Watch, report, unwatched};
 use crate::engine::{EngineError, Signal};
 
 /// Most effects that a model may have.
@@ -45,16 +46,18 @@ impl AddedEffect {
     }
 }
 
-/// The response with all effects, each of which was found on the model with those before it.
+/// The response with all effects, each of which was found on the model with those before it. Asks `watch`
+/// before each of them whether to go on.
 ///
 /// # Errors
-/// A free run that diverges.
+/// A free run that diverges; [`EngineError::Cancelled`].
 pub(super) fn apply_all(
     effects: &[AddedEffect],
     x: &Signal,
     response: Signal,
+    watch: Watch<'_>,
 ) -> Result<Signal, EngineError> {
-    Ok(fold(effects, x, response, false)?.0)
+    Ok(fold(effects, x, response, false, watch)?.0)
 }
 
 /// The response with all effects, and what they add to the linear cores that they were found on, both
@@ -68,7 +71,7 @@ pub fn apply_effects(
     x: &Signal,
     response: Signal,
 ) -> Result<(Signal, Option<Signal>), EngineError> {
-    fold(effects, x, response, true)
+    fold(effects, x, response, true, &unwatched)
 }
 
 /// Applies one effect after the other, and sums what they add where a later one or the caller asks for it.
@@ -77,9 +80,11 @@ fn fold(
     x: &Signal,
     mut response: Signal,
     wanted: bool,
+    watch: Watch<'_>,
 ) -> Result<(Signal, Option<Signal>), EngineError> {
     let mut added: Option<Signal> = None;
     for (i, effect) in effects.iter().enumerate() {
+        report(watch, "effects", (1 + i) as f64 / (1 + effects.len()) as f64)?;
         let needed = wanted || effects[i + 1..].iter().any(|later| later.augmented.on_effects());
         let drive = effect.drive(x);
         let next = effect.augmented.apply(&drive, &response, added.as_ref())?;
@@ -111,7 +116,6 @@ mod tests {
     use crate::engine::model::{
         InputRange, ModelKind, Predictor, Preprocess, RigModel, VersionKind, from_safetensors, to_safetensors,
     };
-    use crate::engine::progress::unwatched;
 
     fn augmented() -> Augmented {
         let input = Input { catalogue: vec![Effect::CubicStiffness], ..request(hardening, 0.01) };
@@ -171,15 +175,15 @@ mod tests {
         let whole = predictor.predict(x.clone()).unwrap();
         let mut prediction = predictor.begin(x).unwrap();
         let mut pieces = Vec::new();
-        while let Some(piece) = predictor.next(&mut prediction).unwrap() {
+        while let Some(piece) = predictor.next(&mut prediction, &unwatched).unwrap() {
             pieces.push(piece.into_channels().remove(0));
         }
         assert_eq!(pieces.len(), 2);
         assert_eq!(pieces.concat(), whole.channel(0));
         assert!(predictor.rest(&mut prediction, &unwatched).is_err(), "all has been given");
-        assert_eq!(predictor.next(&mut prediction).unwrap(), None);
+        assert_eq!(predictor.next(&mut prediction, &unwatched).unwrap(), None);
         let mut prediction = predictor.begin(inputs(1100.0)).unwrap();
-        let first = predictor.next(&mut prediction).unwrap().unwrap();
+        let first = predictor.next(&mut prediction, &unwatched).unwrap().unwrap();
         let rest = predictor.rest(&mut prediction, &unwatched).unwrap();
         assert_eq!([first.channel(0), rest.channel(0)].concat(), whole.channel(0));
     }

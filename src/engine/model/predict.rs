@@ -20,7 +20,7 @@ use super::trust::{self, BandWatch, Trust};
 use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
 use crate::engine::frf::FrfFilter;
 use crate::engine::lstm::{self, Recombine, Streaming};
-use crate::engine::progress::{Watch, report, unwatched};
+use crate::engine::progress::{Progress, Watch, report, unwatched};
 use crate::engine::windowing::check_window;
 use crate::engine::{EngineError, Signal};
 
@@ -102,16 +102,17 @@ impl Predictor {
         begin(&self.model, x)
     }
 
-    /// The next samples of the response; none when all have been given.
+    /// The next samples of the response; none when all have been given. It asks `watch` often whether to
+    /// go on; a prediction that was cancelled gives no more.
     ///
     /// # Errors
-    /// A result that is not finite.
-    pub fn next(&self, prediction: &mut Prediction) -> Result<Option<Signal>, EngineError> {
-        next(&self.model, self.filter.as_ref(), prediction)
+    /// A result that is not finite; [`EngineError::Cancelled`].
+    pub fn next(&self, prediction: &mut Prediction, watch: Watch<'_>) -> Result<Option<Signal>, EngineError> {
+        next(&self.model, self.filter.as_ref(), prediction, watch)
     }
 
-    /// All samples of the response that have not been given yet, at least one. Between pieces it asks
-    /// `watch` whether to go on.
+    /// All samples of the response that have not been given yet, at least one. It asks `watch` often
+    /// whether to go on.
     ///
     /// # Errors
     /// As [`Predictor::next`]; [`EngineError::TooShort`] when all have been given;
@@ -198,15 +199,16 @@ fn next(
     model: &RigModel,
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
+    watch: Watch<'_>,
 ) -> Result<Option<Signal>, EngineError> {
     if model.effects.is_empty() {
-        return piece(model, filter, prediction);
+        return piece(model, filter, prediction, watch);
     }
     if prediction.at == prediction.n_samples() {
         prediction.whole = None;
         return Ok(None);
     }
-    let whole = with_effects(model, filter, prediction, &unwatched)?;
+    let whole = with_effects(model, filter, prediction, watch)?;
     let range = prediction.at..whole.n_samples().min(prediction.at + PIECE_SAMPLES);
     prediction.at = range.end;
     let piece = whole.slice(range);
@@ -224,9 +226,12 @@ fn with_effects(
     if let Some(whole) = prediction.whole.take() {
         return Ok(whole);
     }
-    let base = rest_without_effects(model, filter, prediction, watch)?;
+    // The model is one part of the work, and each effect another.
+    let parts = (1 + model.effects.len()) as f64;
+    let first = |p: Progress<'_>| watch(Progress { fraction: p.fraction / parts, ..p });
+    let base = rest_without_effects(model, filter, prediction, &first)?;
     prediction.at = 0;
-    effect::apply_all(&model.effects, &prediction.x, base)
+    effect::apply_all(&model.effects, &prediction.x, base, watch)
 }
 
 fn rest_without_effects(
@@ -236,18 +241,17 @@ fn rest_without_effects(
     watch: Watch<'_>,
 ) -> Result<Signal, EngineError> {
     let left = prediction.n_samples() - prediction.at;
-    let first = piece(model, filter, prediction)?.ok_or(ALL_GIVEN)?;
+    let first = piece(model, filter, prediction, watch)?.ok_or(ALL_GIVEN)?;
     if first.n_samples() == left {
         return Ok(first);
     }
     let rate = first.sample_rate_hz();
     let mut channels = first.into_channels();
     channels.iter_mut().for_each(|channel| channel.reserve_exact(left - channel.len()));
-    while let Some(next) = piece(model, filter, prediction)? {
+    while let Some(next) = piece(model, filter, prediction, watch)? {
         for (channel, next) in channels.iter_mut().zip(next.channels()) {
             channel.extend_from_slice(next);
         }
-        report(watch, "prediction", prediction.at as f64 / prediction.n_samples() as f64)?;
     }
     Signal::new(rate, channels)
 }
@@ -257,12 +261,17 @@ fn piece(
     model: &RigModel,
     filter: Option<&FrfFilter>,
     prediction: &mut Prediction,
+    watch: Watch<'_>,
 ) -> Result<Option<Signal>, EngineError> {
     let Prediction { x, at, stream, .. } = prediction;
     let range = *at..x.n_samples().min(*at + piece_len(model.lstm.as_ref()));
     if range.is_empty() {
         return Ok(None);
     }
+    let done = range.start as f64 / x.n_samples() as f64;
+    report(watch, "prediction", done)?;
+    // The network counts from the start of the piece.
+    let within = |_: Progress<'_>| watch(Progress { stage: "prediction", fraction: done });
     // Windows that reach into the piece, and the network's inputs from the first of them on.
     let warm_up = match &model.lstm {
         Some(part) if stream.is_none() => warm_up(part),
@@ -275,8 +284,10 @@ fn piece(
         Some(part) => {
             let z = network_inputs(&part.x, model.kind, x, from..range.end, linear.as_deref());
             let y = match stream {
-                Some(stream) => stream.next(&z),
-                None => lstm::predict(&part.net, &z, part.window_len, part.hop, part.recombine),
+                Some(stream) => stream.next(&z, &within),
+                None => {
+                    lstm::predict_watched(&part.net, &z, part.window_len, part.hop, part.recombine, &within)
+                }
             };
             drop(z);
             let y = y.map_err(|error| later(error, from))?;

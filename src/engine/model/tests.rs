@@ -252,7 +252,7 @@ fn pieces_make_the_same_response_as_the_whole_drive() {
             let predictor = Predictor::new(model.clone()).unwrap();
             let mut prediction = predictor.begin(x.clone()).unwrap();
             let (mut found, mut pieces) = (vec![Vec::new(); 3], 0);
-            while let Some(piece) = predictor.next(&mut prediction).unwrap() {
+            while let Some(piece) = predictor.next(&mut prediction, &unwatched).unwrap() {
                 pieces += 1;
                 for (found, piece) in found.iter_mut().zip(piece.channels()) {
                     found.extend_from_slice(piece);

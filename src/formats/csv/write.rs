@@ -20,10 +20,7 @@ pub fn write(
 ) -> Result<Vec<u8>, FormatError> {
     let samples = channels.first().ok_or(FormatError::NoChannels)?.len();
     let at = |index: usize| ChannelAt { index, name: names.get(index).cloned() };
-    if names.len() != channels.len() || units.is_some_and(|u| u.len() != channels.len()) {
-        let index = channels.len();
-        return Err(FormatError::UnequalLengths { channel: at(index), expected: samples, found: 0 });
-    }
+    let mut file = head(names, units, channels.len())?;
     for (index, channel) in channels.iter().enumerate() {
         if channel.len() != samples {
             let found = channel.len();
@@ -32,6 +29,24 @@ pub fn write(
         if let Some(sample) = channel.iter().position(|v| !v.is_finite()) {
             return Err(FormatError::NonFinite { channel: at(index), sample, row: None, column: None });
         }
+    }
+    let columns: Vec<&[f64]> = channels.iter().map(Vec::as_slice).collect();
+    rows(&mut file, &columns);
+    Ok(file)
+}
+
+/// The header row and, where any of `units` is not empty, the units row of a table of so many columns.
+///
+/// # Errors
+/// As [`write`].
+pub(super) fn head(
+    names: &[String],
+    units: Option<&[String]>,
+    columns: usize,
+) -> Result<Vec<u8>, FormatError> {
+    if names.len() != columns || units.is_some_and(|u| u.len() != columns) {
+        let channel = ChannelAt { index: columns, name: names.get(columns).cloned() };
+        return Err(FormatError::UnequalLengths { channel, expected: columns, found: names.len() });
     }
     if let Some(index) = names.iter().position(|n| number(n.as_bytes(), true).is_some()) {
         let reason = "a channel name that is a number would read back as a sample";
@@ -53,16 +68,19 @@ pub fn write(
     if let Some(units) = &units {
         writer.write_record(units).expect(fits);
     }
-    let mut file = writer.into_inner().expect(fits);
-    for sample in 0..samples {
-        for (index, channel) in channels.iter().enumerate() {
+    Ok(writer.into_inner().expect(fits))
+}
+
+/// Appends a row for each sample of these columns.
+pub(super) fn rows(file: &mut Vec<u8>, columns: &[&[f64]]) {
+    for sample in 0..columns.first().map_or(0, |column| column.len()) {
+        for (index, column) in columns.iter().enumerate() {
             let separator = if index == 0 { "" } else { "," };
             // Debug writes 1e300 where Display writes 301 digits; both read back exactly.
-            write!(file, "{separator}{:?}", channel[sample]).expect(fits);
+            write!(file, "{separator}{:?}", column[sample]).expect("writing to memory cannot fail");
         }
         file.push(b'\n');
     }
-    Ok(file)
 }
 
 /// A unit in a form that reads back: the reader removes brackets, and takes numbers for samples.

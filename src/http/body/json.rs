@@ -190,12 +190,16 @@ fn check_depth(bytes: &[u8]) -> Answer<()> {
 
 /// A JSON object built from parts, some of which are JSON text already.
 #[derive(Debug)]
-pub struct Object(Vec<u8>);
+pub struct Object {
+    text: Vec<u8>,
+    /// Whether there is a field already.
+    begun: bool,
+}
 
 impl Object {
     /// An object without fields.
     pub fn new() -> Self {
-        Self(vec![b'{'])
+        Self { text: vec![b'{'], begun: false }
     }
 
     /// Adds a field.
@@ -206,19 +210,20 @@ impl Object {
         serde_json::to_writer(self.field(name), value).map_err(Problem::internal)
     }
 
-    /// Adds a field; the caller appends its value as JSON text.
+    /// Adds a field; the caller appends its value as JSON text, or takes the text so far and writes the value
+    /// behind it.
     pub fn field(&mut self, name: &'static str) -> &mut Vec<u8> {
-        if self.0.len() > 1 {
-            self.0.push(b',');
+        if std::mem::replace(&mut self.begun, true) {
+            self.text.push(b',');
         }
-        self.0.extend_from_slice(format!("\"{name}\":").as_bytes());
-        &mut self.0
+        self.text.extend_from_slice(format!("\"{name}\":").as_bytes());
+        &mut self.text
     }
 
-    /// The text.
+    /// The text, or what of it was not taken.
     pub fn finish(mut self) -> Vec<u8> {
-        self.0.push(b'}');
-        self.0
+        self.text.push(b'}');
+        self.text
     }
 }
 
@@ -304,6 +309,18 @@ mod tests {
         let document: serde_json::Value = serde_json::from_slice(&problem.document("")).expect("JSON");
         assert_eq!(document["code"], "body.invalid_value");
         assert_eq!(document["errors"][0]["pointer"], "/a/0/b");
+    }
+
+    #[test]
+    fn an_object_whose_text_is_taken_on_the_way_is_the_same_text() {
+        let mut object = Object::new();
+        object.add("a", &1).expect("JSON");
+        let mut text = std::mem::take(object.field("b"));
+        text.extend_from_slice(b"[2]");
+        object.add("c", &3).expect("JSON");
+        text.extend(object.finish());
+        assert_eq!(text, br#"{"a":1,"b":[2],"c":3}"#);
+        assert_eq!(Object::new().finish(), b"{}");
     }
 
     #[test]

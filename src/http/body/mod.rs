@@ -1,8 +1,11 @@
-//! Request bodies and JSON answers: limits on size and pace, strict JSON, arrays of samples.
+//! Request bodies and JSON answers: limits on size and pace, strict JSON, arrays of samples, and the pieces of
+//! large answers.
 
 mod arrays;
 pub mod json;
 mod limited;
+pub mod pieces;
+pub mod signal_pieces;
 pub mod signals;
 
 pub use arrays::HoldsSignals;

@@ -90,16 +90,10 @@ pub fn write_json(json: &mut Vec<u8>, names: &[String], signal: &Signal) {
     let texts: Vec<(usize, Vec<u8>)> =
         stretches.par_iter().map(|&(c, samples)| (c, numbers(samples))).collect();
     json.reserve(texts.iter().map(|(_, text)| text.len()).sum::<usize>() + 4096);
-    json.extend_from_slice(b"{\"sample_rate_hz\":");
-    json.extend_from_slice(zmij::Buffer::new().format_finite(signal.sample_rate_hz()).as_bytes());
-    json.extend_from_slice(b",\"channels\":{");
+    begin_signal(json, signal.sample_rate_hz());
     let mut texts = texts.into_iter().peekable();
     for (c, name) in names.iter().enumerate() {
-        if c > 0 {
-            json.push(b',');
-        }
-        json.extend_from_slice(serde_json::Value::from(name.as_str()).to_string().as_bytes());
-        json.extend_from_slice(b":[");
+        begin_channel(json, c, name);
         let start = json.len();
         while let Some((_, text)) = texts.next_if(|(of, _)| *of == c) {
             // Every number but the first has a comma before it.
@@ -110,8 +104,24 @@ pub fn write_json(json: &mut Vec<u8>, names: &[String], signal: &Signal) {
     json.extend_from_slice(b"}}");
 }
 
+/// The text before the first channel.
+pub(super) fn begin_signal(json: &mut Vec<u8>, sample_rate_hz: f64) {
+    json.extend_from_slice(b"{\"sample_rate_hz\":");
+    json.extend_from_slice(zmij::Buffer::new().format_finite(sample_rate_hz).as_bytes());
+    json.extend_from_slice(b",\"channels\":{");
+}
+
+/// The text before the first number of a channel.
+pub(super) fn begin_channel(json: &mut Vec<u8>, channel: usize, name: &str) {
+    if channel > 0 {
+        json.push(b',');
+    }
+    json.extend_from_slice(serde_json::Value::from(name).to_string().as_bytes());
+    json.extend_from_slice(b":[");
+}
+
 /// Numbers, a comma before each. A signal is finite, so all of them are numbers in JSON.
-fn numbers(samples: &[f64]) -> Vec<u8> {
+pub(super) fn numbers(samples: &[f64]) -> Vec<u8> {
     let mut text = Vec::with_capacity(samples.len() * NUMBER_BYTES);
     let mut buffer = zmij::Buffer::new();
     for &sample in samples {

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 
 use super::request::Source;
-use crate::domain::RigId;
+use crate::domain::{RigId, Run};
 use crate::engine::{EngineError, Signal};
 use crate::formats;
 use crate::http::body::signals::Channels;
@@ -56,13 +56,50 @@ pub struct Target {
     pub signal: Signal,
 }
 
+/// The signals of a source, or the run that holds them and is not read yet.
+#[derive(Debug)]
+pub enum Found {
+    /// A run.
+    Run(Box<Run>),
+    /// Sample rate and channels.
+    Signals(f64, Channels),
+}
+
+impl Found {
+    /// Samples of each channel; of signals whose lengths differ those of the longest.
+    pub fn n_samples(&self) -> usize {
+        match self {
+            Self::Run(run) => usize::try_from(run.samples).unwrap_or(usize::MAX),
+            Self::Signals(_, channels) => {
+                channels.0.iter().map(|(_, samples)| samples.len()).max().unwrap_or_default()
+            }
+        }
+    }
+
+    /// Sample rate, channels, and whether they are a run's; of a run only those that are `wanted`.
+    async fn read(self, http: &Shared, wanted: &[String]) -> Answer<(f64, Channels, bool)> {
+        let run = match self {
+            Self::Signals(rate, channels) => return Ok((rate, channels, false)),
+            Self::Run(run) => run,
+        };
+        let (columns, names): (Vec<usize>, Vec<String>) =
+            run.channels.iter().cloned().enumerate().filter(|(_, name)| wanted.contains(name)).unzip();
+        if columns.is_empty() {
+            return Ok((run.sample_rate_hz, Channels::default(), true));
+        }
+        let signal = http.store.load_channels(&run, columns).await?;
+        let rate = signal.sample_rate_hz();
+        Ok((rate, Channels(names.into_iter().zip(signal.into_channels()).collect()), true))
+    }
+}
+
 /// The drive of a JSON request.
 ///
 /// # Errors
 /// A channel that is missing or that the model does not have, unequal lengths, no samples.
-pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Drive> {
+pub async fn drive(http: &Shared, found: Found, model: &LoadedModel) -> Answer<Drive> {
     let wanted = &model.model().inputs;
-    let (rate, mut channels, from_run) = resolve(http, rig, source, "/drive").await?;
+    let (rate, mut channels, from_run) = found.read(http, wanted).await?;
     let mut samples = Vec::with_capacity(wanted.len());
     for name in wanted {
         samples.push(channels.take(name).ok_or_else(|| missing(name, "/drive"))?);
@@ -78,9 +115,9 @@ pub async fn drive(http: &Shared, rig: &RigId, source: Source, model: &LoadedMod
 ///
 /// # Errors
 /// As [`drive`]; none of the model's outputs.
-pub async fn target(http: &Shared, rig: &RigId, source: Source, model: &LoadedModel) -> Answer<Target> {
+pub async fn target(http: &Shared, found: Found, model: &LoadedModel) -> Answer<Target> {
     let outputs = &model.model().outputs;
-    let (rate, mut channels, from_run) = resolve(http, rig, source, "/target").await?;
+    let (rate, mut channels, from_run) = found.read(http, outputs).await?;
     let (mut names, mut samples) = (Vec::new(), Vec::new());
     for name in outputs {
         if let Some(found) = channels.take(name) {
@@ -98,17 +135,18 @@ pub async fn target(http: &Shared, rig: &RigId, source: Source, model: &LoadedMo
     Ok(Target { names, signal })
 }
 
-/// Sample rate and channels of a source, and whether the source is a run.
-async fn resolve(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer<(f64, Channels, bool)> {
+/// Finds the run of a source, or takes its signals.
+///
+/// # Errors
+/// A source that is neither or both, a run that is not there.
+pub async fn find(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer<Found> {
     match source {
         Source { run: Some(id), sample_rate_hz: None, channels: None } => {
             let run = http.store.run(rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
-            let signal = http.store.load_signal(&run).await?;
-            let rate = signal.sample_rate_hz();
-            Ok((rate, Channels(run.channels.into_iter().zip(signal.into_channels()).collect()), true))
+            Ok(Found::Run(Box::new(run)))
         }
         Source { run: None, sample_rate_hz: Some(rate), channels: Some(channels) } => {
-            Ok((rate, channels, false))
+            Ok(Found::Signals(rate, channels))
         }
         Source { run: Some(_), .. } => {
             let limit = "either a run, or sample_rate_hz and channels";

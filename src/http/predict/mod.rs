@@ -1,10 +1,11 @@
 //! Predictions: a drive in, the response out, with damage, errors and trust.
 //!
-//! [`request`] reads the request, [`inputs`] makes signals for the model, [`answer`] computes and writes
-//! the answer.
+//! [`request`] reads the request, [`memory`] waits for the memory that it needs, [`inputs`] makes signals for
+//! the model, [`answer`] computes and writes the answer.
 
 mod answer;
 mod inputs;
+mod memory;
 mod request;
 mod stages;
 
@@ -13,7 +14,7 @@ use std::time::Instant;
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
@@ -22,7 +23,7 @@ use super::deadline::Deadline;
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, body, codes, json, negotiate};
+use super::{Shared, admission, body, codes, json, negotiate};
 use crate::domain::{ModelRef, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
@@ -30,6 +31,8 @@ use answer::{Computed, PredictionTask};
 use inputs::Drive;
 use request::{NpyQuery, PredictRequest};
 use stages::Stages;
+
+pub use memory::PredictionMemory;
 
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";
@@ -52,9 +55,16 @@ pub async fn predict(
             stages.end("receive");
             let (rig, model) = find(&http, &id, request.model).await?;
             let include = request.includes()?;
-            let drive = inputs::drive(&http, &id, request.drive, &model).await?;
+            let drive = inputs::find(&http, &id, request.drive, "/drive").await?;
             let target = match request.target {
-                Some(source) => Some(inputs::target(&http, &id, source, &model).await?),
+                Some(source) => Some(inputs::find(&http, &id, source, "/target").await?),
+                None => None,
+            };
+            let bytes = needed(&model, drive.n_samples(), target.is_some());
+            let memory = http.predictions.take(admission::client_id(), bytes).await?;
+            let drive = inputs::drive(&http, drive, &model).await?;
+            let target = match target {
+                Some(found) => Some(inputs::target(&http, found, &model).await?),
                 None => None,
             };
             stages.end("load");
@@ -66,6 +76,7 @@ pub async fn predict(
                 include,
                 damage: request.damage.unwrap_or_default(),
                 media_type,
+                memory,
             };
             compute(&http, task, stages).await
         }
@@ -77,10 +88,20 @@ pub async fn predict(
                 .await?;
             let (rig, model) = find(&http, &id, query.model).await?;
             let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
-            compute(&http, PredictionTask::of_npy(rig, model, drive, media_type), stages).await
+            let samples = drive.n_samples(model.model().inputs.len());
+            let memory =
+                http.predictions.take(admission::client_id(), needed(&model, samples, false)).await?;
+            compute(&http, PredictionTask::of_npy(rig, model, drive, media_type, memory), stages).await
         }
         other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
     }
+}
+
+/// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, and a target.
+fn needed(model: &LoadedModel, samples: usize, target: bool) -> usize {
+    let model = model.model();
+    let channels = 2 * model.inputs.len() + if target { 3 } else { 1 } * model.outputs.len();
+    samples.saturating_mul(channels).saturating_mul(size_of::<f64>())
 }
 
 /// The rig and the model that predicts for it, held until the answer is written.
@@ -107,22 +128,21 @@ async fn compute(http: &Shared, task: PredictionTask, mut stages: Stages) -> Ans
         stages.end("wait");
         task.run(deadline, &mut stages)
     };
-    let Computed { bytes, media_type, samples, inside } = http.in_time(class, work).await?;
+    let computed = http.in_time(class, work).await?;
     metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);
-    metrics::counter!(names::PREDICTED_SAMPLES).increment(samples);
+    metrics::counter!(names::PREDICTED_SAMPLES).increment(computed.samples);
     metrics::histogram!(names::PREDICTION_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());
-    respond(&model, bytes, media_type, inside)
+    respond(http, &model, computed)
 }
 
-fn respond(
-    model: &LoadedModel,
-    bytes: Vec<u8>,
-    media_type: &'static str,
-    inside: Option<f64>,
-) -> Answer<Response> {
-    let mut response = bytes.into_response();
+fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Response> {
+    let Computed { written, size, media_type, inside, .. } = computed;
+    let mut response = written.into_body(&http.compute).into_response();
     let headers = response.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
+    if let Some(size) = size {
+        headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
+    }
     let mut put = |name: &'static str, value: String| -> Answer<()> {
         let value = HeaderValue::try_from(value).map_err(Problem::internal)?;
         headers.insert(HeaderName::from_static(name), value);

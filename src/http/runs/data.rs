@@ -1,18 +1,18 @@
-//! Samples of a run, or a stretch of some of its channels.
+//! Samples of a run, or a stretch of some of its channels, read from its file as the client reads them.
 
 use std::ops::Range;
 
 use axum::extract::State;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::IntoResponse;
 
-use crate::compute::Class;
 use crate::domain::Run;
-use crate::engine::Signal;
-use crate::formats::npy::{Dtype, Order};
-use crate::formats::{self, FormatError};
-use crate::http::body::signals::{header_names, write_json};
+use crate::formats::csv::{CsvPieces, TimeOfRows};
+use crate::formats::npy::NpyPieces;
+use crate::http::body::pieces::{Pieces, Written};
+use crate::http::body::signal_pieces::JsonPieces;
+use crate::http::body::signals::header_names;
 use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfRun, no_run};
 use crate::http::predict::NPY;
@@ -39,51 +39,34 @@ pub async fn show(
     let run = http.store.run(&rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
     let columns = columns(&run, wanted.as_deref())?;
     let range = stretch(&run, from_s, to_s)?;
-    let whole = http.store.load_signal(&run).await?;
     let names: Vec<String> = columns.iter().map(|&c| run.channels[c].clone()).collect();
-    let head = [
-        (CONTENT_TYPE, media_type.to_owned()),
-        (HeaderName::from_static("rigcast-channels"), header_names(&names)),
-        (HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string()),
-    ];
-    let class = Class::of_values(run.samples as usize * run.channels.len());
-    let bytes = http
-        .in_time(class, move |_| {
-            let signal = whole.select(&columns).slice(range.clone());
-            match media_type {
-                NPY => formats::npy::write(signal.channels(), Dtype::F8, Order::C).map_err(Problem::internal),
-                CSV => {
-                    let units = columns.iter().map(|&c| run.units[c].clone()).collect();
-                    table(names, units, signal, range.start).map_err(Problem::internal)
-                }
-                _ => {
-                    let mut json = Vec::new();
-                    write_json(&mut json, &names, &signal);
-                    Ok(json)
-                }
-            }
-        })
-        .await?;
-    Ok((head, bytes).into_response())
-}
-
-/// A table whose first column is the time since the start of the run.
-fn table(
-    mut names: Vec<String>,
-    mut units: Vec<String>,
-    signal: Signal,
-    start: usize,
-) -> Result<Vec<u8>, FormatError> {
-    let rate = signal.sample_rate_hz();
-    let time = (start..start + signal.n_samples()).map(|i| i as f64 / rate).collect();
-    let mut channels = signal.into_channels();
-    // A rig with a channel of that name gets no second one.
-    if !names.iter().any(|name| name == TIME) {
-        names.insert(0, TIME.into());
-        units.insert(0, "s".into());
-        channels.insert(0, time);
-    }
-    formats::csv::write(&names, Some(&units), &channels)
+    let mut head = HeaderMap::new();
+    let mut put = |name: HeaderName, value: String| -> Answer<()> {
+        head.insert(name, value.parse().map_err(Problem::internal)?);
+        Ok(())
+    };
+    put(CONTENT_TYPE, media_type.to_owned())?;
+    put(HeaderName::from_static("rigcast-channels"), header_names(&names))?;
+    put(HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string())?;
+    let open = http.store.open_samples(&run, columns.clone(), range.clone());
+    let samples = http.read_in_time(open).await?;
+    let pieces: Pieces = match media_type {
+        NPY => {
+            let pieces = NpyPieces::new(samples);
+            put(CONTENT_LENGTH, pieces.size().to_string())?;
+            Box::new(pieces)
+        }
+        CSV => {
+            let units = columns.iter().map(|&c| run.units[c].clone()).collect();
+            // A rig with a channel of that name gets no second one.
+            let time = (!names.iter().any(|name| name == TIME))
+                .then(|| TimeOfRows { name: TIME.into(), first: range.start });
+            Box::new(CsvPieces::new(names, units, time, samples).map_err(Problem::internal)?)
+        }
+        _ => Box::new(JsonPieces::new(names, samples)),
+    };
+    let written = http.compute.piece(|| Written::begin(pieces)).await?.map_err(Problem::internal)?;
+    Ok((head, written.into_body(&http.compute)).into_response())
 }
 
 fn seconds(params: &mut Params, name: &str) -> Answer<Option<f64>> {

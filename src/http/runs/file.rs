@@ -105,7 +105,7 @@ impl RunFile {
         if !Signal::same_rate(rate, rig.sample_rate_hz) {
             signal = resample::resample(&signal, rig.sample_rate_hz).map_err(refuse)?;
         }
-        PreparedRun::new(rig, meta, names, units, &signal, upload.sha256()).map_err(|found| {
+        PreparedRun::new(rig, meta, names, units, signal, upload.sha256()).map_err(|found| {
             Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found))
                 .with_all(found)
         })

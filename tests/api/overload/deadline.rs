@@ -35,18 +35,3 @@ async fn work_that_is_not_done_at_the_deadline_is_given_up_and_its_turn_comes_ba
     app.post_json("/v1/rigs/bench/predict", &request).await.problem(504, "predict.deadline");
     until(&app, "long", (0, 0)).await;
 }
-
-#[tokio::test]
-async fn work_whose_client_has_gone_is_given_up() {
-    let app = TestApp::start_as(|mut config| {
-        config.compute.long = QueueSettings::new(1, 0, Duration::from_secs(60));
-        config
-    });
-    app.rig(&bench()).await;
-    app.activate("bench", slow_weights()).await;
-    let drive = npy("<f4", false, &format!("({SAMPLES}, 1)"), &vec![0; 4 * SAMPLES]);
-    let call = predict_npy(&app, &drive);
-    until(&app, "long", (1, 0)).await;
-    call.abort();
-    until(&app, "long", (0, 0)).await;
-}

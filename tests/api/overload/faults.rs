@@ -179,6 +179,23 @@ async fn queues_refusals_deadlines_and_stages_are_measured() {
 }
 
 #[tokio::test]
+async fn work_whose_client_has_gone_is_counted() {
+    let service = Service::start(&[("RIGCAST_PREDICT_DEADLINE_S", "600")]).await;
+    service.activate(slow_weights()).await;
+    assert_eq!(service.value(names::ABANDONED, &[]).await, 0.0);
+    let drive = npy("<f4", false, "(4000000, 1)", &vec![0; 16_000_000]);
+    let mut client = service.connect();
+    let head = "POST /v1/rigs/bench/predict?sample_rate_hz=100 HTTP/1.1\r\nHost: localhost\r\n\
+                Content-Type: application/x-npy\r\nContent-Length: ";
+    client.write_all(format!("{head}{}\r\n\r\n", drive.len()).as_bytes()).expect("sent");
+    client.write_all(&drive).expect("sent");
+    service.until(names::TURNS, &[("class", "long")], |found| found == 1.0).await;
+    drop(client);
+    service.until(names::ABANDONED, &[], |found| found == 1.0).await;
+    service.until(names::TURNS, &[("class", "long")], |found| found == 0.0).await;
+}
+
+#[tokio::test]
 async fn damage_of_the_store_is_counted() {
     let service = Service::start(&[]).await;
     service.activate(to_safetensors(&gain_model(&["u"], &["y"], 2.0))).await;

@@ -2,6 +2,7 @@
 
 mod connections;
 mod deadline;
+mod departed;
 mod faults;
 mod queues;
 

@@ -234,9 +234,9 @@ fn a_network_that_was_trained_predicts_the_same_on_every_instruction_set() {
     let trained =
         train(&[lag(900, 1, 0)], &[lag(300, 2, 0)], &begin(1, 2), &settings(), 1, &unwatched).unwrap();
     let x = noise(1, 500, 5);
-    let expected = predict_on(Isa::Portable, &trained.net, &x, 64, 32, Recombine::Welch).unwrap();
+    let expected = predict_on(Isa::Portable, &trained.net, &x, 64, 32, Recombine::Welch, &unwatched).unwrap();
     for isa in Isa::ALL.into_iter().filter(|i| i.is_available()) {
-        let found = predict_on(isa, &trained.net, &x, 64, 32, Recombine::Welch).unwrap();
+        let found = predict_on(isa, &trained.net, &x, 64, 32, Recombine::Welch, &unwatched).unwrap();
         for (f, e) in found.iter().flatten().zip(expected.iter().flatten()) {
             assert!((f - e).abs() < 1e-5, "{}", isa.name());
         }
