@@ -6,8 +6,8 @@ use std::path::Path;
 use super::objects::off_thread;
 use super::{Store, StoreError};
 
-/// Files of the registry: the database, its write-ahead log, and the index of that log.
-const DATABASE: [&str; 3] = ["rigcast.db", "rigcast.db-wal", "rigcast.db-shm"];
+/// Files of the registry: the database, its write-ahead log, the index of that log, and the journal.
+const DATABASE: [&str; 4] = ["rigcast.db", "rigcast.db-wal", "rigcast.db-shm", "rigcast.journal"];
 
 /// Sizes in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -24,9 +24,17 @@ fn below(root: &std::path::Path) -> Vec<String> {
 fn is_ours(path: &str) -> bool {
     let hex = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_hexdigit());
     match path.split('/').collect::<Vec<_>>()[..] {
-        [file] => {
-            ["rigcast.db", "rigcast.db-wal", "rigcast.db-shm", "lock", "scratch", "objects"].contains(&file)
-        }
+        [file] => [
+            "rigcast.db",
+            "rigcast.db-wal",
+            "rigcast.db-shm",
+            "rigcast.journal",
+            "lock",
+            "reserve",
+            "scratch",
+            "objects",
+        ]
+        .contains(&file),
         ["objects", folder] => hex(folder) && folder.len() == 2,
         ["objects", folder, digest] => digest.starts_with(folder) && hex(digest) && digest.len() == 64,
         _ => false,

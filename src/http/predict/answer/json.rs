@@ -87,9 +87,8 @@ pub(super) fn write(begun: Begun<'_>, stages: &mut Stages) -> Answer<Written> {
             let response = JsonPieces::new(outputs.clone(), response);
             let pieces = iter::once(Ok(before)).chain(response).chain(iter::once(Ok(after)));
             // The share of the memory is given back when the last piece has gone out.
-            let held = pieces.map(move |piece| {
+            let held = pieces.inspect(move |_| {
                 let _held = &memory;
-                piece
             });
             Written::begin(Box::new(held)).map_err(Problem::internal)?
         }
