@@ -16,6 +16,8 @@ struct Ready {
     status: &'static str,
     /// `ok`, or `full`: reads and predictions go on, and only deletions and changes of the active model are taken.
     store: &'static str,
+    /// Objects that were put aside because no row names them.
+    quarantined: Vec<String>,
     degraded: Vec<Degraded>,
     degraded_models: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,7 +44,8 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     let mut degraded = http.models.degraded().await?;
     let degraded_models = degraded.len();
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
-    json::answer(&Ready { status: "ready", store, degraded, degraded_models, checks })
+    let quarantined = http.store.quarantined().await?;
+    json::answer(&Ready { status: "ready", store, quarantined, degraded, degraded_models, checks })
 }
 
 async fn checks(http: &Shared, store: &str) -> Answer<serde_json::Value> {
@@ -66,7 +69,6 @@ async fn checks(http: &Shared, store: &str) -> Answer<serde_json::Value> {
         .collect();
     let loaded_models = http.models.loaded();
     Ok(json!({
-        "store": store, "draining": false, "jobs": jobs, "queues": queues, "loaded_models": loaded_models,
-        "quarantined": http.store.quarantined().await?,
+        "store": store, "draining": false, "jobs": jobs, "queues": queues, "loaded_models": loaded_models
     }))
 }

@@ -13,7 +13,7 @@ async fn the_service_is_alive_and_ready_and_tells_its_checks_when_asked() {
     assert_eq!(app.get("/livez").await.expect(200).json(), json!({"status": "ok"}));
     assert_eq!(
         app.get("/readyz").await.expect(200).json(),
-        json!({"status": "ready", "store": "ok", "degraded": [], "degraded_models": 0})
+        json!({"status": "ready", "store": "ok", "quarantined": [], "degraded": [], "degraded_models": 0})
     );
     let verbose = app.get("/readyz?verbose").await.expect(200).json();
     assert_eq!((&verbose["checks"]["store"], &verbose["checks"]["draining"]), (&json!("ok"), &json!(false)));

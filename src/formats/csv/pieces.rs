@@ -26,7 +26,7 @@ pub struct CsvPieces<S> {
 }
 
 impl<S: Samples> CsvPieces<S> {
-    /// A table of samples with these names and units, under the rows of [`write`](super::write).
+    /// A table of samples with these names and units, with the rows that [`write`](super::write()) makes.
     ///
     /// # Errors
     /// `csv.header` for a channel named like a number; names or units that are not one a channel.

@@ -38,7 +38,7 @@ pub fn write(
 /// The header row and, where any of `units` is not empty, the units row of a table of so many columns.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub(super) fn head(
     names: &[String],
     units: Option<&[String]>,

@@ -159,14 +159,14 @@ impl TestApp {
 
     /// Waits until a job has ended, at most a minute; returns it.
     pub async fn finished(&self, job: &str) -> Value {
-        for _ in 0..600 {
+        for _ in 0..1800 {
             let found = self.get(&format!("/v1/jobs/{job}")).await.expect(200).json();
             if ["succeeded", "failed", "cancelled"].contains(&found["state"].as_str().unwrap_or_default()) {
                 return found;
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-        panic!("job {job} did not end within a minute");
+        panic!("job {job} did not end within three minutes");
     }
 
     /// Files under the data directory's scratch and object folders.
