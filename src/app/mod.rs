@@ -167,6 +167,9 @@ impl App {
         if drained.is_err() {
             tracing::warn!(drain_s = DRAIN.as_secs(), "connections were still open and are cut");
         }
+        if let Err(error) = self.store.empty_quarantine(now()).await {
+            tracing::warn!(%error, "the quarantine was left as it is");
+        }
         self.store.close().await;
         tracing::info!("stopped");
     }

@@ -172,7 +172,7 @@ impl StoreError {
 
 impl StoreError {
     /// A failure that sound tables and rows cannot have, as damage of the database; others stay as they are.
-    pub(super) fn as_damage(self, database: &std::path::Path) -> Self {
+    pub(super) fn into_damage(self, database: &std::path::Path) -> Self {
         let damage = match &self {
             Self::Database(_) => !self.is_unavailable() && !self.is_disk_full(),
             Self::Row { .. } | Self::Migrate(_) => true,

@@ -372,16 +372,11 @@ mod tests {
         assert_eq!(store.usage().await.unwrap().objects, 0);
         let aside = dir.path().join("quarantine").join(digest.as_str());
         assert_eq!(std::fs::read(&aside).unwrap(), b"orphan");
-        let age = async |store: &Store, days: u64| {
-            let since = std::time::SystemTime::now() - std::time::Duration::from_secs(days * 24 * 3600);
-            std::fs::File::options().append(true).open(&aside).unwrap().set_modified(since).unwrap();
-            store.close().await;
-        };
-        age(&store, 6).await;
-        drop(store);
+        let since: std::time::SystemTime = std::fs::metadata(&aside).unwrap().modified().unwrap();
+        let since = jiff::Timestamp::try_from(since).unwrap();
+        store.empty_quarantine(since + jiff::SignedDuration::from_hours(6 * 24)).await.unwrap();
         assert!(aside.exists(), "its week is not over");
-        let store = Store::open(dir.path()).await.unwrap();
-        age(&store, 8).await;
+        store.empty_quarantine(since + jiff::SignedDuration::from_hours(8 * 24)).await.unwrap();
         assert!(!aside.exists());
     }
 

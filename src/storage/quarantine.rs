@@ -3,13 +3,16 @@
 use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::UNIX_EPOCH;
+
+use jiff::{SignedDuration, Timestamp};
+use rustix::fs::{AtFlags, CWD, Timespec, Timestamps, UTIME_NOW, utimensat};
 
 use super::objects::off_thread;
 use super::{Store, StoreError};
 
 /// How long an object is kept after it was put aside.
-const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
+const KEPT: SignedDuration = SignedDuration::from_hours(7 * 24);
 
 fn directory(data_dir: &Path) -> PathBuf {
     data_dir.join("quarantine")
@@ -42,7 +45,7 @@ fn place(data_dir: &Path, name: &str) -> PathBuf {
     data_dir.join("objects").join(name.get(..2).unwrap_or("xx")).join(name)
 }
 
-/// Puts an object aside. Its week begins now.
+/// Puts an object aside. Its week begins now, by the clock of the file system.
 ///
 /// # Errors
 /// The file system's errors.
@@ -50,8 +53,9 @@ pub(super) fn put_aside(data_dir: &Path, object: &Path) -> Result<(), StoreError
     let directory = directory(data_dir);
     std::fs::create_dir_all(&directory).map_err(failed(&directory))?;
     let Some(name) = object.file_name() else { return Ok(()) };
-    let file = std::fs::File::options().append(true).open(object).map_err(failed(object))?;
-    file.set_modified(SystemTime::now()).map_err(failed(object))?;
+    let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
+    let times = Timestamps { last_access: now, last_modification: now };
+    utimensat(CWD, object, &times, AtFlags::empty()).map_err(|error| failed(object)(error.into()))?;
     std::fs::rename(object, directory.join(name)).map_err(failed(object))
 }
 
@@ -100,15 +104,19 @@ impl Store {
         off_thread(move || Ok(files(&data_dir)?.into_iter().map(|(name, _)| name).collect())).await
     }
 
-    /// Deletes what was put aside more than a week ago. Called at an orderly stop, never after a crash.
-    pub(super) async fn empty_quarantine(&self) -> Result<(), StoreError> {
+    /// Deletes what was put aside more than a week before `now`. For an orderly stop, never after a crash.
+    ///
+    /// # Errors
+    /// The file system's errors.
+    pub async fn empty_quarantine(&self, now: Timestamp) -> Result<(), StoreError> {
         let data_dir = self.data_dir().to_owned();
         off_thread(move || {
             for (name, path) in files(&data_dir)? {
                 let since =
                     std::fs::metadata(&path).and_then(|file| file.modified()).map_err(failed(&path))?;
-                // An age before the present, by a clock that went back, is none.
-                if since.elapsed().is_ok_and(|age| age > KEPT) {
+                let since = since.duration_since(UNIX_EPOCH).unwrap_or_default();
+                let since = SignedDuration::try_from(since).unwrap_or(SignedDuration::MAX);
+                if now.as_duration().saturating_sub(since) > KEPT {
                     tracing::info!(object.digest = name, "deleted an object that no row named for a week");
                     std::fs::remove_file(&path).map_err(failed(&path))?;
                 }

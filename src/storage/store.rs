@@ -124,6 +124,9 @@ impl Store {
     /// Any other failure of the store.
     pub async fn ping(&self) -> Result<bool, StoreError> {
         sqlx::query("SELECT id FROM rigs LIMIT 1").fetch_optional(self.reader()).await?;
+        if let Some(journal) = self.journal() {
+            journal.check().await?;
+        }
         let path = self.scratch_dir().join(".ping");
         let failed = |source| StoreError::DataDir { path: path.clone(), source };
         let written = tokio::fs::write(&path, b"ping").await.map_err(failed);
@@ -155,11 +158,6 @@ impl Store {
 
     /// Closes the database cleanly. Further calls on any clone fail.
     pub async fn close(&self) {
-        if self.journal().is_some()
-            && let Err(error) = self.empty_quarantine().await
-        {
-            tracing::warn!(%error, "the quarantine was left as it is");
-        }
         self.inner.readers.close().await;
         self.inner.writer.close().await;
     }
@@ -192,12 +190,12 @@ async fn start(
     database: &Path,
     connection: &mut SqliteConnection,
 ) -> Result<i64, StoreError> {
-    let as_damage = |error: StoreError| error.as_damage(database);
+    let into_damage = |error: StoreError| error.into_damage(database);
     check_integrity(connection, database).await?;
-    let compared = journal::compare(data_dir, connection).await.map_err(as_damage)?;
+    let compared = journal::compare(data_dir, connection).await.map_err(into_damage)?;
     check_references(connection, database).await?;
-    migrate(connection, database).await.map_err(as_damage)?;
-    compared.bring_up(data_dir, connection).await.map_err(as_damage)
+    migrate(connection, database).await.map_err(into_damage)?;
+    compared.bring_up(data_dir, connection).await.map_err(into_damage)
 }
 
 fn options(database: &Path) -> SqliteConnectOptions {
@@ -364,6 +362,15 @@ mod tests {
         drop(store);
         Store::open(dir.path()).await.unwrap();
         assert!(!left.exists());
+    }
+
+    #[tokio::test]
+    async fn a_data_directory_that_has_gone_away_is_out_of_reach() {
+        let store = TestStore::open().await;
+        assert!(store.ping().await.unwrap());
+        std::fs::remove_dir_all(store.scratch_dir()).unwrap();
+        let error = store.ping().await.unwrap_err();
+        assert!(error.is_unavailable(), "{error}");
     }
 
     #[tokio::test]

@@ -61,6 +61,18 @@ impl Journal {
         let file = Some(JournalFile::append_to(&path)?);
         Ok(Self(Arc::new(Mutex::new(State { file, path, last, trimmed: last }))))
     }
+
+    /// Whether changes can be acknowledged.
+    ///
+    /// # Errors
+    /// [`StoreError::JournalStopped`] after a failed sync.
+    pub(super) async fn check(&self) -> Result<(), StoreError> {
+        let state = self.0.lock().await;
+        match state.file {
+            Some(_) => Ok(()),
+            None => Err(StoreError::JournalStopped { path: state.path.clone() }),
+        }
+    }
 }
 
 impl Store {
@@ -76,9 +88,8 @@ impl Store {
             let mut state = journal.0.lock().await;
             let entries = entries_after(&mut *store.reader().acquire().await?, state.last).await?;
             let Some(newest) = entries.last().map(|entry| entry.seq) else { return Ok(()) };
-            let Some(mut file) = state.file.take() else {
-                return Err(StoreError::JournalStopped { path: state.path.clone() });
-            };
+            let path = state.path.clone();
+            let mut file = state.file.take().ok_or(StoreError::JournalStopped { path })?;
             let (file, written) = off_thread(move || {
                 let written = file.append(&entries);
                 Ok((file, written))

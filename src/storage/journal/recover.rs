@@ -98,7 +98,11 @@ pub async fn recover(data_dir: &Path, now: Timestamp) -> Result<Recovered, Store
         (None, lines) => sources.push(format!("the journal has {lines} damaged lines, its first among them")),
     }
     sources.extend(old.damage.clone());
-    let schema = contents.header.as_ref().map_or(0, |header| header.schema).max(old.schema);
+    let schema = match contents.header.as_ref().map_or(0, |header| header.schema).max(old.schema) {
+        // Neither says; the rows are most likely of this program.
+        0 => migrations::latest(),
+        schema => schema,
+    };
     if old.rows.is_empty() && contents.rows.is_empty() {
         return Err(StoreError::NothingToRecover { path: data_dir.to_owned(), why: sources.join("; ") });
     }
