@@ -8,6 +8,7 @@
 //! - `score` reads reports and labels, prints the table of figures with its bars and a confusion matrix,
 //!   and ends with an error where a bar is missed.
 //! - `all` does the three; `real` diagnoses folders of measured data.
+//! - `screen` runs the diagnosis' screen alone over measured data or over cases, and reads labels only to count.
 //!
 //! The results of test seeds may change the diagnosis. The results of final seeds are stated as they are:
 //! each final round runs once and is entered in a log.
@@ -26,6 +27,7 @@ mod diagnose;
 mod generate;
 mod real;
 mod score;
+mod screen;
 mod seeds;
 
 type AnyError = Box<dyn std::error::Error>;
@@ -51,6 +53,8 @@ enum Command {
     Lab(Lab),
     /// Diagnose measured data.
     Real(real::Args),
+    /// Run the screen of the diagnosis alone, over measured data or over cases.
+    Screen(screen::Args),
 }
 
 #[derive(Debug, Args)]
@@ -125,6 +129,7 @@ fn main() -> Result<ExitCode, AnyError> {
             std::fs::write(lab.out, generate::further_run(&lab.dir, &lab.case, &wish)?)?;
         }
         Command::Real(args) => real::run(&args)?,
+        Command::Screen(args) => screen::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -48,6 +48,7 @@ mod problem;
 mod report;
 mod rows;
 mod score;
+pub mod screen;
 mod second;
 mod seldom;
 mod spline;

@@ -1,0 +1,182 @@
+//! The rate at which a recording is analysed, and the limits of what its signals tell.
+
+use std::f64::consts::TAU;
+
+use realfft::RealFftPlanner;
+
+use super::input::Recording;
+
+/// Longest segment of a spectrum, samples.
+const LONGEST: usize = 1 << 16;
+/// Share of a drive's power inside its band.
+const OF_DRIVE: f64 = 0.995;
+/// Share of a response's power that stays after thinning, noise that is alike at all frequencies left aside.
+const OF_RESPONSE: f64 = 0.998;
+/// What is kept at most, as a multiple of the drives' upper edge. Beyond it no linear part is known, so that broad
+/// drives are judged inside their band; drives of next to one frequency tell by their harmonics.
+const OF_BROAD: f64 = 1.0;
+const OF_NARROW: f64 = 8.0;
+/// Ratio of a drive's edges from which on it is broad.
+const BROAD: f64 = 4.0;
+/// Samples a cycle of the highest frequency kept.
+const SAMPLES_A_CYCLE: f64 = 3.2;
+/// A thinned recording keeps at least as many samples.
+const FEWEST: usize = 4000;
+
+/// Band and thinning of a recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Band {
+    /// Below this frequency the drives have next to no power, Hz; 0 where they reach down to rest.
+    pub low_hz: f64,
+    /// Highest frequency that is kept, Hz.
+    pub high_hz: f64,
+    /// Samples of which one is kept.
+    pub step: usize,
+}
+
+impl Band {
+    /// Looks at the spectra of all records.
+    pub fn of(recording: &Recording) -> Self {
+        let rate = recording.sample_rate_hz();
+        let shortest = recording.records.iter().map(|r| r.drive.n_samples()).min().unwrap_or(0);
+        let total: usize = recording.records.iter().map(|r| r.drive.n_samples()).sum();
+        let size = (1 << (shortest.max(16) / 2).ilog2()).min(LONGEST);
+        let line = rate / size as f64;
+        let (mut low, mut drive_high) = (f64::INFINITY, 0.0_f64);
+        for drive in 0..recording.drives.len() {
+            let power = power(recording.records.iter().map(|r| r.drive.channel(drive)), size);
+            if let Some([from, to]) = edges(&power, OF_DRIVE) {
+                low = low.min(from as f64 * line);
+                drive_high = drive_high.max((to + 1) as f64 * line);
+            }
+        }
+        let mut high = 0.0_f64;
+        for response in 0..recording.responses.len() {
+            let mut power = power(recording.records.iter().map(|r| r.response.channel(response)), size);
+            // What white noise adds is the least that any quarter of the spectrum holds.
+            let quarter = (power.len() / 4).max(1);
+            let floor = power.chunks(quarter).map(median).fold(f64::INFINITY, f64::min);
+            power.iter_mut().for_each(|p| *p = (*p - 1.5 * floor).max(0.0));
+            if let Some([_, to]) = edges(&power, OF_RESPONSE) {
+                high = high.max((to + 1) as f64 * line);
+            }
+        }
+        let most = if drive_high > BROAD * low { OF_BROAD } else { OF_NARROW };
+        let high = high.min(most * drive_high).min(0.5 * rate);
+        let wanted = (rate / (SAMPLES_A_CYCLE * high)).floor() as usize;
+        let step = wanted.min(total / FEWEST).max(1);
+        let low_hz = if low < 0.04 * drive_high { 0.0 } else { low };
+        Self { low_hz, high_hz: high, step }
+    }
+}
+
+/// Mean power of the lines of Hann segments of `size` samples, half overlapping, each about its own mean.
+fn power<'a>(channels: impl Iterator<Item = &'a [f64]>, size: usize) -> Vec<f64> {
+    let window: Vec<f64> =
+        (0..size).map(|k| 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / size as f64).cos()).collect();
+    let fft = RealFftPlanner::new().plan_fft_forward(size);
+    let mut lines = fft.make_output_vec();
+    let mut sum = vec![0.0; lines.len()];
+    for x in channels {
+        for start in (0..).step_by(size / 2).take_while(|start| start + size <= x.len()) {
+            let part = &x[start..start + size];
+            let mean = part.iter().sum::<f64>() / size as f64;
+            let mut samples: Vec<f64> = part.iter().zip(&window).map(|(x, w)| (x - mean) * w).collect();
+            fft.process(&mut samples, &mut lines).expect("buffers are the plan's own");
+            sum.iter_mut().zip(&lines).for_each(|(s, z)| *s += z.norm_sqr());
+        }
+    }
+    sum
+}
+
+fn median(x: &[f64]) -> f64 {
+    let mut sorted = x.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+/// First and last line between which a share of the power lies; `None` without power.
+fn edges(power: &[f64], share: f64) -> Option<[usize; 2]> {
+    let total: f64 = power.iter().sum();
+    let outside = 0.5 * (1.0 - share) * total;
+    let low = beyond(power.iter(), outside)?;
+    let high = beyond(power.iter().rev(), outside)?;
+    Some([low, power.len() - 1 - high])
+}
+
+/// Lines before the sum exceeds `outside`.
+fn beyond<'a>(lines: impl Iterator<Item = &'a f64>, outside: f64) -> Option<usize> {
+    let mut sum = 0.0;
+    lines.enumerate().find_map(|(line, power)| {
+        sum += power;
+        (sum > outside).then_some(line)
+    })
+}
+
+/// Every `step`-th sample after a low-pass filter (a windowed sinc of linear phase, its stop band at half of
+/// the new rate, 60 dB); beyond its ends the signal is held.
+#[derive(Debug, Clone)]
+pub(super) struct Thinner {
+    step: usize,
+    /// One half of the symmetric filter, the middle first.
+    half: Vec<f64>,
+}
+
+impl Thinner {
+    pub fn new(step: usize) -> Self {
+        let reach = 10 * step;
+        let cut = 0.405 / step as f64;
+        let mut half: Vec<f64> = (0..reach)
+            .map(|k| {
+                let x = k as f64;
+                let sinc = if k == 0 { 2.0 * cut } else { (TAU * cut * x).sin() / (0.5 * TAU * x) };
+                // Blackman's window.
+                let p = 0.5 * TAU * x / reach as f64;
+                sinc * (0.42 + 0.5 * p.cos() + 0.08 * (2.0 * p).cos())
+            })
+            .collect();
+        let sum: f64 = half[0] + 2.0 * half[1..].iter().sum::<f64>();
+        half.iter_mut().for_each(|h| *h /= sum);
+        Self { step, half }
+    }
+
+    /// `ceil(n / step)` samples, the first at the first.
+    pub fn thin(&self, x: &[f64]) -> Vec<f64> {
+        if self.step == 1 {
+            return x.to_vec();
+        }
+        let (n, reach) = (x.len(), self.half.len());
+        (0..n)
+            .step_by(self.step)
+            .map(|at| {
+                if at >= reach && at + reach <= n {
+                    let (before, after) = (&x[at + 1 - reach..at], &x[at + 1..at + reach]);
+                    let pairs = before.iter().rev().zip(after).zip(&self.half[1..]);
+                    return self.half[0] * x[at] + pairs.map(|((a, b), h)| h * (a + b)).sum::<f64>();
+                }
+                let held = |i: isize| x[i.clamp(0, n as isize - 1) as usize];
+                let sides = |k: usize| held(at as isize - k as isize) + held((at + k) as isize);
+                self.half[0] * x[at]
+                    + self.half[1..].iter().enumerate().map(|(k, h)| h * sides(k + 1)).sum::<f64>()
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinning_keeps_what_is_slow_and_removes_what_is_fast() {
+        let wave = |f: f64| -> Vec<f64> { (0..4000).map(|k| (TAU * f * k as f64).sin()).collect() };
+        let thinner = Thinner::new(5);
+        let slow = thinner.thin(&wave(0.05));
+        for (k, x) in slow.iter().enumerate().skip(20).take(700) {
+            assert!((x - (TAU * 0.25 * k as f64).sin()).abs() < 2e-3, "{k}: {x}");
+        }
+        let fast = thinner.thin(&wave(0.17));
+        assert!(fast[20..760].iter().all(|x| x.abs() < 2e-3));
+        assert_eq!(Thinner::new(1).thin(&wave(0.4)), wave(0.4));
+    }
+}

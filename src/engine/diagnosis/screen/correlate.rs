@@ -1,0 +1,142 @@
+//! Products of a column with all lags of all drives, block by block through the Fourier transform.
+
+use std::sync::Arc;
+
+use faer::Mat;
+use realfft::num_complex::Complex64;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+
+use super::moments::{Lags, padded};
+use super::track::{Segment, Track};
+
+/// Spectra of the drives' blocks, made once.
+pub(super) struct Correlator {
+    lags: Lags,
+    size: usize,
+    /// `[segment][drive][block]`.
+    blocks: Vec<Vec<Vec<Vec<Complex64>>>>,
+    forward: Arc<dyn RealToComplex<f64>>,
+    inverse: Arc<dyn ComplexToReal<f64>>,
+}
+
+impl Correlator {
+    pub fn new(drives: &[Track], segments: &[Segment], lags: Lags) -> Self {
+        let size = (4 * lags.span).next_power_of_two().max(512);
+        let mut planner = RealFftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        let step = size + 1 - lags.span;
+        let blocks = segments
+            .iter()
+            .map(|segment| {
+                let of = |drive: &Track| {
+                    let samples = padded(&drive[segment.record], segment, lags);
+                    let starts = (0..segment.rows.len()).step_by(step);
+                    starts.map(|at| spectrum(&samples[at..], size, &*forward)).collect()
+                };
+                drives.iter().map(of).collect()
+            })
+            .collect();
+        Self { lags, size, blocks, forward, inverse }
+    }
+
+    /// Adds the products of a column of a segment, centred and weighted, with all lags of all drives to a
+    /// column of `to`.
+    pub fn add(&self, column: &[f64], at: usize, weight: f64, to: &mut Mat<f64>, c: usize) {
+        let span = self.lags.span;
+        let step = self.size + 1 - span;
+        let drives = &self.blocks[at];
+        let mut sums = vec![vec![Complex64::default(); self.size / 2 + 1]; drives.len()];
+        for (block, rows) in column.chunks(step).enumerate() {
+            let of_rows = spectrum(rows, self.size, &*self.forward);
+            for (sum, blocks) in sums.iter_mut().zip(drives) {
+                for ((s, x), u) in sum.iter_mut().zip(&of_rows).zip(&blocks[block]) {
+                    *s += x.conj() * u;
+                }
+            }
+        }
+        let mut out = self.inverse.make_output_vec();
+        for (drive, sum) in sums.iter_mut().enumerate() {
+            let last = sum.len() - 1;
+            sum[0].im = 0.0;
+            sum[last].im = 0.0;
+            self.inverse.process(sum, &mut out).expect("buffers are the plan's own");
+            for k in 0..span {
+                to[(drive * span + k, c)] += weight * out[span - 1 - k] / self.size as f64;
+            }
+        }
+    }
+}
+
+/// Spectrum of the first samples, at most `size`, followed by zeros.
+fn spectrum(x: &[f64], size: usize, forward: &dyn RealToComplex<f64>) -> Vec<Complex64> {
+    let mut samples = x[..x.len().min(size)].to_vec();
+    samples.resize(size, 0.0);
+    let mut lines = forward.make_output_vec();
+    forward.process(&mut samples, &mut lines).expect("buffers are the plan's own");
+    lines
+}
+
+/// A filter of finite impulse response that goes over many signals of one length.
+pub(super) struct Filter {
+    size: usize,
+    lines: Vec<Complex64>,
+    forward: Arc<dyn RealToComplex<f64>>,
+    inverse: Arc<dyn ComplexToReal<f64>>,
+}
+
+impl Filter {
+    /// `impulse[k]` is the response at lag `k`; signals have `n` samples.
+    pub fn new(impulse: &[f64], n: usize) -> Self {
+        let size = (n + impulse.len()).next_power_of_two();
+        let mut planner = RealFftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        Self { size, lines: spectrum(impulse, size, &*forward), forward, inverse }
+    }
+
+    /// The filtered deviations from the first sample, so that nothing starts with a jump.
+    pub fn apply(&self, x: &[f64]) -> Vec<f64> {
+        let held = x.first().copied().unwrap_or(0.0);
+        let moved: Vec<f64> = x.iter().map(|x| x - held).collect();
+        let mut lines = spectrum(&moved, self.size, &*self.forward);
+        lines.iter_mut().zip(&self.lines).for_each(|(z, h)| *z *= h);
+        let last = lines.len() - 1;
+        lines[0].im = 0.0;
+        lines[last].im = 0.0;
+        let mut out = self.inverse.make_output_vec();
+        self.inverse.process(&mut lines, &mut out).expect("buffers are the plan's own");
+        out.truncate(x.len());
+        out.iter_mut().for_each(|y| *y /= self.size as f64);
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::linear::dot;
+    use super::super::track::delayed;
+    use super::*;
+
+    #[test]
+    fn products_by_blocks_are_those_of_lags_written_out() {
+        let track: Track = vec![(0..3000).map(|k| (0.3 * f64::from(k)).sin() + f64::from(k % 7)).collect()];
+        let segment = Segment { record: 0, rows: 20..2900, group: 0, part: 0, unit: 0, weight: 2.0 };
+        let lags = Lags { lead: 3, span: 40 };
+        let correlator = Correlator::new(std::slice::from_ref(&track), std::slice::from_ref(&segment), lags);
+        let other: Vec<f64> = (0..3000).map(|k| (0.05 * f64::from(k)).cos()).collect();
+        let column = delayed(&other, &segment, 0);
+        let mut found = Mat::zeros(40, 1);
+        correlator.add(&column, 0, segment.weight, &mut found, 0);
+        for k in 0..40 {
+            let expected = dot(&column, &delayed(&track[0], &segment, k as isize - 3));
+            assert!((found[(k, 0)] - expected).abs() < 1e-7, "{k}: {} for {expected}", found[(k, 0)]);
+        }
+    }
+
+    #[test]
+    fn a_filter_convolves() {
+        let y = Filter::new(&[0.5, 0.0, -2.0], 6).apply(&[1.0, 2.0, 1.0, 1.0, 3.0, 1.0]);
+        for (found, expected) in y.iter().zip([0.0, 0.5, 0.0, -2.0, 1.0, 0.0]) {
+            assert!((found - expected).abs() < 1e-12, "{y:?}");
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The recording at the rate of the analysis, cut into weighted segments, and the linear parts that laws are
+//! tried beside.
+
+use rayon::prelude::*;
+
+use super::band::{Band, Thinner};
+use super::correlate::Correlator;
+use super::groups::{Grouping, Stretch};
+use super::input::Recording;
+use super::judge::Base;
+use super::linear_part::{LEAD, choose, longest, with_modes};
+use super::moments::{Lags, Moments};
+use super::regressors::Regressors;
+use super::track::{Segment, Track, delayed, deviation};
+
+/// Most rows that are fitted and judged: more cost time and tell little more.
+const MOST_ROWS: usize = 48_000;
+/// Logarithm of held-out errors by which a finite impulse response has to beat modes to be tried too.
+const BETTER: f64 = 0.02;
+/// A group's level counts at most so many times more or less than the mean.
+const MOST_WEIGHT: f64 = 30.0;
+
+/// The recording at the rate of the analysis.
+pub(super) struct Desk<'a> {
+    pub recording: &'a Recording,
+    pub band: Band,
+    pub thinner: Thinner,
+    /// Samples of each record that are looked at, at the recording's own rate.
+    pub used: Vec<usize>,
+    pub segments: Vec<Segment>,
+    pub drives: Vec<Track>,
+    pub responses: Vec<Track>,
+    /// The programme's time of each record's first and last sample, from 0 to 1.
+    pub clocks: Vec<[f64; 2]>,
+}
+
+impl<'a> Desk<'a> {
+    pub fn new(recording: &'a Recording, grouping: &Grouping) -> Self {
+        let band = Band::of(recording);
+        let step = band.step;
+        let thinner = Thinner::new(step);
+        let rows: usize = grouping.stretches.iter().map(|s| s.samples.len() / step).sum();
+        let share = (MOST_ROWS as f64 / rows.max(1) as f64).min(1.0);
+        let mut used = vec![0; recording.records.len()];
+        let mut segments: Vec<Segment> = Vec::new();
+        for stretch in &grouping.stretches {
+            let n = recording.records[stretch.record].drive.n_samples();
+            let (start, end) = (stretch.samples.start.min(n), stretch.samples.end.min(n));
+            let from = start.div_ceil(step);
+            let kept = ((end / step).saturating_sub(from) as f64 * share) as usize;
+            used[stretch.record] = used[stretch.record].max(((from + kept) * step).min(n));
+            let Stretch { record, group, part, unit, .. } = *stretch;
+            segments.push(Segment { record, rows: from..from + kept, group, part, unit, weight: 1.0 });
+        }
+        let thin = |x: &[f64], record: usize| thinner.thin(&x[..used[record]]);
+        let records = &recording.records;
+        let of = |r: usize, drive: bool, c: usize| {
+            let signal = if drive { &records[r].drive } else { &records[r].response };
+            thin(signal.channel(c), r)
+        };
+        let tracks = |drive: bool, count: usize| -> Vec<Track> {
+            (0..count)
+                .into_par_iter()
+                .map(|c| (0..records.len()).map(|r| of(r, drive, c)).collect())
+                .collect()
+        };
+        let drives = tracks(true, recording.drives.len());
+        let mut responses = tracks(false, recording.responses.len());
+        responses.iter_mut().for_each(still);
+        let mut desk =
+            Self { recording, band, thinner, used, segments, drives, responses, clocks: clocks(recording) };
+        desk.leave_out_the_start();
+        desk.weigh();
+        desk
+    }
+
+    pub fn rate_hz(&self) -> f64 {
+        self.recording.sample_rate_hz() / self.band.step as f64
+    }
+
+    pub fn lengths(&self) -> Vec<usize> {
+        self.drives[0].iter().map(Vec::len).collect()
+    }
+
+    /// No run needs to start at rest: what a record's first rows remember is not known.
+    fn leave_out_the_start(&mut self) {
+        let lengths = self.lengths();
+        let memory = longest(&self.segments, &lengths, self.drives.len());
+        for segment in &mut self.segments {
+            let skip = memory.min(lengths[segment.record] / 6);
+            segment.rows.start = segment.rows.start.max(skip);
+        }
+        self.segments.retain(|s| s.rows.len() >= 16);
+        let mut groups: Vec<usize> = self.segments.iter().map(|s| s.group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        for segment in &mut self.segments {
+            segment.group = groups.iter().position(|g| *g == segment.group).unwrap_or(0);
+        }
+    }
+
+    /// Weighs each group by its drives' level.
+    fn weigh(&mut self) {
+        let levels = |segments: &[Segment]| -> Vec<f64> {
+            self.drives.iter().map(|d| deviation(d, segments)).collect()
+        };
+        let all = levels(&self.segments);
+        let n_groups = self.segments.iter().map(|s| s.group + 1).max().unwrap_or(0);
+        let weights: Vec<f64> = (0..n_groups)
+            .map(|g| {
+                let own: Vec<Segment> = self.segments.iter().filter(|s| s.group == g).cloned().collect();
+                let (mut sum, mut count) = (0.0, 0.0);
+                for (level, all) in levels(&own).iter().zip(&all).filter(|(_, all)| **all > 0.0) {
+                    sum += (level / all).powi(2);
+                    count += 1.0;
+                }
+                let level = if count > 0.0 { f64::sqrt(sum / count) } else { 1.0 };
+                1.0 / level.clamp(1.0 / MOST_WEIGHT, MOST_WEIGHT)
+            })
+            .collect();
+        for segment in &mut self.segments {
+            segment.weight = weights[segment.group];
+        }
+    }
+
+    /// Linear parts: modes, and a finite impulse response where it predicts better or no modes can be had. A law
+    /// that is strong disturbs both, each in its way.
+    pub fn bases(&self) -> Vec<Base<'_>> {
+        let lengths = self.lengths();
+        let memory = longest(&self.segments, &lengths, self.drives.len());
+        let all = Lags { lead: LEAD, span: memory + LEAD };
+        let moments = Moments::of(&self.drives, &self.responses, &self.segments, all);
+        let (error, setting) = choose(&moments, &self.segments, all);
+        let centred = || -> Vec<Vec<Vec<f64>>> {
+            let of = |s: &Segment| self.responses.iter().map(|y| delayed(&y[s.record], s, 0)).collect();
+            self.segments.iter().map(of).collect()
+        };
+        let mut bases = Vec::new();
+        let modes = with_modes(&self.drives, &self.responses, &self.segments, setting.lags.lead);
+        let by_modes = modes.as_ref().map_or(f64::INFINITY, |m| m.error);
+        if let Some(m) = modes {
+            let regressors = Regressors::Columns(m.columns);
+            bases.extend(Base::new(&m.moments, &self.segments, centred(), regressors, m.setting));
+        }
+        if bases.is_empty() || error < by_modes - BETTER {
+            let chosen: Vec<Moments> = moments.iter().map(|m| m.select(all, setting.lags)).collect();
+            let lags = Regressors::Lags(Correlator::new(&self.drives, &self.segments, setting.lags));
+            bases.extend(Base::new(&chosen, &self.segments, centred(), lags, setting));
+        }
+        bases
+    }
+
+    /// A signal at the rate of the analysis.
+    pub fn thinned(&self, signal: &[Vec<f64>]) -> Track {
+        signal.iter().map(|x| self.thinner.thin(x)).collect()
+    }
+}
+
+/// Clears a track that moves by no more than rounding, such as a constant after thinning.
+fn still(track: &mut Track) {
+    let all = || track.iter().flatten().copied();
+    let (low, high) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+    if high - low <= 1e-9 * low.abs().max(high.abs()) {
+        track.iter_mut().for_each(|x| x.fill(0.0));
+    }
+}
+
+/// Places in time from the start of the first record to the end of the last.
+fn clocks(recording: &Recording) -> Vec<[f64; 2]> {
+    let spans = recording.records.iter().map(|r| [r.started_s, r.started_s + r.drive.duration_s()]);
+    let spans: Vec<[f64; 2]> = spans.collect();
+    let first = spans.iter().map(|s| s[0]).fold(f64::INFINITY, f64::min);
+    let last = spans.iter().map(|s| s[1]).fold(f64::NEG_INFINITY, f64::max);
+    let length = (last - first).max(f64::MIN_POSITIVE);
+    spans.iter().map(|s| s.map(|t| (t - first) / length)).collect()
+}

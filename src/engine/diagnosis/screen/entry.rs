@@ -1,0 +1,140 @@
+//! How a law's signal enters a response: through the linear part's own impulse responses, as a force that acts
+//! where a drive does, and over drives also directly.
+
+use super::correlate::Filter;
+use super::judge::Base;
+use super::place::Place;
+use super::track::{Segment, Track, delayed};
+
+/// Lags of a drive's signal that enter directly, of a law of one or two signals and of one of more.
+const DIRECT: [usize; 2] = [8, 4];
+/// Lags of a signal behind an impulse response.
+const BEHIND: usize = 2;
+/// Drives at most whose impulse responses let a response's signal in.
+const THROUGH: usize = 3;
+/// Lags of a static law's output behind the linear part.
+const AFTER: usize = 12;
+
+/// The ways into one response.
+pub(super) struct Entry {
+    lead: usize,
+    /// Impulse responses from the lead on, `[drive][record]`.
+    whole: Vec<Vec<Filter>>,
+    /// From lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
+    causal: Vec<Vec<Filter>>,
+    delayed: Vec<Vec<Filter>>,
+    /// Drives by what they contribute, most first.
+    order: Vec<usize>,
+    /// The linear part's prediction.
+    pub output: Track,
+}
+
+impl Entry {
+    pub fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
+        let lead = base.setting().lags.lead;
+        let longest = drives[0].iter().map(Vec::len).max().unwrap_or(1);
+        let impulses: Vec<Vec<f64>> = (0..drives.len()).map(|d| base.impulse(response, d, longest)).collect();
+        let filters = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<Vec<Filter>> {
+            let one = |(d, h): (&Track, &Vec<f64>)| {
+                let impulse = of(h);
+                d.iter().map(|x| Filter::new(&impulse, x.len() + lead)).collect()
+            };
+            drives.iter().zip(&impulses).map(one).collect()
+        };
+        let whole = filters(&|h| h.to_vec());
+        let parts: Vec<Track> = drives.iter().zip(&whole).map(|(d, h)| ahead(d, h, lead)).collect();
+        let power = |track: &Track| -> f64 {
+            track
+                .iter()
+                .map(|x| {
+                    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
+                    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
+                })
+                .sum()
+        };
+        let powers: Vec<f64> = parts.iter().map(power).collect();
+        let mut order: Vec<usize> = (0..drives.len()).filter(|&d| powers[d] > 0.0).collect();
+        order.sort_by(|&a, &b| powers[b].total_cmp(&powers[a]));
+        let most = order.first().map_or(0.0, |&d| powers[d]);
+        order.retain(|&d| powers[d] > 0.01 * most);
+        if order.is_empty() {
+            // A response that no drive moves: its columns are zero.
+            order.push(0);
+        }
+        let output = (0..drives[0].len())
+            .map(|record| {
+                (0..drives[0][record].len()).map(|t| parts.iter().map(|p| p[record][t]).sum()).collect()
+            })
+            .collect();
+        Self {
+            lead,
+            whole,
+            causal: filters(&|h| h[lead..].to_vec()),
+            delayed: filters(&|h| std::iter::once(0.0).chain(h[lead + 1..].iter().copied()).collect()),
+            order,
+            output,
+        }
+    }
+
+    /// Columns of signals at a place, `[segment][column][row]`. `own`: the place is this response itself.
+    /// `load`: the signals hold a response too, which enters through a drive's dynamics only.
+    pub fn columns(
+        &self,
+        place: Place,
+        own: bool,
+        load: bool,
+        signals: &[Track],
+        segments: &[Segment],
+    ) -> Vec<Vec<Vec<f64>>> {
+        let direct = DIRECT[usize::from(signals.len() > 2)];
+        let mut tracks: Vec<(Track, Vec<isize>)> = Vec::new();
+        for signal in signals {
+            match place {
+                Place::Drive(d) if load => {
+                    let through = signal.iter().zip(&self.delayed[d]).map(|(x, h)| h.apply(x)).collect();
+                    tracks.push((through, behind()));
+                }
+                Place::Drive(d) => {
+                    let before = -(self.lead.min(direct / 2) as isize);
+                    tracks.push((signal.clone(), (0..direct as isize).map(|k| before + k).collect()));
+                    tracks.push((ahead(signal, &self.whole[d], self.lead), behind()));
+                }
+                Place::Output(_) => {
+                    let lags = if signals.len() > 2 { AFTER as isize } else { 1 };
+                    tracks.push((signal.clone(), (0..lags).collect()));
+                }
+                Place::Response(_) | Place::Between(..) => {
+                    let filters = if own { &self.delayed } else { &self.causal };
+                    let most = if signals.len() > 2 { 1 } else { THROUGH };
+                    for &d in self.order.iter().take(most) {
+                        let through = signal.iter().zip(&filters[d]).map(|(x, h)| h.apply(x)).collect();
+                        tracks.push((through, behind()));
+                    }
+                }
+            }
+        }
+        segments
+            .iter()
+            .map(|segment| {
+                let of = |(track, lags): &(Track, Vec<isize>)| -> Vec<Vec<f64>> {
+                    lags.iter().map(|&lag| delayed(&track[segment.record], segment, lag)).collect()
+                };
+                tracks.iter().flat_map(of).collect()
+            })
+            .collect()
+    }
+}
+
+fn behind() -> Vec<isize> {
+    (0..BEHIND as isize).collect()
+}
+
+/// The output of filters that begin `lead` samples ahead; signals are held at their ends.
+fn ahead(track: &Track, filters: &[Filter], lead: usize) -> Track {
+    let of = |(x, filter): (&Vec<f64>, &Filter)| {
+        let held = x.last().copied().unwrap_or(0.0);
+        let longer: Vec<f64> = x.iter().copied().chain(std::iter::repeat_n(held, lead)).collect();
+        filter.apply(&longer).split_off(lead)
+    };
+    track.iter().zip(filters).map(of).collect()
+}

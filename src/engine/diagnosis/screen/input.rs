@@ -1,0 +1,98 @@
+//! What the screen is given: channels and records.
+
+use serde::{Deserialize, Serialize};
+
+use crate::engine::{EngineError, Quantity, Signal};
+
+/// A channel of the rig.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Channel {
+    /// Its name.
+    pub name: String,
+    /// What it measures: laws of stiffness, friction and damping act on motion.
+    pub quantity: Quantity,
+}
+
+/// One measured run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// Commanded or measured drives, `[drive, sample]`.
+    pub drive: Signal,
+    /// Measured responses, `[response, sample]`.
+    pub response: Signal,
+    /// Its place in time, seconds after any fixed instant.
+    pub started_s: f64,
+}
+
+/// Runs of one rig in one condition.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Drives, in the order of the signals.
+    pub drives: Vec<Channel>,
+    /// Responses, in the order of the signals.
+    pub responses: Vec<Channel>,
+    /// At least one run.
+    pub records: Vec<Record>,
+}
+
+impl Recording {
+    /// Samples a second.
+    ///
+    /// # Panics
+    /// Without records.
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.records[0].drive.sample_rate_hz()
+    }
+
+    /// Checks that the parts belong together.
+    ///
+    /// # Errors
+    /// No records, signals of other channels, rates or lengths than the first, a time that is not finite, too
+    /// few samples in all, no drive that moves.
+    pub(super) fn check(&self, needed: usize) -> Result<(), EngineError> {
+        let Some(first) = self.records.first() else {
+            return Err(EngineError::TooShort { what: "runs of the screen", needed: 1, found: 0 });
+        };
+        let rate = first.drive.sample_rate_hz();
+        for record in &self.records {
+            let signals = [
+                ("drive of a run", &record.drive, self.drives.len()),
+                ("response of a run", &record.response, self.responses.len()),
+            ];
+            for (what, signal, expected) in signals {
+                if signal.n_channels() != expected {
+                    let found = signal.n_channels();
+                    return Err(EngineError::ChannelCount { what, expected, found });
+                }
+                if !Signal::same_rate(signal.sample_rate_hz(), rate) {
+                    let found_hz = signal.sample_rate_hz();
+                    return Err(EngineError::SampleRate { what, expected_hz: rate, found_hz });
+                }
+                if signal.n_samples() != record.drive.n_samples() {
+                    let (expected, found) = (record.drive.n_samples(), signal.n_samples());
+                    return Err(EngineError::UnequalLength { what, channel: 0, expected, found });
+                }
+            }
+            if !record.started_s.is_finite() {
+                return Err(EngineError::Setting {
+                    setting: "started_at",
+                    found: record.started_s.to_string(),
+                    limit: "a finite time".into(),
+                });
+            }
+        }
+        let found = self.records.iter().map(|r| r.drive.n_samples()).sum();
+        if found < needed {
+            return Err(EngineError::TooShort { what: "runs of the screen", needed, found });
+        }
+        let moves = |signal: &Signal, channel: usize| {
+            let samples = signal.channel(channel);
+            samples.iter().any(|x| *x != samples[0])
+        };
+        let alive = |drive: usize| self.records.iter().any(|r| moves(&r.drive, drive));
+        if !(0..self.drives.len()).any(alive) {
+            return Err(EngineError::DeadChannel { what: "drives of the screen", channel: 0 });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,332 @@
+//! Held-out errors: the linear part is factored once a group, and a candidate's few columns join it by a Schur
+//! complement.
+
+use faer::linalg::solvers::Llt;
+use faer::prelude::Solve;
+use faer::{Mat, Side};
+use rayon::prelude::*;
+
+use super::linear_part::Setting;
+use super::moments::Moments;
+use super::regressors::Regressors;
+use super::track::Segment;
+
+/// Ridge of a candidate's columns relative to their power: what the linear part holds already gets nothing.
+const RIDGE: f64 = 1e-8;
+/// Smallest relative error that a difference of sums of squares can tell.
+const FLOOR: f64 = 1e-6;
+
+/// The linear part fitted without a group, for all responses, and what it leaves in that group.
+struct Fold {
+    factor: Llt<f64>,
+    /// Coefficients, a column a response.
+    theta: Mat<f64>,
+    /// Lagged drives of the group with what is left of the responses.
+    left: Mat<f64>,
+    /// Square of what is left.
+    rr: Vec<f64>,
+}
+
+/// The linear part and its sums, ready for candidates.
+pub(super) struct Base<'a> {
+    pub segments: &'a [Segment],
+    /// Responses of every segment, centred and weighted, `[segment][response]`.
+    pub responses: Vec<Vec<Vec<f64>>>,
+    regressors: Regressors,
+    groups: Vec<Moments>,
+    total: Moments,
+    folds: Vec<Fold>,
+    whole: Fold,
+    setting: Setting,
+}
+
+/// Columns of a law, or of the linear signal at its place, and their sums group by group.
+#[derive(Clone)]
+pub(super) struct Block {
+    /// `[segment]`: rows by columns.
+    columns: Vec<Mat<f64>>,
+    /// Lagged drives with the columns.
+    cross: Vec<Mat<f64>>,
+    /// What of `cross` the linear part without the group takes: coefficients.
+    solved: Vec<Mat<f64>>,
+    gram: Vec<Mat<f64>>,
+    /// Columns with the response.
+    target: Vec<Mat<f64>>,
+}
+
+/// A candidate's held-out errors relative to the response, by group.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct HeldOut {
+    pub errors: Vec<f64>,
+}
+
+impl<'a> Base<'a> {
+    /// Factors the linear part without each group. `None` where it is singular to rounding.
+    pub fn new(
+        moments: &[Moments],
+        segments: &'a [Segment],
+        responses: Vec<Vec<Vec<f64>>>,
+        regressors: Regressors,
+        setting: Setting,
+    ) -> Option<Self> {
+        let n_groups = segments.iter().map(|s| s.group + 1).max()?;
+        let groups: Vec<Moments> = (0..n_groups)
+            .map(|g| Moments::sum(moments.iter().zip(segments).filter(|(_, s)| s.group == g).map(|(m, _)| m)))
+            .collect::<Option<_>>()?;
+        let total = Moments::sum(&groups)?;
+        let fold = |group: &Moments, others: &Mat<f64>, b: Mat<f64>| -> Option<Fold> {
+            let factor = setting.factor(others)?;
+            let theta = factor.solve(b);
+            let through = &group.a * &theta;
+            let left = &group.b - &through;
+            let rr = (0..group.yy.len())
+                .map(|r| {
+                    let taken: f64 =
+                        (0..theta.nrows()).map(|k| theta[(k, r)] * (group.b[(k, r)] + left[(k, r)])).sum();
+                    (group.yy[r] - taken).max(FLOOR * FLOOR * group.yy[r])
+                })
+                .collect();
+            Some(Fold { factor, theta, left, rr })
+        };
+        let folds: Vec<Fold> =
+            groups.par_iter().map(|g| fold(g, &(&total.a - &g.a), &total.b - &g.b)).collect::<Option<_>>()?;
+        let whole = fold(&total, &total.a, total.b.clone())?;
+        Some(Self { segments, responses, regressors, groups, total, folds, whole, setting })
+    }
+
+    /// Number of groups.
+    pub fn n_groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// How the linear part is set.
+    pub fn setting(&self) -> &Setting {
+        &self.setting
+    }
+
+    /// The impulse response of a response to a drive, fitted to all groups, from the lag `-lead` on; modes ring
+    /// for `most` samples at most.
+    pub fn impulse(&self, response: usize, drive: usize, most: usize) -> Vec<f64> {
+        let width = self.setting.width();
+        let theta: Vec<f64> = (0..width).map(|k| self.whole.theta[(drive * width + k, response)]).collect();
+        self.setting.impulse(&theta, most)
+    }
+
+    /// Whether a response has anything to explain in a group.
+    pub fn moves(&self, response: usize, group: usize) -> bool {
+        self.groups[group].yy[response] > 1e-24 * self.total.yy[response] && self.total.yy[response] > 0.0
+    }
+
+    /// Error of the linear part in each group, relative to the response.
+    pub fn linear(&self, response: usize) -> HeldOut {
+        let error = |(fold, group): (&Fold, &Moments)| relative(fold.rr[response], group.yy[response]);
+        HeldOut { errors: self.folds.iter().zip(&self.groups).map(error).collect() }
+    }
+
+    /// The sums of columns, `[segment][column][row]`, centred and weighted; each column is scaled to unit power.
+    pub fn block(&self, columns: Vec<Vec<Vec<f64>>>, response: usize) -> Block {
+        let p = self.total.a.nrows();
+        let m = columns.first().map_or(0, Vec::len);
+        let norms: Vec<f64> = (0..m)
+            .map(|c| columns.iter().flat_map(|s| &s[c]).map(|x| x * x).sum::<f64>().sqrt())
+            .map(|norm| if norm > 0.0 && norm.is_finite() { 1.0 / norm } else { 0.0 })
+            .collect();
+        let scaled: Vec<Mat<f64>> = columns
+            .iter()
+            .map(|segment| {
+                let rows = segment.first().map_or(0, Vec::len);
+                Mat::from_fn(rows, m, |r, c| {
+                    let value = segment[c][r] * norms[c];
+                    if value.is_finite() { value } else { 0.0 }
+                })
+            })
+            .collect();
+        drop(columns);
+        let mut cross = vec![Mat::zeros(p, m); self.n_groups()];
+        let mut gram = vec![Mat::zeros(m, m); self.n_groups()];
+        let mut target = vec![Mat::zeros(m, 1); self.n_groups()];
+        for (at, (segment, x)) in self.segments.iter().zip(&scaled).enumerate() {
+            for c in 0..m {
+                let column = x.col_as_slice(c);
+                target[segment.group][(c, 0)] +=
+                    super::super::linear::dot(column, &self.responses[at][response]);
+            }
+            self.regressors.add(x, at, segment.weight, &mut cross[segment.group]);
+            gram[segment.group] += x.transpose() * x;
+        }
+        let total = sum(&cross);
+        let solved = self.folds.iter().zip(&cross).map(|(f, b)| f.factor.solve(&total - b)).collect();
+        Block { columns: scaled, cross, solved, gram, target }
+    }
+
+    /// Held-out errors of the linear part with a block.
+    pub fn judge(&self, block: &Block, response: usize) -> HeldOut {
+        let (gram, target, cross) = (sum(&block.gram), sum(&block.target), sum(&block.cross));
+        let errors = (0..self.n_groups())
+            .map(|g| {
+                let (fold, group) = (&self.folds[g], &self.groups[g]);
+                let others = Others {
+                    gram: &gram - &block.gram[g],
+                    target: &target - &block.target[g],
+                    cross: &cross - &block.cross[g],
+                };
+                let gamma = gamma(&others, &block.solved[g], &fold.theta, response);
+                relative(self.left(block, g, &gamma, response), group.yy[response])
+            })
+            .collect();
+        HeldOut { errors }
+    }
+
+    /// Square of what is left in a group that was held out.
+    fn left(&self, block: &Block, g: usize, gamma: &Mat<f64>, response: usize) -> f64 {
+        let (fold, group) = (&self.folds[g], &self.groups[g]);
+        // The columns' part: X gamma, and what the linear part takes of it, F w.
+        let w = &block.solved[g] * gamma;
+        let through = &group.a * &w;
+        let reached = &block.cross[g] * gamma;
+        let dot = |a: &Mat<f64>, b: &Mat<f64>, column: usize| -> f64 {
+            (0..a.nrows()).map(|k| a[(k, 0)] * b[(k, column)]).sum()
+        };
+        let with_left = dot(gamma, &block.target[g], 0)
+            - dot(&reached, &fold.theta, response)
+            - dot(&w, &fold.left, response);
+        let own =
+            dot(gamma, &(&block.gram[g] * gamma), 0) - 2.0 * dot(&w, &reached, 0) + dot(&w, &through, 0);
+        fold.rr[response] - 2.0 * with_left + own
+    }
+
+    /// Coefficients of a block's columns (of unit power) fitted to all groups, beside those of the linear part.
+    fn fitted(&self, block: &Block, response: usize) -> Mat<f64> {
+        let cross = sum(&block.cross);
+        let solved = self.whole.factor.solve(&cross);
+        let others = Others { gram: sum(&block.gram), target: sum(&block.target), cross };
+        gamma(&others, &solved, &self.whole.theta, response)
+    }
+
+    /// Gain of a law, whose columns come first in the block: that of its part beside the unbent signal let in by
+    /// the first impulse response, or, of a law `direct`ly on the way from drive to response, beside the
+    /// response without half of the law's part, which may be all of it (a clip) or take away from it (a play).
+    pub fn relative_gain(&self, block: &Block, law: usize, direct: bool, response: usize) -> f64 {
+        let gamma = self.fitted(block, response);
+        let (gram, target) = (sum(&block.gram), sum(&block.target));
+        let beside = |c: usize| -> f64 { (0..law).map(|k| gamma[(k, 0)] * gram[(k, c)]).sum() };
+        if direct {
+            let with_itself: f64 = (0..law).map(|c| gamma[(c, 0)] * beside(c)).sum();
+            let with_response: f64 = (0..law).map(|k| gamma[(k, 0)] * target[(k, 0)]).sum();
+            (with_response - 0.5 * with_itself) / self.total.yy[response].max(f64::MIN_POSITIVE)
+        } else {
+            beside(law) / gram[(law, law)].max(f64::MIN_POSITIVE)
+        }
+    }
+
+    /// How much of a law's part, as fitted to all groups, each group alone asks for beside a linear part of its
+    /// own: 1 where the law's numbers hold. `law` counts the last columns of the block.
+    pub fn gains(&self, block: &Block, law: usize, response: usize) -> Vec<Option<f64>> {
+        let gamma = self.fitted(block, response);
+        let m = gamma.nrows();
+        // The law's part as one column, and the columns of the unbent signal.
+        let mix = Mat::from_fn(m, m - law + 1, |r, c| match (r < law, c) {
+            (true, 0) => gamma[(r, 0)],
+            (false, 1..) => f64::from(u8::from(r - law + 1 == c)),
+            _ => 0.0,
+        });
+        self.groups
+            .par_iter()
+            .enumerate()
+            .map(|(g, group)| {
+                let factor = self.setting.factor(&group.a)?;
+                let cross = &block.cross[g] * &mix;
+                let alone = Others {
+                    gram: mix.transpose() * &block.gram[g] * &mix,
+                    target: mix.transpose() * &block.target[g],
+                    cross: cross.clone(),
+                };
+                let theta = factor.solve(&group.b);
+                let found = self::gamma(&alone, &factor.solve(&cross), &theta, response);
+                Some(found[(0, 0)]).filter(|gain| gain.is_finite())
+            })
+            .collect()
+    }
+}
+
+impl Block {
+    /// Both blocks' columns side by side.
+    pub fn beside(&self, other: &Self, segments: &[Segment]) -> Self {
+        let stack = |a: &Mat<f64>, b: &Mat<f64>| {
+            Mat::from_fn(a.nrows() + b.nrows(), 1, |r, _| {
+                if r < a.nrows() { a[(r, 0)] } else { b[(r - a.nrows(), 0)] }
+            })
+        };
+        let pair =
+            |a: &[Mat<f64>], b: &[Mat<f64>]| a.iter().zip(b).map(|(a, b)| wide(a, b)).collect::<Vec<_>>();
+        let mut mixed = vec![Mat::zeros(self.width(), other.width()); self.gram.len()];
+        for (segment, (a, b)) in segments.iter().zip(self.columns.iter().zip(&other.columns)) {
+            mixed[segment.group] += a.transpose() * b;
+        }
+        let gram = (0..mixed.len())
+            .map(|g| {
+                let upper = wide(&self.gram[g], &mixed[g]);
+                let lower = wide(&mixed[g].transpose().to_owned(), &other.gram[g]);
+                Mat::from_fn(upper.ncols(), upper.ncols(), |r, c| {
+                    if r < upper.nrows() { upper[(r, c)] } else { lower[(r - upper.nrows(), c)] }
+                })
+            })
+            .collect();
+        Self {
+            columns: pair(&self.columns, &other.columns),
+            cross: pair(&self.cross, &other.cross),
+            solved: pair(&self.solved, &other.solved),
+            gram,
+            target: self.target.iter().zip(&other.target).map(|(a, b)| stack(a, b)).collect(),
+        }
+    }
+
+    /// Number of columns.
+    pub fn width(&self) -> usize {
+        self.gram.first().map_or(0, Mat::ncols)
+    }
+}
+
+/// Sums over the groups that are fitted to.
+struct Others {
+    gram: Mat<f64>,
+    target: Mat<f64>,
+    cross: Mat<f64>,
+}
+
+/// Coefficients of a block beside the linear part; zero where the columns are linearly dependent.
+fn gamma(others: &Others, solved: &Mat<f64>, theta: &Mat<f64>, response: usize) -> Mat<f64> {
+    let m = others.gram.nrows();
+    let mut schur = &others.gram - others.cross.transpose() * solved;
+    for k in 0..m {
+        schur[(k, k)] += RIDGE * others.gram[(k, k)] + 1e-14;
+    }
+    let rhs = Mat::from_fn(m, 1, |k, _| {
+        let taken: f64 = (0..theta.nrows()).map(|r| others.cross[(r, k)] * theta[(r, response)]).sum();
+        others.target[(k, 0)] - taken
+    });
+    match schur.llt(Side::Lower) {
+        Ok(factor) => {
+            let found = factor.solve(&rhs);
+            if (0..m).all(|k| found[(k, 0)].is_finite()) { found } else { Mat::zeros(m, 1) }
+        }
+        Err(_) => Mat::zeros(m, 1),
+    }
+}
+
+fn wide(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
+    Mat::from_fn(a.nrows(), a.ncols() + b.ncols(), |r, c| {
+        if c < a.ncols() { a[(r, c)] } else { b[(r, c - a.ncols())] }
+    })
+}
+
+fn sum(parts: &[Mat<f64>]) -> Mat<f64> {
+    let mut total = parts[0].clone();
+    parts[1..].iter().for_each(|p| total += p);
+    total
+}
+
+/// Root of a ratio of squares, at least [`FLOOR`]; 0 where there is nothing to explain.
+fn relative(left: f64, of: f64) -> f64 {
+    if of > 0.0 { (left / of).max(FLOOR * FLOOR).sqrt() } else { 0.0 }
+}

@@ -1,0 +1,44 @@
+//! The screen: which law, over which place, predicts what the linear part leaves.
+//!
+//! The linear part of each response is made of modes that all responses and drives share, or of a finite impulse
+//! response of every drive, as rich as the data allow. A candidate is a law of the catalogue as a signal over a
+//! place: a drive, a response, or the difference of two. The signal enters through the linear part's own impulse
+//! responses, as a force that acts where a drive does, and over drives also directly. All coefficients come from
+//! linear least squares on all groups of runs but one and count by the error in that one, relative to what the
+//! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
+//! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.
+//!
+//! What a regression beside a free linear part cannot carry is not here: linear changes, delays and offsets are
+//! part of it; an offset that drifts is lost with the means, which are taken off stretch by stretch; noise and
+//! lines follow from no drive; valve flow stands as its second-order series.
+
+mod band;
+mod candidates;
+mod correlate;
+mod desk;
+mod entry;
+mod groups;
+mod input;
+mod judge;
+mod law;
+mod linear_part;
+mod memory;
+mod modes;
+mod moments;
+mod motion;
+mod naming;
+mod period;
+mod place;
+mod regressors;
+mod report;
+mod run;
+#[cfg(test)]
+mod tests;
+mod track;
+
+pub use groups::{Grouping, Stretch, Transfer, group};
+pub use input::{Channel, Record, Recording};
+pub use law::Law;
+pub use place::Place;
+pub use report::{LinearPart, Screening, Standing};
+pub use run::screen;

@@ -1,0 +1,261 @@
+//! The linear part as modes of the rig: poles that all responses and drives share.
+//!
+//! A finite impulse response ends before a lightly damped mode has rung down, and costs a coefficient a sample. A
+//! few modes ring for ever. Their poles are relocated on the measured signals (vector fitting in the time domain,
+//! Grivet-Talocia 2003): responses and drives go through the present poles, and the zeros of the common factor
+//! that best reconciles them are the next poles.
+
+use std::f64::consts::TAU;
+
+use faer::prelude::Solve;
+use faer::{Mat, Side};
+use rayon::prelude::*;
+use realfft::num_complex::Complex64;
+
+use super::super::linear::eigenvalues;
+use super::track::{Segment, Track, delayed};
+
+/// Rounds of relocation at a time.
+const ROUNDS: usize = 4;
+/// Largest magnitude of a pole: a mode that takes 10,000 samples to ring down.
+const SLOWEST: f64 = 0.9999;
+/// Ridge relative to each column's power.
+const RIDGE: f64 = 1e-10;
+
+/// Poles of the upper half plane and real ones, of sampled signals.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Poles(Vec<Complex64>);
+
+impl Poles {
+    /// Lightly damped pairs at even frequencies up to `high`, cycles a sample.
+    pub fn spread(pairs: usize, high: f64) -> Self {
+        let pole = |k: usize| {
+            let angle = TAU * high * (k as f64 + 0.5) / pairs as f64;
+            Complex64::from_polar((-0.05 * angle).exp().min(0.999), angle)
+        };
+        Self((0..pairs).map(pole).collect())
+    }
+
+    /// Number of real states.
+    pub fn states(&self) -> usize {
+        self.0.iter().map(|p| if p.im == 0.0 { 1 } else { 2 }).sum()
+    }
+
+    /// The states of a signal that drives every mode by itself, one sample late; held before its start.
+    pub fn filter(&self, track: &Track) -> Vec<Track> {
+        let mut out = Vec::with_capacity(self.states());
+        for &pole in &self.0 {
+            let (mut re, mut im): (Track, Track) = (Vec::new(), Vec::new());
+            for x in track {
+                let mut z = x.first().map_or(Complex64::default(), |x| Complex64::from(*x) / (1.0 - pole));
+                let all: Vec<Complex64> = x
+                    .iter()
+                    .map(|x| {
+                        let now = z;
+                        z = pole * z + x;
+                        now
+                    })
+                    .collect();
+                re.push(all.iter().map(|z| z.re).collect());
+                im.push(all.iter().map(|z| z.im).collect());
+            }
+            out.push(re);
+            if pole.im != 0.0 {
+                out.push(im);
+            }
+        }
+        out
+    }
+
+    /// Impulse response of coefficients of the states, `n` samples.
+    pub fn impulse(&self, coefficients: &[f64], n: usize) -> Vec<f64> {
+        let mut out = vec![0.0; n];
+        let mut at = 0;
+        for &pole in &self.0 {
+            let (re, im) = (coefficients[at], if pole.im == 0.0 { 0.0 } else { coefficients[at + 1] });
+            at += if pole.im == 0.0 { 1 } else { 2 };
+            let mut z = Complex64::from(1.0);
+            for y in &mut out[1.min(n)..] {
+                *y += re * z.re + im * z.im;
+                z *= pole;
+            }
+        }
+        out
+    }
+
+    /// Samples after which every mode has rung down to a thousandth, at most `most`.
+    pub fn memory(&self, most: usize) -> usize {
+        let slowest = self.0.iter().map(|p| p.norm()).fold(0.0, f64::max);
+        ((6.9 / -slowest.ln()).ceil().min(most as f64) as usize).max(1)
+    }
+
+    /// The zeros of `1 + sum d_m / (z - p_m)`, made stable; `None` where they cannot be had.
+    fn relocated(&self, d: &[f64]) -> Option<Self> {
+        let n = self.states();
+        let mut matrix = vec![vec![0.0; n]; n];
+        let mut into = vec![0.0; n];
+        let mut at = 0;
+        for &pole in &self.0 {
+            into[at] = 1.0;
+            matrix[at][at] = pole.re;
+            if pole.im != 0.0 {
+                matrix[at][at + 1] = -pole.im;
+                matrix[at + 1][at] = pole.im;
+                matrix[at + 1][at + 1] = pole.re;
+                at += 1;
+            }
+            at += 1;
+        }
+        for (row, into) in matrix.iter_mut().zip(&into) {
+            row.iter_mut().zip(d).for_each(|(m, d)| *m -= into * d);
+        }
+        let poles: Vec<Complex64> = eigenvalues(&matrix)?
+            .into_iter()
+            .filter(|p| p.im >= 0.0)
+            .map(|p| {
+                let p = if p.norm() > 1.0 { 1.0 / p.conj() } else { p };
+                let p = if p.im.abs() < 1e-9 { Complex64::new(p.re, 0.0) } else { p };
+                p * (SLOWEST / p.norm().max(SLOWEST))
+            })
+            .collect();
+        let mut poles = poles;
+        poles.sort_by(|a, b| a.im.total_cmp(&b.im).then(a.re.total_cmp(&b.re)));
+        Some(Self(poles))
+    }
+}
+
+/// Columns of drives: `direct` lags from `-lead` on, and the states of every mode, drive by drive; one matrix a
+/// segment.
+pub(super) fn columns(
+    drives: &[Track],
+    segments: &[Segment],
+    poles: &Poles,
+    lead: usize,
+    direct: usize,
+) -> Vec<Mat<f64>> {
+    let states: Vec<Vec<Track>> = drives.par_iter().map(|d| poles.filter(d)).collect();
+    let width = direct + poles.states();
+    segments
+        .par_iter()
+        .map(|segment| {
+            let of = |c: usize| {
+                let (d, k) = (c / width, c % width);
+                let (track, lag) = if k < direct {
+                    (&drives[d], k as isize - lead as isize)
+                } else {
+                    (&states[d][k - direct], 0)
+                };
+                delayed(&track[segment.record], segment, lag)
+            };
+            matrix((0..drives.len() * width).map(of).collect(), segment.rows.len())
+        })
+        .collect()
+}
+
+fn matrix(columns: Vec<Vec<f64>>, rows: usize) -> Mat<f64> {
+    Mat::from_fn(rows, columns.len(), |r, c| columns[c][r])
+}
+
+/// Relocates poles for some rounds, fewer where they rest; `None` where a round fails.
+pub(super) fn relocate(
+    start: Poles,
+    drives: &[Track],
+    responses: &[Track],
+    segments: &[Segment],
+    direct: usize,
+) -> Option<Poles> {
+    let mut poles = start;
+    for _ in 0..ROUNDS {
+        let base = columns(drives, segments, &poles, 0, direct);
+        let p = base.first()?.ncols();
+        let mut a = Mat::<f64>::zeros(p, p);
+        for x in &base {
+            a += x.transpose() * x;
+        }
+        for k in 0..p {
+            a[(k, k)] += RIDGE * a[(k, k)] + 1e-300;
+        }
+        let factor = a.llt(Side::Lower).ok()?;
+        let n = poles.states();
+        let of_responses: Vec<(Mat<f64>, Mat<f64>)> = responses
+            .par_iter()
+            .map(|response| {
+                let states = poles.filter(response);
+                let (mut cross, mut gram, mut with, mut by) =
+                    (Mat::zeros(p, n), Mat::zeros(n, n), Mat::zeros(n, 1), Mat::zeros(p, 1));
+                let mut yy = 0.0;
+                for (segment, x) in segments.iter().zip(&base) {
+                    let s = states.iter().map(|s| delayed(&s[segment.record], segment, 0)).collect();
+                    let s = matrix(s, segment.rows.len());
+                    let y = matrix(vec![delayed(&response[segment.record], segment, 0)], segment.rows.len());
+                    cross += x.transpose() * &s;
+                    gram += s.transpose() * &s;
+                    with += s.transpose() * &y;
+                    by += x.transpose() * &y;
+                    yy += (0..y.nrows()).map(|r| y[(r, 0)] * y[(r, 0)]).sum::<f64>();
+                }
+                let scale = if yy > 0.0 { 1.0 / yy } else { 0.0 };
+                let solved = factor.solve(&cross);
+                (
+                    Mat::from_fn(n, n, |r, c| scale * gram[(r, c)])
+                        - faer::Scale(scale) * (cross.transpose() * &solved),
+                    faer::Scale(scale) * (with - solved.transpose() * by),
+                )
+            })
+            .collect();
+        let (mut gram, mut with) = (Mat::<f64>::zeros(n, n), Mat::<f64>::zeros(n, 1));
+        for (g, w) in &of_responses {
+            gram += g;
+            with += w;
+        }
+        for k in 0..n {
+            gram[(k, k)] += RIDGE * gram[(k, k)] + 1e-300;
+        }
+        let found = gram.llt(Side::Lower).ok()?.solve(&with);
+        let d: Vec<f64> = (0..n).map(|k| -found[(k, 0)]).collect();
+        if !d.iter().all(|d| d.is_finite()) {
+            return None;
+        }
+        let next = poles.relocated(&d)?;
+        if next == poles {
+            break;
+        }
+        poles = next;
+    }
+    Some(poles)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poles_move_to_those_of_the_system_and_stay() {
+        let true_pole = Complex64::from_polar(0.98, 0.4);
+        let mut state = 1_u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f64 / f64::from(1_u32 << 31) - 0.5
+        };
+        let drive: Track = vec![(0..1500).map(|_| next()).collect()];
+        let response = Poles(vec![true_pole]).filter(&drive)[1].clone();
+        let segments = [Segment { record: 0, rows: 200..1500, group: 0, part: 0, unit: 0, weight: 1.0 }];
+        let found = relocate(Poles::spread(2, 0.4), &[drive], &[response], &segments, 2).unwrap();
+        let nearest = found.0.iter().map(|p| (p - true_pole).norm()).fold(f64::INFINITY, f64::min);
+        assert!(nearest < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn states_and_impulse_responses_agree() {
+        let poles = Poles(vec![Complex64::new(0.5, 0.0), Complex64::new(0.3, 0.6)]);
+        let mut pulse = vec![0.0; 12];
+        pulse[1] = 1.0;
+        let states = poles.filter(&vec![pulse]);
+        let coefficients = [2.0, -1.0, 0.5];
+        let impulse = poles.impulse(&coefficients, 11);
+        for k in 0..11 {
+            let output: f64 = coefficients.iter().zip(&states).map(|(c, s)| c * s[0][k + 1]).sum();
+            assert!((output - impulse[k]).abs() < 1e-12, "{k}");
+        }
+    }
+}

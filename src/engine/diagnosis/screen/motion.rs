@@ -1,0 +1,98 @@
+//! Displacement and velocity from whatever a channel measures, inside a band.
+
+use std::f64::consts::TAU;
+
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex64;
+
+use crate::engine::Quantity;
+
+/// The motion at a place over one record.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Motion {
+    /// Displacement, or whatever stands for it.
+    pub d: Vec<f64>,
+    /// Its rate a second.
+    pub v: Vec<f64>,
+}
+
+/// Limits of what is integrated and differentiated, Hz.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits {
+    /// Nothing below it is integrated: there lies drift.
+    pub low_hz: f64,
+    /// Nothing above it is differentiated: there lies noise.
+    pub high_hz: f64,
+}
+
+/// Motion from samples of a quantity. A velocity is integrated once and an acceleration twice; anything else
+/// is taken for a displacement.
+pub(super) fn motion(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Motion {
+    let order: i32 = match quantity {
+        Quantity::Acceleration => 2,
+        Quantity::Velocity => 1,
+        _ => 0,
+    };
+    let derived = |power: i32| filtered(x, rate_hz, limits, power);
+    let d = if order == 0 { x.to_vec() } else { derived(-order) };
+    Motion { d, v: derived(1 - order) }
+}
+
+/// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the lower one holds for integrals only.
+/// The signal goes on as its mirror image, so that its ends need not meet.
+fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
+    let n = x.len();
+    if n < 2 {
+        return vec![0.0; n];
+    }
+    let size = 2 * n;
+    let mean = x.iter().sum::<f64>() / n as f64;
+    let centre = if power < 0 { mean } else { 0.0 };
+    let mut samples: Vec<f64> = x.iter().chain(x.iter().rev()).map(|x| x - centre).collect();
+    let mut planner = RealFftPlanner::new();
+    let forward = planner.plan_fft_forward(size);
+    let mut lines = forward.make_output_vec();
+    forward.process(&mut samples, &mut lines).expect("buffers are the plan's own");
+    for (k, line) in lines.iter_mut().enumerate() {
+        let hz = k as f64 * rate_hz / size as f64;
+        let inside = hz <= limits.high_hz && (power >= 0 || hz >= limits.low_hz) && hz > 0.0;
+        let gain = if inside || (power == 0 && k == 0) {
+            Complex64::new(0.0, TAU * hz).powi(power)
+        } else {
+            Complex64::new(0.0, 0.0)
+        };
+        // The last line of an even size is real.
+        *line = if k == size / 2 { Complex64::new(0.0, 0.0) } else { *line * gain };
+    }
+    lines[0].im = 0.0;
+    let inverse = planner.plan_fft_inverse(size);
+    inverse.process(&mut lines, &mut samples).expect("buffers are the plan's own");
+    samples.truncate(n);
+    samples.iter_mut().for_each(|x| *x /= size as f64);
+    samples
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_quantity_of_one_motion_gives_the_same_displacement_and_velocity() {
+        let (rate, hz, n) = (200.0, 5.0, 2000);
+        let w = TAU * hz;
+        let at = |k: usize| w * (k as f64 + 0.5) / rate;
+        let d: Vec<f64> = (0..n).map(|k| at(k).cos()).collect();
+        let v: Vec<f64> = (0..n).map(|k| -w * at(k).sin()).collect();
+        let a: Vec<f64> = (0..n).map(|k| -w * w * at(k).cos()).collect();
+        let limits = Limits { low_hz: 1.0, high_hz: 50.0 };
+        for (x, quantity) in
+            [(&d, Quantity::Displacement), (&v, Quantity::Velocity), (&a, Quantity::Acceleration)]
+        {
+            let found = motion(x, quantity, rate, limits);
+            for k in 500..n - 500 {
+                assert!((found.d[k] - d[k]).abs() < 0.05, "{quantity:?} {k}: {} for {}", found.d[k], d[k]);
+                assert!((found.v[k] - v[k]).abs() < 0.05 * w, "{quantity:?} {k}");
+            }
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! Where a law may act, and over which motion.
+
+use serde::{Deserialize, Serialize};
+
+use super::band::Band;
+use super::input::{Channel, Recording};
+use super::law::Scale;
+use super::motion::{Limits, Motion, motion};
+use crate::engine::Quantity;
+
+/// The argument of a law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Place {
+    /// A drive: the specimen's or actuator's laws on a rig in displacement control, the actuator's on others.
+    Drive(usize),
+    /// A response.
+    Response(usize),
+    /// The first response less the second: a joint between two sensors.
+    Between(usize, usize),
+    /// The linear part's own prediction of a response: its sensor, or a static law behind all dynamics.
+    Output(usize),
+}
+
+/// A place with its motion at the recording's own rate.
+pub(super) struct Argument {
+    pub place: Place,
+    pub quantity: Quantity,
+    /// `[record]`.
+    pub motion: Vec<Motion>,
+    pub scale: Scale,
+}
+
+/// All places but the outputs.
+pub(super) fn arguments(recording: &Recording, band: Band, used: &[usize]) -> Vec<Argument> {
+    let rate = recording.sample_rate_hz();
+    let shortest = recording.records.iter().map(|r| r.drive.n_samples()).min().unwrap_or(1);
+    let low_hz = (0.5 * band.low_hz).max(2.0 * rate / shortest as f64);
+    let limits = Limits { low_hz, high_hz: (rate / band.step as f64).max(band.high_hz) };
+    let moving = |c: &Channel| {
+        matches!(c.quantity, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration)
+    };
+    let some = recording.drives.iter().chain(&recording.responses).any(moving);
+    let of = |drive: bool, channel: usize, quantity: Quantity| -> Vec<Motion> {
+        recording
+            .records
+            .iter()
+            .zip(used)
+            .map(|(r, &used)| {
+                let signal = if drive { &r.drive } else { &r.response };
+                motion(&signal.channel(channel)[..used], quantity, rate, limits)
+            })
+            .collect()
+    };
+    let mut out = Vec::new();
+    for (i, channel) in recording.drives.iter().enumerate() {
+        let motion = of(true, i, channel.quantity);
+        out.extend(argument(Place::Drive(i), channel.quantity, motion));
+    }
+    let mut seen: Vec<(usize, Quantity)> = Vec::new();
+    for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
+        let motion = of(false, r, channel.quantity);
+        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion) {
+            out.push(argument);
+            seen.push((r, channel.quantity));
+        }
+    }
+    let first = out.len() - seen.len();
+    let mut between = Vec::new();
+    for (a, (i, quantity)) in seen.iter().enumerate() {
+        for (b, (j, other)) in seen[..a].iter().enumerate() {
+            if quantity == other {
+                let (x, y) = (&out[first + a].motion, &out[first + b].motion);
+                let motion = x.iter().zip(y).map(|(x, y)| less(x, y)).collect();
+                between.extend(argument(Place::Between(*i, *j), *quantity, motion));
+            }
+        }
+    }
+    out.extend(between);
+    out
+}
+
+fn less(x: &Motion, y: &Motion) -> Motion {
+    let of = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x - y).collect();
+    Motion { d: of(&x.d, &y.d), v: of(&x.v, &y.v) }
+}
+
+/// A place that moves, with its scale; `None` of one that is at rest.
+pub(super) fn argument(place: Place, quantity: Quantity, motion: Vec<Motion>) -> Option<Argument> {
+    let all = |f: fn(&Motion) -> &[f64]| motion.iter().flat_map(f).copied();
+    let n = motion.iter().map(|m| m.d.len()).sum::<usize>().max(1) as f64;
+    let mean = all(|m| &m.d).sum::<f64>() / n;
+    let d = (all(|m| &m.d).map(|d| (d - mean).powi(2)).sum::<f64>() / n).sqrt();
+    let v = (all(|m| &m.v).map(|v| v * v).sum::<f64>() / n).sqrt();
+    let (low, high) =
+        all(|m| &m.d).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
+    // A commanded zero is one of the rig; a sensor's is not.
+    let of_rig = matches!(place, Place::Drive(_)) && low < 0.0 && high > 0.0;
+    let moves = d > 1e-12 * high.abs().max(low.abs()) && v > 0.0 && d.is_finite() && v.is_finite();
+    moves.then_some(Argument {
+        place,
+        quantity,
+        motion,
+        scale: Scale { centre: if of_rig { 0.0 } else { mean }, d, v },
+    })
+}

@@ -1,0 +1,96 @@
+//! What a screen finds.
+
+use serde::{Deserialize, Serialize};
+
+use super::groups::Transfer;
+use super::law::Law;
+use super::place::Place;
+use crate::engine::diagnosis::{Effect, Family};
+
+/// The linear part, and the laws that predict what it leaves, best first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Screening {
+    /// What the held-out groups differ in.
+    pub transfer: Transfer,
+    /// Number of groups.
+    pub groups: usize,
+    /// The linear part of all responses.
+    pub linear: LinearPart,
+    /// Laws at their places, the smallest ratio first.
+    pub standings: Vec<Standing>,
+}
+
+/// The linear part that every law is measured against.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LinearPart {
+    /// Samples a second of the analysis.
+    pub sample_rate_hz: f64,
+    /// States of its modes, of each drive; `None` of a finite impulse response.
+    pub modes: Option<usize>,
+    /// Length of its impulse responses, s.
+    pub memory_s: f64,
+    /// How far they reach ahead of the present, s; 0 where that helps nothing.
+    pub lead_s: f64,
+    /// Ridge relative to the drives' power.
+    pub ridge: f64,
+    /// Error in each group by the fit to all others, relative to the response, `[response][group]`.
+    pub errors: Vec<Vec<f64>>,
+}
+
+/// A law at a place, and what it leaves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Standing {
+    /// The law with its numbers, in deviations of its argument.
+    pub law: Law,
+    /// Its argument.
+    pub place: Place,
+    /// The other argument of a law of two.
+    pub other: Option<Place>,
+    /// Its name in the catalogue.
+    pub effect: Effect,
+    /// Its family.
+    pub family: Family,
+    /// Held-out error relative to that of the linear part with the same signal let in unbent: over all responses
+    /// the root of the share of the linear part's squared relative error, over groups the geometric mean.
+    pub ratio: f64,
+    /// The largest such ratio of a group, of the response that it helps most.
+    pub worst: f64,
+    /// Root of the mean over responses and groups of the squared held-out error relative to the response.
+    pub error: f64,
+    /// The response that it helps most.
+    pub response: usize,
+    /// Ratio at each response.
+    pub ratios: Vec<f64>,
+    /// Held-out error of each group at the response that it helps most, relative to the response.
+    pub errors: Vec<f64>,
+    /// Its gain relative to the linear part's of the same signal.
+    pub gain: f64,
+    /// How much of the law each group alone asks for, 1 being the fit to all; for the foremost of each family.
+    pub gains: Vec<Option<f64>>,
+}
+
+impl Screening {
+    /// The first standing of each family, best first.
+    pub fn foremost(&self) -> Vec<&Standing> {
+        let mut first: Vec<&Standing> = Vec::new();
+        for standing in &self.standings {
+            if first.iter().all(|s| s.family != standing.family) {
+                first.push(standing);
+            }
+        }
+        first
+    }
+}
+
+impl Standing {
+    /// Deviation over the groups of what each alone asks for, relative to its mean; `None` where it is not known.
+    pub fn spread(&self) -> Option<f64> {
+        let gains: Vec<f64> = self.gains.iter().copied().flatten().collect();
+        if gains.len() < 2 {
+            return None;
+        }
+        let mean = gains.iter().sum::<f64>() / gains.len() as f64;
+        let deviation = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / gains.len() as f64).sqrt();
+        (mean != 0.0).then(|| deviation / mean.abs())
+    }
+}

@@ -1,0 +1,377 @@
+//! The screen from records to standings.
+
+use rayon::prelude::*;
+
+use super::candidates;
+use super::desk::Desk;
+use super::entry::Entry;
+use super::groups::Grouping;
+use super::input::Recording;
+use super::judge::{Base, Block, HeldOut};
+use super::law::Law;
+use super::modes::Poles;
+use super::motion::Motion;
+use super::naming;
+use super::place::{Argument, Place, argument, arguments};
+use super::report::{LinearPart, Screening, Standing};
+use super::track::Track;
+use crate::engine::{EngineError, Quantity};
+
+/// Fewest samples in all: with fewer no linear part can be told from a law.
+const FEWEST: usize = 300;
+/// Factors by which the numbers of laws are moved between the grid's.
+const FINER: [f64; 3] = [1.18, 1.09, 1.04];
+
+/// Ranks the laws of the catalogue over all places by what they leave in groups that they were not fitted to.
+///
+/// # Errors
+/// Signals that do not belong together, too few samples, drives that do not move, a grouping of other records or
+/// of fewer than two groups, a linear part that is singular.
+pub fn screen(recording: &Recording, grouping: &Grouping) -> Result<Screening, EngineError> {
+    recording.check(FEWEST)?;
+    if let Some(other) = grouping.stretches.iter().find(|s| s.record >= recording.records.len()) {
+        return Err(EngineError::Setting {
+            setting: "runs",
+            found: other.record.to_string(),
+            limit: "a grouping of these runs".into(),
+        });
+    }
+    let desk = Desk::new(recording, grouping);
+    let groups = desk.segments.iter().map(|s| s.group + 1).max().unwrap_or(0);
+    if groups < 2 {
+        return Err(EngineError::TooShort { what: "groups of runs of the screen", needed: 2, found: groups });
+    }
+    let arguments = arguments(recording, desk.band, &desk.used);
+    let screenings =
+        desk.bases().iter().map(|base| over_base(&desk, base, grouping, &arguments)).collect::<Vec<_>>();
+    // The linear part is the one beside which some law leaves least.
+    let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
+    screenings.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).ok_or(EngineError::NonFiniteResult {
+        what: "linear part of the screen",
+        channel: 0,
+        sample: 0,
+    })
+}
+
+/// The screen beside one linear part.
+fn over_base(desk: &Desk<'_>, base: &Base<'_>, grouping: &Grouping, arguments: &[Argument]) -> Screening {
+    let n_responses = desk.responses.len();
+    let entries: Vec<Entry> = (0..n_responses).map(|r| Entry::new(base, r, &desk.drives)).collect();
+    let linear: Vec<HeldOut> = (0..n_responses).map(|r| base.linear(r)).collect();
+    let bench = Bench { desk, base, entries: &entries, linear: &linear };
+    let mut standings: Vec<Standing> =
+        (0..arguments.len()).flat_map(|at| bench.over(arguments, at)).collect();
+    for response in 0..n_responses {
+        standings.extend(bench.over_output(response));
+    }
+    standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+    bench.refine(arguments, &mut standings);
+    bench.confirm(arguments, &mut standings);
+    let setting = base.setting();
+    let rate = desk.rate_hz();
+    let longest = desk.lengths().into_iter().max().unwrap_or(1);
+    Screening {
+        transfer: grouping.transfer,
+        groups: base.n_groups(),
+        linear: LinearPart {
+            sample_rate_hz: rate,
+            modes: setting.poles.as_ref().map(Poles::states),
+            memory_s: setting.memory(longest) as f64 / rate,
+            lead_s: setting.lags.lead as f64 / rate,
+            ridge: setting.ridge,
+            errors: linear.into_iter().map(|l| l.errors).collect(),
+        },
+        standings,
+    }
+}
+
+/// All that judges a candidate.
+struct Bench<'a> {
+    desk: &'a Desk<'a>,
+    base: &'a Base<'a>,
+    entries: &'a [Entry],
+    linear: &'a [HeldOut],
+}
+
+/// What a law leaves at one response.
+struct AtResponse {
+    response: usize,
+    ratios: Vec<f64>,
+    errors: Vec<f64>,
+    block: Block,
+    width: usize,
+}
+
+impl Bench<'_> {
+    /// Standings of all laws over one argument, at all responses.
+    fn over(&self, arguments: &[Argument], at: usize) -> Vec<Standing> {
+        let argument = &arguments[at];
+        let unbent = [self.unbent(argument)];
+        let responses: Vec<usize> = (0..self.entries.len()).collect();
+        let companions = self.companions(argument.place, &unbent, &responses);
+        candidates::laws(arguments, at)
+            .into_par_iter()
+            .map(|(law, other)| {
+                let other = other.map(|o| &arguments[o]);
+                let signals = self.signals(law, argument, other);
+                let Some(other) = other else {
+                    return self.standing(law, argument, None, &signals, &companions);
+                };
+                let both = self.beside_other(&companions, other);
+                self.standing(law, argument, Some(other.place), &signals, &both)
+            })
+            .collect()
+    }
+
+    /// Standings of the laws of one response's sensor.
+    fn over_output(&self, response: usize) -> Vec<Standing> {
+        let Some(argument) = self.output(response) else { return Vec::new() };
+        let place = argument.place;
+        let companions = self.companions(place, &[self.unbent(&argument)], &[response]);
+        candidates::laws(std::slice::from_ref(&argument), 0)
+            .into_par_iter()
+            .map(|(law, _)| {
+                let signals = self.signals(law, &argument, None);
+                self.standing(law, &argument, None, &signals, &companions)
+            })
+            .collect()
+    }
+
+    /// The linear part's prediction as an argument, at the rate of the analysis.
+    fn output(&self, response: usize) -> Option<Argument> {
+        let moving = |d: &Vec<f64>| Motion {
+            v: std::iter::once(0.0).chain(d.windows(2).map(|w| w[1] - w[0])).collect(),
+            d: d.clone(),
+        };
+        let motion = self.entries[response].output.iter().map(moving).collect();
+        argument(Place::Output(response), Quantity::Other, motion)
+    }
+
+    /// The signals of a law at the rate of the analysis.
+    fn signals(&self, law: Law, argument: &Argument, other: Option<&Argument>) -> Vec<Track> {
+        let rate = self.desk.recording.sample_rate_hz();
+        let mut signals: Vec<Track> = Vec::new();
+        for (record, motion) in argument.motion.iter().enumerate() {
+            let beside: Option<Vec<f64>> = other.map(|o| {
+                let scale = o.scale;
+                o.motion[record].d.iter().map(|d| (d - scale.centre) / scale.d).collect()
+            });
+            let clock = self.desk.clocks[record];
+            let of_record = law.signals(motion, argument.scale, rate, clock, beside.as_deref());
+            signals.resize_with(of_record.len(), Vec::new);
+            for (signal, samples) in signals.iter_mut().zip(of_record) {
+                let thin = !matches!(argument.place, Place::Output(_));
+                signal.push(if thin { self.desk.thinner.thin(&samples) } else { samples });
+            }
+        }
+        signals
+    }
+
+    /// The linear signal at a place, let in as a law's signal is, at each response, and its held-out errors.
+    fn companions(
+        &self,
+        place: Place,
+        unbent: &[Track],
+        responses: &[usize],
+    ) -> Vec<(usize, Block, HeldOut)> {
+        responses
+            .par_iter()
+            .map(|&response| {
+                let block = self.block(place, false, unbent, response);
+                let errors = self.base.judge(&block, response);
+                (response, block, errors)
+            })
+            .collect()
+    }
+
+    /// Companions with the linear signal of another place beside them.
+    fn beside_other(
+        &self,
+        companions: &[(usize, Block, HeldOut)],
+        other: &Argument,
+    ) -> Vec<(usize, Block, HeldOut)> {
+        let unbent = [self.unbent(other)];
+        companions
+            .iter()
+            .map(|(response, block, _)| {
+                let further = self.block(other.place, false, &unbent, *response);
+                let both = block.beside(&further, self.base.segments);
+                let errors = self.base.judge(&both, *response);
+                (*response, both, errors)
+            })
+            .collect()
+    }
+
+    fn block(&self, place: Place, load: bool, signals: &[Track], response: usize) -> Block {
+        let own = place == Place::Response(response);
+        let columns = self.entries[response].columns(place, own, load, signals, &self.desk.segments);
+        self.base.block(columns, response)
+    }
+
+    fn standing(
+        &self,
+        law: Law,
+        argument: &Argument,
+        other: Option<Place>,
+        signals: &[Track],
+        companions: &[(usize, Block, HeldOut)],
+    ) -> Standing {
+        let mut ratios = vec![1.0; self.entries.len()];
+        let mut best: Option<AtResponse> = None;
+        let (mut left, mut before, mut error) = (0.0, 0.0, 0.0);
+        for (response, linear) in self.linear.iter().enumerate() {
+            before += mean_square(&linear.errors);
+            let Some((_, companion, unbent)) = companions.iter().find(|(r, ..)| *r == response) else {
+                left += mean_square(&linear.errors);
+                error += mean_square(&linear.errors);
+                continue;
+            };
+            let law = self.block(argument.place, law.loaded(), signals, response);
+            let width = law.width();
+            let block = law.beside(companion, self.base.segments);
+            let found = self.base.judge(&block, response);
+            let of_groups: Vec<f64> = (0..self.base.n_groups())
+                .filter(|&g| self.base.moves(response, g))
+                .map(|g| found.errors[g] / unbent.errors[g].min(linear.errors[g]))
+                .collect();
+            let ratio = geometric_mean(&of_groups);
+            ratios[response] = ratio;
+            error += mean_square(&found.errors).min(mean_square(&linear.errors));
+            left += ratio * ratio * mean_square(&linear.errors);
+            if best.as_ref().is_none_or(|b| ratio < geometric_mean(&b.ratios)) {
+                best = Some(AtResponse { response, ratios: of_groups, errors: found.errors, block, width });
+            }
+        }
+        let error = (error / self.entries.len().max(1) as f64).sqrt();
+        let ratio = if before > 0.0 { f64::sqrt(left / before) } else { 1.0 };
+        let (response, worst, errors, gain) = match &best {
+            Some(b) => {
+                let worst = b.ratios.iter().copied().fold(0.0, f64::max);
+                let direct = matches!(argument.place, Place::Drive(_) | Place::Output(_));
+                let gain = self.base.relative_gain(&b.block, b.width, direct, b.response);
+                (b.response, worst, b.errors.clone(), gain)
+            }
+            None => (0, 1.0, Vec::new(), 0.0),
+        };
+        let quantity = self.desk.recording.responses[response].quantity;
+        let effect = naming::effect(law, argument.place, argument.quantity, quantity, gain);
+        let (place, family) = (argument.place, effect.family());
+        Standing {
+            law,
+            place,
+            other,
+            effect,
+            family,
+            ratio,
+            worst,
+            error,
+            response,
+            ratios,
+            errors,
+            gain,
+            gains: Vec::new(),
+        }
+    }
+
+    /// Moves the numbers of each family's foremost law that has one between the grid's.
+    fn refine(&self, arguments: &[Argument], standings: &mut [Standing]) {
+        let mut seen = Vec::new();
+        let mut foremost: Vec<usize> = Vec::new();
+        for (at, standing) in standings.iter().enumerate() {
+            if standing.law.scaled(1.0).is_some() && !seen.contains(&standing.family) {
+                seen.push(standing.family);
+                foremost.push(at);
+            }
+        }
+        let better: Vec<(usize, Standing)> = foremost
+            .into_par_iter()
+            .filter_map(|at| self.refined(arguments, &standings[at]).map(|better| (at, better)))
+            .collect();
+        for (at, standing) in better {
+            standings[at] = standing;
+        }
+        standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+    }
+
+    /// The standing with its number moved, where that leaves less.
+    fn refined(&self, arguments: &[Argument], standing: &Standing) -> Option<Standing> {
+        let own;
+        let argument = match standing.place {
+            Place::Output(response) => {
+                own = self.output(response)?;
+                &own
+            }
+            place => arguments.iter().find(|a| a.place == place)?,
+        };
+        let responses: Vec<usize> = match standing.place {
+            Place::Output(response) => vec![response],
+            _ => (0..self.entries.len()).collect(),
+        };
+        let companions = self.companions(argument.place, &[self.unbent(argument)], &responses);
+        let mut best: Option<Standing> = None;
+        for step in FINER {
+            let so_far = best.as_ref().unwrap_or(standing);
+            let (law, ratio) = (so_far.law, so_far.ratio);
+            for factor in [step, 1.0 / step] {
+                let law = law.scaled(factor)?;
+                let signals = self.signals(law, argument, None);
+                let found = self.standing(law, argument, None, &signals, &companions);
+                if found.ratio < best.as_ref().map_or(ratio, |b| b.ratio) {
+                    best = Some(found);
+                }
+            }
+        }
+        best
+    }
+
+    /// The linear signal at a place at the rate of the analysis.
+    fn unbent(&self, argument: &Argument) -> Track {
+        let d: Vec<Vec<f64>> = argument.motion.iter().map(|m| m.d.clone()).collect();
+        if matches!(argument.place, Place::Output(_)) { d } else { self.desk.thinned(&d) }
+    }
+
+    /// Fits the foremost law of each family to each group alone.
+    fn confirm(&self, arguments: &[Argument], standings: &mut [Standing]) {
+        let mut seen = Vec::new();
+        for standing in standings.iter_mut() {
+            if seen.contains(&standing.family) {
+                continue;
+            }
+            seen.push(standing.family);
+            let own;
+            let argument = match standing.place {
+                Place::Output(response) => {
+                    own = self.output(response);
+                    own.as_ref()
+                }
+                place => arguments.iter().find(|a| a.place == place),
+            };
+            let Some(argument) = argument else { continue };
+            let other = standing.other.and_then(|o| arguments.iter().find(|a| a.place == o));
+            let signals = self.signals(standing.law, argument, other);
+            let law = self.block(argument.place, standing.law.loaded(), &signals, standing.response);
+            let companion = self.block(argument.place, false, &[self.unbent(argument)], standing.response);
+            let companion = match other {
+                Some(other) => {
+                    let errors = HeldOut { errors: Vec::new() };
+                    let alone = [(standing.response, companion, errors)];
+                    self.beside_other(&alone, other).swap_remove(0).1
+                }
+                None => companion,
+            };
+            let block = law.beside(&companion, self.base.segments);
+            standing.gains = self.base.gains(&block, law.width(), standing.response);
+        }
+    }
+}
+
+fn mean_square(errors: &[f64]) -> f64 {
+    errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64
+}
+
+fn geometric_mean(ratios: &[f64]) -> f64 {
+    if ratios.is_empty() {
+        return 1.0;
+    }
+    (ratios.iter().map(|r| r.ln()).sum::<f64>() / ratios.len() as f64).exp()
+}

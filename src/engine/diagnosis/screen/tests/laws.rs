@@ -1,0 +1,180 @@
+use super::systems::{RATE_HZ, noise, oscillator, recording, run};
+use crate::engine::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
+use crate::engine::diagnosis::{Effect, Family};
+use crate::engine::{EngineError, Quantity, Signal};
+
+const N: usize = 2400;
+
+fn screened(recording: &Recording) -> Screening {
+    screen(recording, &group(recording)).unwrap()
+}
+
+/// The first standing, which has to lead the next family clearly.
+fn leader(screening: &Screening, lead: f64) -> &Standing {
+    let foremost = screening.foremost();
+    let told = || foremost.iter().map(|s| (s.ratio, s.law, s.place)).collect::<Vec<_>>();
+    assert!(foremost[0].ratio < lead * foremost[1].ratio, "{:?}", told());
+    foremost[0]
+}
+
+#[test]
+fn a_stiffening_spring_is_named_over_its_displacement_and_asks_the_same_of_every_stretch() {
+    let screening = screened(&run(4000, 1.0, |y, _| 0.003 * y * y * y));
+    let first = leader(&screening, 0.8);
+    assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Response(0)));
+    assert!(first.ratio < 0.5 && first.worst < 0.7, "{first:?}");
+    assert!(first.spread().unwrap() < 0.2, "{first:?}");
+}
+
+#[test]
+fn dry_friction_is_named_over_its_velocity() {
+    let screening = screened(&run(N, 1.0, |_, v| 0.25 * (v / 0.5).tanh()));
+    let first = leader(&screening, 0.9);
+    assert_eq!((first.family, first.place), (Family::FrictionHysteresis, Place::Response(0)));
+    assert!(first.ratio < 0.5, "{first:?}");
+}
+
+#[test]
+fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
+    let screening = screened(&run(N, 1.0, |y, _| -0.8 * y.clamp(-0.5, 0.5)));
+    let first = leader(&screening, 0.9);
+    assert_eq!((first.effect, first.place), (Effect::Clearance, Place::Response(0)));
+}
+
+#[test]
+fn on_a_linear_rig_nothing_gains() {
+    let screening = screened(&run(N, 1.0, |_, _| 0.0));
+    assert!(screening.standings[0].ratio > 0.97, "{:?}", screening.standings[0]);
+    assert!(screening.linear.errors[0].iter().all(|e| *e < 0.01), "{:?}", screening.linear);
+}
+
+/// Force of a specimen on a rig in displacement control: a spring, and friction that a spring holds.
+fn specimen(x: &[f64]) -> Vec<f64> {
+    let mut held = 0.0;
+    let mut last = x[0];
+    x.iter()
+        .map(|&x| {
+            held = f64::clamp(held + 3.0 * (x - last), -0.5, 0.5);
+            last = x;
+            x + held
+        })
+        .collect()
+}
+
+#[test]
+fn on_a_rig_in_displacement_control_friction_acts_over_the_drive() {
+    let x = noise(N, 11);
+    let f = specimen(&x);
+    let recording = recording(&[Quantity::Displacement], &[Quantity::Force], vec![(vec![x], vec![f])]);
+    let screening = screened(&recording);
+    let first = leader(&screening, 0.7);
+    assert_eq!((first.family, first.place), (Family::FrictionHysteresis, Place::Drive(0)));
+    assert!(first.gain > 0.0 && first.ratio < 0.4, "{first:?}");
+}
+
+#[test]
+fn a_short_record_of_next_to_one_frequency_still_tells_friction_by_its_corners() {
+    let x: Vec<f64> = (0..1000)
+        .map(|k| {
+            let t = f64::from(k) / RATE_HZ;
+            (0.4 + 0.12 * t) * (3.0 * t).sin()
+        })
+        .collect();
+    let f = specimen(&x);
+    let recording = recording(&[Quantity::Displacement], &[Quantity::Force], vec![(vec![x], vec![f])]);
+    let screening = screened(&recording);
+    let first = screening.foremost()[0];
+    assert_eq!((first.family, first.place), (Family::FrictionHysteresis, Place::Drive(0)));
+}
+
+#[test]
+fn a_clipped_drive_and_play_of_a_drive_are_told_by_their_sign() {
+    let u = noise(N, 7);
+    let clipped: Vec<f64> = u.iter().map(|u| u.clamp(-1.1, 1.1)).collect();
+    let mut w = 0.0;
+    let played: Vec<f64> = u
+        .iter()
+        .map(|u| {
+            w = f64::clamp(w, u - 0.4, u + 0.4);
+            w
+        })
+        .collect();
+    for (bent, effect) in [(clipped, Effect::DriveSaturation), (played, Effect::Backlash)] {
+        let y = oscillator(&bent, |_, _| 0.0);
+        let recording =
+            recording(&[Quantity::Force], &[Quantity::Displacement], vec![(vec![u.clone()], vec![y])]);
+        let screening = screened(&recording);
+        let first = leader(&screening, 0.9);
+        assert_eq!((first.family, first.place), (effect.family(), Place::Drive(0)));
+        // A free map holds a clip and may do as well.
+        let named = screening.standings.iter().find(|s| s.effect == effect).unwrap();
+        assert!(named.ratio < 1.2 * first.ratio, "{named:?} {first:?}");
+    }
+}
+
+#[test]
+fn a_joint_between_two_sensors_is_found_between_them() {
+    // Two masses; what binds the second to the first stiffens.
+    let u = noise(N, 7);
+    let h = 1.0 / (8.0 * RATE_HZ);
+    let mut q = [0.0_f64; 4];
+    let (mut first, mut second) = (Vec::new(), Vec::new());
+    for w in u.windows(2).map(|w| [w[0], w[1]]).chain([[u[N - 1]; 2]]) {
+        first.push(q[0]);
+        second.push(q[1]);
+        for step in 0..8 {
+            let drive = w[0] + (w[1] - w[0]) * f64::from(step) / 8.0;
+            let s = q[1] - q[0];
+            let joint = 400.0 * s + 2000.0 * s * s * s + 1.5 * (q[3] - q[2]);
+            q[2] += h * (600.0 * (drive - q[0]) - 2.0 * q[2] + joint);
+            q[3] -= h * joint;
+            q[0] += h * q[2];
+            q[1] += h * q[3];
+        }
+    }
+    let lengths = [Quantity::Displacement; 2];
+    let recording = recording(&[Quantity::Force], &lengths, vec![(vec![u], vec![first, second])]);
+    let screening = screened(&recording);
+    let found = &screening.standings[0];
+    assert_eq!((found.family, found.place), (Family::Stiffness, Place::Between(1, 0)), "{found:?}");
+    assert_eq!(found.ratios.len(), 2);
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let recording = run(900, 1.0, |y, _| 0.01 * y * y * y);
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| screened(&recording))
+    };
+    assert_eq!(with(1), with(3));
+}
+
+#[test]
+fn records_that_tell_nothing_are_refused_with_the_reason() {
+    let short = run(120, 1.0, |_, _| 0.0);
+    assert!(matches!(screen(&short, &group(&short)), Err(EngineError::TooShort { .. })));
+    let mut still = run(900, 1.0, |_, _| 0.0);
+    still.records[0].drive = Signal::new(RATE_HZ, vec![vec![1.0; 900]]).unwrap();
+    assert!(matches!(screen(&still, &group(&still)), Err(EngineError::DeadChannel { .. })));
+    let mut odd = run(900, 1.0, |_, _| 0.0);
+    odd.responses.pop();
+    assert!(matches!(screen(&odd, &group(&odd)), Err(EngineError::ChannelCount { .. })));
+}
+
+#[test]
+fn a_constant_response_and_a_dead_second_drive_give_finite_standings() {
+    let u = noise(900, 7);
+    let y = oscillator(&u, |y, _| 0.01 * y * y * y);
+    let responses = [Quantity::Displacement, Quantity::Displacement];
+    let runs = vec![(vec![u, vec![0.0; 900]], vec![y, vec![2.0; 900]])];
+    let mut recording = recording(&[Quantity::Force; 2], &responses, runs);
+    let mut channels = recording.records[0].response.channels().to_vec();
+    channels[1] = vec![2.0; 900];
+    recording.records[0].response = Signal::new(RATE_HZ, channels).unwrap();
+    let screening = screened(&recording);
+    assert!(
+        screening.standings.iter().all(|s| s.ratio.is_finite() && s.gain.is_finite() && s.worst.is_finite())
+    );
+    assert_eq!(screening.standings[0].family, Family::Stiffness);
+}

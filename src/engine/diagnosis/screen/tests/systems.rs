@@ -1,0 +1,96 @@
+//! Small rigs, integrated by the classical Runge-Kutta method without any code of the screen.
+
+use crate::engine::diagnosis::screen::{Channel, Record, Recording};
+use crate::engine::{Quantity, Signal};
+
+/// Samples a second of every rig here.
+pub const RATE_HZ: f64 = 100.0;
+const STEPS: usize = 6;
+/// Natural frequency and damping of the oscillator, rad/s and 1/s.
+const OMEGA: f64 = 25.0;
+const DAMPING: f64 = 2.0;
+
+/// Noise below some 10 Hz of unit deviation, from a seed.
+pub fn noise(n: usize, seed: u64) -> Vec<f64> {
+    let mut white = white(seed);
+    let (mut a, mut b) = (0.0, 0.0);
+    let x: Vec<f64> = (0..n)
+        .map(|_| {
+            a += 0.45 * (white() - a);
+            b += 0.45 * (a - b);
+            b
+        })
+        .collect();
+    let level = (x.iter().map(|x| x * x).sum::<f64>() / n as f64).sqrt();
+    x.iter().map(|x| x / level).collect()
+}
+
+/// Uniform numbers of zero mean.
+pub fn white(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// Displacement and velocity of `y'' + 2 y' + 625 (y + force(y, y')) = 625 u`, `u` straight between samples.
+pub fn oscillator(u: &[f64], force: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+    let rate = |q: [f64; 2], u: f64| [q[1], OMEGA * OMEGA * (u - q[0] - force(q[0], q[1])) - DAMPING * q[1]];
+    let h = 1.0 / (RATE_HZ * STEPS as f64);
+    let mut q = [0.0; 2];
+    let mut out = vec![0.0];
+    for w in u.windows(2) {
+        for step in 0..STEPS {
+            let at = |part: f64| w[0] + (w[1] - w[0]) * (step as f64 + part) / STEPS as f64;
+            let moved = |k: [f64; 2], by: f64| [q[0] + by * k[0], q[1] + by * k[1]];
+            let k1 = rate(q, at(0.0));
+            let k2 = rate(moved(k1, 0.5 * h), at(0.5));
+            let k3 = rate(moved(k2, 0.5 * h), at(0.5));
+            let k4 = rate(moved(k3, h), at(1.0));
+            for i in 0..2 {
+                q[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+            }
+        }
+        out.push(q[0]);
+    }
+    out
+}
+
+/// Drives and responses of one run, `[channel][sample]`.
+type Run = (Vec<Vec<f64>>, Vec<Vec<f64>>);
+
+/// Runs with noise of 0.3 % on every response.
+pub fn recording(drives: &[Quantity], responses: &[Quantity], runs: Vec<Run>) -> Recording {
+    let channels = |name: &str, of: &[Quantity]| -> Vec<Channel> {
+        let channel =
+            |(i, quantity): (usize, &Quantity)| Channel { name: format!("{name}_{i}"), quantity: *quantity };
+        of.iter().enumerate().map(channel).collect()
+    };
+    let records = runs
+        .into_iter()
+        .enumerate()
+        .map(|(i, (drive, mut response))| {
+            for (c, y) in response.iter_mut().enumerate() {
+                let level = (y.iter().map(|y| y * y).sum::<f64>() / y.len() as f64).sqrt();
+                let mut white = white(1000 + 10 * i as u64 + c as u64);
+                y.iter_mut().for_each(|y| *y += 0.003 * 3.0_f64.sqrt() * level * white());
+            }
+            Record {
+                drive: Signal::new(RATE_HZ, drive).unwrap(),
+                response: Signal::new(RATE_HZ, response).unwrap(),
+                started_s: 100.0 * i as f64,
+            }
+        })
+        .collect();
+    Recording { drives: channels("drive", drives), responses: channels("response", responses), records }
+}
+
+/// One run of the oscillator, driven by a force of deviation `level`.
+pub fn run(n: usize, level: f64, force: impl Fn(f64, f64) -> f64) -> Recording {
+    let u: Vec<f64> = noise(n, 7).iter().map(|u| level * u).collect();
+    let y = oscillator(&u, force);
+    recording(&[Quantity::Force], &[Quantity::Displacement], vec![(vec![u], vec![y])])
+}
