@@ -94,7 +94,7 @@ pub async fn create(args: &CreateArgs, now: Timestamp) -> Result<(Token, Secret)
         error => TokenError::Store(error),
     })?;
     let secret = Secret::draw()?;
-    let inserted = store.insert_token(&draft, secret.digest(), now).await.map_err(TokenError::Store);
+    let inserted = store.insert_token(&draft, secret.digest(), None, now).await.map_err(TokenError::Store);
     store.close().await;
     match inserted? {
         TokenInsert::Inserted(token) => Ok((token, secret)),

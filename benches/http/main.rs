@@ -7,7 +7,7 @@
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
 //! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
-//! - `cargo bench --bench http -- load` (`fair`, `slow`): overload.
+//! - `cargo bench --bench http -- load` (`fair`, `slow`, `soak`): overload, and hours of load.
 
 mod load;
 mod rig;
@@ -58,6 +58,7 @@ fn main() {
         Some("load") => load::load(),
         Some("fair") => load::fair(),
         Some("slow") => load::slow(),
+        Some("soak") => load::soak(),
         _ => {
             benches();
             Criterion::default().configure_from_args().final_summary();

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
 
@@ -14,7 +15,7 @@ pub struct Service {
     address: String,
     /// Reads the log to its end, so that the program never waits for a full pipe.
     log: Option<JoinHandle<()>>,
-    _data_dir: TempDir,
+    data_dir: TempDir,
 }
 
 impl Service {
@@ -36,7 +37,7 @@ impl Service {
             }
         };
         let log = std::thread::spawn(move || lines.for_each(drop));
-        Self { child, address, log: Some(log), _data_dir: data_dir }
+        Self { child, address, log: Some(log), data_dir }
     }
 
     /// Its address.
@@ -53,9 +54,28 @@ impl Service {
 
     /// Largest resident memory of the program so far, bytes.
     pub fn peak_resident(&self) -> u64 {
+        self.memory("VmHWM:")
+    }
+
+    /// Resident memory of the program, bytes.
+    pub fn resident(&self) -> u64 {
+        self.memory("VmRSS:")
+    }
+
+    /// Its process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Its data directory.
+    pub fn data_dir(&self) -> &Path {
+        self.data_dir.path()
+    }
+
+    fn memory(&self, which: &str) -> u64 {
         let path = format!("/proc/{}/status", self.child.id());
         let status = std::fs::read_to_string(path).expect("Linux tells about a process");
-        let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).expect("its peak");
+        let line = status.lines().find_map(|l| l.strip_prefix(which)).expect("its memory");
         let kib: u64 = line.trim().trim_end_matches(" kB").parse().expect("a number");
         kib << 10
     }
@@ -82,6 +102,13 @@ pub struct Connection {
 impl Connection {
     /// Sends a request and reads its answer, which must have the status `expected`.
     pub fn call(&mut self, head: &str, body: &[u8], expected: u16) -> &[u8] {
+        let (status, body) = self.exchange(head, body);
+        assert_eq!(status, expected, "{}", String::from_utf8_lossy(&body[..body.len().min(2000)]));
+        body
+    }
+
+    /// Sends a request and reads its answer: status and body.
+    pub fn exchange(&mut self, head: &str, body: &[u8]) -> (u16, &[u8]) {
         let length = body.len();
         let head = format!("{head}\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n");
         let stream = self.stream.get_mut();
@@ -101,8 +128,7 @@ impl Connection {
         }
         self.body.resize(length, 0);
         self.stream.read_exact(&mut self.body).expect("the body");
-        assert_eq!(status, expected, "{}", String::from_utf8_lossy(&self.body[..length.min(2000)]));
-        &self.body
+        (status, &self.body)
     }
 
     /// Reads a JSON document.

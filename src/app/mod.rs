@@ -49,6 +49,9 @@ const LAST_WORDS: Duration = Duration::from_millis(500);
 /// until then each takes memory of its own.
 const UPKEEP: Duration = Duration::from_secs(5);
 
+/// How often all rows of the registry are held against the journal.
+const ROWS_CHECK: Duration = Duration::from_secs(600);
+
 /// Pause after an accept that failed because no file handle was free, so that closing connections can
 /// catch up.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -151,6 +154,7 @@ impl App {
         tokio::select! {
             () = self.accept(&listener, &connections) => {}
             () = self.upkeep() => {}
+            () = self.check_rows() => {}
             () = shutdown => {}
         }
         tracing::info!("stopping: soon no more connections are accepted");
@@ -212,6 +216,19 @@ impl App {
         loop {
             upkeep.tick().await;
             self.http.metrics.run_upkeep();
+        }
+    }
+
+    /// Holds the rows of the registry against the journal now and then, and at once when one could not be read,
+    /// until it is dropped.
+    async fn check_rows(&self) {
+        loop {
+            // Either way it is time.
+            let _ = tokio::time::timeout(ROWS_CHECK, self.store.rows_in_doubt()).await;
+            if let Err(error) = self.store.mend_rows().await {
+                error.count();
+                tracing::warn!(%error, "rows could not be held against the journal");
+            }
         }
     }
 

@@ -5,9 +5,11 @@
 //! queueing, Goyal, Vin and Cheng 1996, with one price for all permits). A token with one request
 //! therefore waits for no more than the work under way, however many requests of another token wait.
 //!
-//! A full queue drops the newest task of the token that has most tasks in it. A burst may fill the whole
-//! queue. A queue that has not been empty for a while means more work than can be done, and a longer wait
-//! helps nobody: it is then kept short (after Nichols and Jacobson's controlled delay, 2012).
+//! A full queue drops the newest task of the token that has most tasks in it. `crowding` says how many
+//! tasks may wait. A request is let in before its body is read: [`Place`] promises it a permit.
+
+mod crowding;
+mod place;
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,12 +20,13 @@ use tokio::time::Instant;
 
 use crate::domain::TokenId;
 use crate::telemetry::names;
+use crowding::Crowding;
+use place::Promises;
+
+pub use place::{Asker, Place};
 
 /// The client that a task belongs to: a token, or `None` for a caller without one.
 pub type ClientId = Option<TokenId>;
-
-/// Tasks for each permit in a queue that does not empty.
-const SHORT_QUEUE: usize = 2;
 
 /// How many permits there are, and how many tasks may wait for one.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,7 +39,8 @@ pub struct QueueSettings {
     pub max_waiting: usize,
     /// Longest wait.
     pub max_wait: Duration,
-    /// How long the queue may go without being empty before it is kept short.
+    /// How long tasks should wait at most: for how much work at once there is room, and how long the queue may
+    /// go without being empty before it is kept short.
     pub patience: Duration,
 }
 
@@ -91,6 +95,7 @@ pub struct FairQueue {
 pub struct Permit {
     queue: Arc<FairQueue>,
     client: ClientId,
+    given: Instant,
 }
 
 #[derive(Debug)]
@@ -101,15 +106,16 @@ struct State {
     tag: u64,
     /// Number of the newest task.
     last: u64,
-    /// When the queue was last empty.
-    emptied: Instant,
+    crowding: Crowding,
+    promises: Promises,
     shares: HashMap<ClientId, ClientShare>,
 }
 
-/// The permits and waiting tasks of one token.
+/// The permits, promises and waiting tasks of one token.
 #[derive(Debug, Default)]
 struct ClientShare {
     in_use: usize,
+    promised: usize,
     waiting: VecDeque<Waiter>,
     /// Tag of its next permit.
     tag: u64,
@@ -119,6 +125,14 @@ struct ClientShare {
 struct Waiter {
     number: u64,
     answer: oneshot::Sender<Result<Permit, Refused>>,
+}
+
+impl Waiter {
+    /// Takes its place away for a client that has less.
+    fn drop_for_others(self) {
+        // A task that has gone away needs no answer.
+        let _ = self.answer.send(Err(Refused::Share));
+    }
 }
 
 /// The outcome of a task's arrival.
@@ -132,30 +146,43 @@ enum Arrival {
 impl FairQueue {
     /// A queue for a class of work; `class` is its label in the metrics.
     pub fn new(class: &'static str, settings: QueueSettings) -> Arc<Self> {
-        let state =
-            State { in_use: 0, waiting: 0, tag: 0, last: 0, emptied: Instant::now(), shares: HashMap::new() };
+        let state = State {
+            in_use: 0,
+            waiting: 0,
+            tag: 0,
+            last: 0,
+            crowding: Crowding::new(),
+            promises: Promises::default(),
+            shares: HashMap::new(),
+        };
         Arc::new(Self { class, settings, state: Mutex::new(state) })
     }
 
-    /// Waits for a permit. A task whose future is dropped leaves the queue.
+    /// Waits for a permit. A task whose future is dropped leaves the queue. One that was promised a permit is
+    /// not refused for a full queue.
     ///
     /// # Errors
     /// [`Refused`]: at once when the queue is full, later when the longest wait is over.
-    pub async fn acquire(self: &Arc<Self>, client: ClientId) -> Result<Permit, Refused> {
-        let arrival = self.lock().arrive(client, &self.settings);
+    pub async fn acquire(self: &Arc<Self>, asker: impl Into<Asker>) -> Result<Permit, Refused> {
+        let Asker { client, place } = asker.into();
+        let place = place.filter(|place| place.is_in(self));
+        let arrival = {
+            let mut state = self.lock();
+            let promised = place.as_ref().is_some_and(|place| place.redeem(&mut state));
+            state.arrive(client, promised, &self.settings)
+        };
         let taken = match arrival {
             Arrival::Given => Ok(self.permit(client)),
             Arrival::Refused(why) => Err(why),
             Arrival::Waits(number, answer, dropped) => {
-                if let Some(dropped) = dropped {
-                    // A task that has gone away needs no answer.
-                    let _ = dropped.answer.send(Err(Refused::Share));
-                }
+                dropped.into_iter().for_each(Waiter::drop_for_others);
                 self.wait(client, number, answer).await
             }
         };
-        if let Err(why) = taken {
-            self.note(why);
+        match &taken {
+            // A request may need more than one permit. Once it has one, work on it is not to be lost.
+            Ok(_) => place.iter().for_each(|place| place.keep()),
+            Err(why) => self.note(*why),
         }
         taken
     }
@@ -167,11 +194,28 @@ impl FairQueue {
     /// [`Refused`].
     pub fn check(&self, client: ClientId) -> Result<(), Refused> {
         let refused = self.lock().refuses(client, &self.settings);
-        if let Some(why) = refused {
+        refused.map_or(Ok(()), |why| {
             self.note(why);
-            return Err(why);
+            Err(why)
+        })
+    }
+
+    /// Promises a request a permit before its body is read, or refuses it at once.
+    ///
+    /// # Errors
+    /// [`Refused`].
+    pub fn promise(self: &Arc<Self>, client: ClientId) -> Result<Place, Refused> {
+        let promised = self.lock().promise(client, &self.settings);
+        match promised {
+            Ok((number, dropped)) => {
+                dropped.into_iter().for_each(Waiter::drop_for_others);
+                Ok(Place::new(self, client, number))
+            }
+            Err(why) => {
+                self.note(why);
+                Err(why)
+            }
         }
-        Ok(())
     }
 
     /// Name of the class, permits in use, tasks that wait.
@@ -204,7 +248,7 @@ impl FairQueue {
 
     fn permit(self: &Arc<Self>, client: ClientId) -> Permit {
         metrics::gauge!(names::TURNS, "class" => self.class).increment(1.0);
-        Permit { queue: Arc::clone(self), client }
+        Permit { queue: Arc::clone(self), client, given: Instant::now() }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -219,6 +263,7 @@ impl Drop for Permit {
         metrics::gauge!(names::TURNS, "class" => queue.class).decrement(1.0);
         let next = {
             let mut state = queue.lock();
+            state.crowding.worked(self.given.elapsed());
             state.leave(self.client);
             state.next(&queue.settings)
         };
@@ -251,7 +296,7 @@ impl Drop for Waiting<'_> {
 }
 
 impl State {
-    fn arrive(&mut self, client: ClientId, settings: &QueueSettings) -> Arrival {
+    fn arrive(&mut self, client: ClientId, promised: bool, settings: &QueueSettings) -> Arrival {
         let share = self.shares.entry(client).or_default();
         if share.waiting.is_empty() {
             share.tag = share.tag.max(self.tag);
@@ -261,13 +306,18 @@ impl State {
             self.give(client);
             return Arrival::Given;
         }
-        if let Some(why) = self.refuses(client, settings) {
-            self.forget(client);
-            return Arrival::Refused(why);
+        let mut dropped = None;
+        if !promised {
+            if let Some(why) = self.refuses(client, settings) {
+                self.forget(client);
+                return Arrival::Refused(why);
+            }
+            if self.is_full(settings) {
+                dropped = self.drop_of_most();
+            }
         }
-        let dropped = if self.is_full(settings) { self.drop_of_most() } else { None };
         if self.waiting == 0 {
-            self.emptied = Instant::now();
+            self.crowding.emptied();
         }
         self.last += 1;
         let (answer, receiver) = oneshot::channel();
@@ -277,9 +327,16 @@ impl State {
     }
 
     /// The reason why a task would get no place in the queue, if there is one.
-    fn refuses(&self, client: ClientId, settings: &QueueSettings) -> Option<Refused> {
-        let own = self.shares.get(&client).map_or((0, 0), |share| (share.in_use, share.waiting.len()));
-        let free = self.in_use < settings.permits && own.0 < settings.per_token;
+    fn refuses(&mut self, client: ClientId, settings: &QueueSettings) -> Option<Refused> {
+        self.lapse();
+        let refused = self.reason(client, settings);
+        self.crowding.asked(refused.is_some());
+        refused
+    }
+
+    fn reason(&mut self, client: ClientId, settings: &QueueSettings) -> Option<Refused> {
+        let own = self.shares.get(&client).map_or((0, 0), |share| (share.held(), share.waiting.len()));
+        let free = self.in_use + self.promises.len() < settings.permits && own.0 < settings.per_token;
         if free || !self.is_full(settings) {
             return None;
         }
@@ -290,15 +347,15 @@ impl State {
         // More than the mean of the tokens that hold or want permits.
         let others =
             self.shares.iter().filter(|(other, share)| **other != client && share.is_active()).count();
-        let all = self.in_use + self.waiting;
+        let all = self.in_use + self.promises.len() + self.waiting;
         let much = (own.0 + own.1) * (others + 1) > all;
         Some(if others > 0 && much { Refused::Share } else { Refused::Full })
     }
 
-    fn is_full(&self, settings: &QueueSettings) -> bool {
-        let stands = self.waiting > 0 && self.emptied.elapsed() > settings.patience;
-        let short = settings.max_waiting.min(SHORT_QUEUE * settings.permits);
-        self.waiting >= if stands { short } else { settings.max_waiting }
+    fn is_full(&mut self, settings: &QueueSettings) -> bool {
+        let free = settings.permits.saturating_sub(self.in_use);
+        let queued = self.waiting + self.promises.len().saturating_sub(free);
+        queued >= self.crowding.room(self.waiting, settings)
     }
 
     /// Drops the newest task of the token that has most tasks in the queue.
@@ -358,13 +415,13 @@ impl State {
     fn left_queue(&mut self) {
         self.waiting -= 1;
         if self.waiting == 0 {
-            self.emptied = Instant::now();
+            self.crowding.emptied();
         }
     }
 
     /// Forgets a token that holds and wants nothing and is not ahead of others.
     fn forget(&mut self, client: ClientId) {
-        if self.in_use == 0 && self.waiting == 0 {
+        if self.in_use == 0 && self.waiting == 0 && self.promises.len() == 0 {
             self.shares.clear();
         } else if self.shares.get(&client).is_some_and(|share| !share.is_active() && share.tag <= self.tag) {
             self.shares.remove(&client);
@@ -373,8 +430,13 @@ impl State {
 }
 
 impl ClientShare {
+    /// Permits that it has or was promised.
+    fn held(&self) -> usize {
+        self.in_use + self.promised
+    }
+
     fn is_active(&self) -> bool {
-        self.in_use > 0 || !self.waiting.is_empty()
+        self.held() > 0 || !self.waiting.is_empty()
     }
 }
 

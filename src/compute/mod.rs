@@ -1,4 +1,4 @@
-//! The only way from async code to work for the processor: permits, blocking threads, spans.
+//! The only way from async code to work for the processor: permits, threads, spans.
 //!
 //! Each class of work has its own permits ([`fair_queue`]) and its own pool of threads. A fit that keeps
 //! every core busy therefore never holds a thread that a prediction needs, and an hour-long prediction
@@ -15,7 +15,7 @@ use std::time::Duration;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::oneshot;
 
-use fair_queue::{ClientId, FairQueue, QueueSettings, Refused};
+use fair_queue::{Asker, FairQueue, QueueSettings, Refused};
 
 /// Niceness of threads that fit. Ten of nineteen: against a thread of normal priority they get
 /// about a tenth of a core, and all of it when nobody else wants it.
@@ -147,29 +147,24 @@ impl Compute {
         })
     }
 
-    /// Does `work` of `client` on the threads of its class, inside the current tracing span, and waits
-    /// for its result. Work that has begun goes on, and keeps its permit, even if the caller goes away.
+    /// Does `work` of a client on the threads of its class, inside the current tracing span, and waits for its
+    /// result. Work that has begun goes on, and keeps its permit, even if the caller goes away.
     ///
     /// # Errors
     /// [`ComputeError::Busy`], at once when too many wait; [`ComputeError::Panicked`].
-    pub async fn run<T, F>(&self, class: Class, client: ClientId, work: F) -> Result<T, ComputeError>
+    pub async fn run<T, F>(&self, class: Class, asker: impl Into<Asker>, work: F) -> Result<T, ComputeError>
     where
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        let lane = Arc::clone(self.lane(class));
-        let permit = lane.queue.acquire(client).await?;
-        let span = tracing::Span::current();
-        let task = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
-            let inside = || span.in_scope(|| catch_unwind(AssertUnwindSafe(work)));
-            lane.threads.install(inside)
-        });
-        match task.await {
-            Ok(Ok(done)) => Ok(done),
-            Ok(Err(panic)) => Err(ComputeError::Panicked(message(panic.as_ref()))),
-            Err(error) => Err(ComputeError::Threads(error.to_string())),
-        }
+        let lane = self.lane(class);
+        let permit = lane.queue.acquire(asker).await?;
+        on_threads(&lane.threads, move || {
+            let done = catch_unwind(AssertUnwindSafe(work));
+            drop(permit);
+            done
+        })
+        .await
     }
 
     /// Writes a short piece of an answer that has begun to go out. Such work is never refused, and waits for
@@ -182,22 +177,11 @@ impl Compute {
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        let (done, written) = oneshot::channel();
-        let span = tracing::Span::current();
-        self.answers.spawn_fifo(move || {
-            let inside = || span.in_scope(|| catch_unwind(AssertUnwindSafe(work)));
-            // Nobody waits for it if the client has left.
-            let _ = done.send(inside());
-        });
-        match written.await {
-            Ok(Ok(piece)) => Ok(piece),
-            Ok(Err(panic)) => Err(ComputeError::Panicked(message(panic.as_ref()))),
-            Err(gone) => Err(ComputeError::Threads(gone.to_string())),
-        }
+        on_threads(&self.answers, move || catch_unwind(AssertUnwindSafe(work))).await
     }
 
     /// The permits and the queue of a class.
-    pub fn queue(&self, class: Class) -> &FairQueue {
+    pub fn queue(&self, class: Class) -> &Arc<FairQueue> {
         &self.lane(class).queue
     }
 
@@ -207,6 +191,25 @@ impl Compute {
             Class::Long => &self.long,
             Class::Fit => &self.fit,
         }
+    }
+}
+
+/// Does work on a pool's threads, inside the current tracing span, after all that was handed over before.
+async fn on_threads<T, F>(threads: &ThreadPool, work: F) -> Result<T, ComputeError>
+where
+    T: Send + 'static,
+    F: FnOnce() -> std::thread::Result<T> + Send + 'static,
+{
+    let (answer, done) = oneshot::channel();
+    let span = tracing::Span::current();
+    threads.spawn_fifo(move || {
+        // Nobody waits for it if the client has left.
+        let _ = answer.send(span.in_scope(work));
+    });
+    match done.await {
+        Ok(Ok(done)) => Ok(done),
+        Ok(Err(panic)) => Err(ComputeError::Panicked(message(panic.as_ref()))),
+        Err(gone) => Err(ComputeError::Threads(gone.to_string())),
     }
 }
 

@@ -3,7 +3,10 @@
 
 use serde::Serialize;
 
-use super::{InsertedRun, Job, Model, Rig};
+use super::{InsertedRun, Job, Model, Rig, Token};
+
+/// Paths of tokens begin with this.
+const TOKENS: &str = "/v1/tokens/";
 
 /// Status, location and JSON of a created resource.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -42,6 +45,16 @@ impl Created {
     /// An imported model.
     pub fn model(model: &Model) -> Self {
         Self::new(201, format!("/v1/rigs/{}/models/{}", model.rig, model.version), model)
+    }
+
+    /// A token, without its secret, which is never stored.
+    pub fn token(token: &Token) -> Self {
+        Self::new(201, format!("{TOKENS}{}", token.id), token)
+    }
+
+    /// The id of the token that was created, if it was one.
+    pub fn token_id(&self) -> Option<&str> {
+        self.location.strip_prefix(TOKENS)
     }
 
     /// A model version that an effect was adopted into.

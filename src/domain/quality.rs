@@ -2,10 +2,11 @@
 //! clipping, repeats and offsets.
 
 use std::collections::HashMap;
+use std::io;
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::Signal;
+use crate::engine::samples::{Samples, are_equal, each_block};
 
 /// A channel counts as clipped when it stays this many samples or more at one of its extremes.
 pub const CLIPPED_FROM_SAMPLES: u64 = 3;
@@ -55,51 +56,65 @@ pub struct Quality {
 }
 
 impl Quality {
-    /// The figures of every channel of `signal`; `names` in the signal's order.
-    pub fn assess(names: &[String], signal: &Signal) -> Self {
+    /// The figures of every channel of `samples`; `names` in their order. Every channel is read three times.
+    ///
+    /// # Errors
+    /// Those of the file that holds the samples.
+    pub fn assess(names: &[String], samples: &mut impl Samples) -> io::Result<Self> {
         let assessed: Vec<(ChannelQuality, Clipping)> = names
             .iter()
-            .zip(signal.channels())
-            .map(|(name, samples)| ChannelQuality::assess(name, samples))
-            .collect();
+            .enumerate()
+            .map(|(channel, name)| ChannelQuality::assess(name, samples, channel))
+            .collect::<io::Result<_>>()?;
         let mut warnings: Vec<String> =
             assessed.iter().flat_map(|(q, clipping)| q.warnings(clipping)).collect();
         let channels: Vec<ChannelQuality> = assessed.into_iter().map(|(quality, _)| quality).collect();
-        warnings.extend(repeats(&channels, signal));
+        warnings.extend(repeats(&channels, samples)?);
         let of = |wanted: fn(&ChannelQuality) -> bool| {
             channels.iter().filter(|c| wanted(c)).map(|c| c.channel.clone()).collect()
         };
-        Self {
+        Ok(Self {
             dead_channels: of(|c| c.dead),
             clipped_channels: of(|c| c.clipped_share > 0.0),
             channels,
             warnings,
-        }
+        })
     }
 }
 
 /// A warning for each channel that has, sample by sample, the values of an earlier one: a cable or a
 /// column that was taken twice. Equal samples give equal figures, so few channels are compared.
-fn repeats(channels: &[ChannelQuality], signal: &Signal) -> Vec<String> {
+fn repeats(channels: &[ChannelQuality], samples: &mut impl Samples) -> io::Result<Vec<String>> {
     let figures = |c: &ChannelQuality| [c.min, c.max, c.mean, c.std].map(f64::to_bits);
     let mut first: HashMap<[u64; 4], Vec<usize>> = HashMap::new();
     let mut warnings = Vec::new();
     for (at, channel) in channels.iter().enumerate().filter(|(_, c)| !c.dead) {
         let alike = first.entry(figures(channel)).or_default();
-        match alike.iter().find(|&&other| signal.channel(other) == signal.channel(at)) {
-            Some(&other) => {
+        let mut repeated = None;
+        for &other in alike.iter() {
+            if are_equal(samples, other, at)? {
+                repeated = Some(other);
+                break;
+            }
+        }
+        match repeated {
+            Some(other) => {
                 warnings.push(format!("{} repeats {}", channel.channel, channels[other].channel));
             }
             None => alike.push(at),
         }
     }
-    warnings
+    Ok(warnings)
 }
 
 impl ChannelQuality {
-    fn assess(name: &str, samples: &[f64]) -> (Self, Clipping) {
-        let min = samples.iter().copied().fold(f64::INFINITY, f64::min);
-        let max = samples.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    fn assess(name: &str, samples: &mut impl Samples, channel: usize) -> io::Result<(Self, Clipping)> {
+        let (mut min, mut max) = (f64::INFINITY, f64::NEG_INFINITY);
+        each_block(samples, channel, |block| {
+            (min, max) =
+                (block.iter().copied().fold(min, f64::min), block.iter().copied().fold(max, f64::max));
+            Ok(())
+        })?;
         let peak = min.abs().max(max.abs());
         let dead = min == max;
         let mut quality = Self {
@@ -111,25 +126,38 @@ impl ChannelQuality {
             rms: peak,
             peak_to_rms: (peak > 0.0).then_some(1.0),
             dead,
-            longest_at_extreme: samples.len() as u64,
+            longest_at_extreme: samples.n_samples() as u64,
             clipped_share: 0.0,
         };
-        if dead || samples.is_empty() {
-            return (quality, Clipping::default());
+        if dead || samples.n_samples() == 0 {
+            return Ok((quality, Clipping::default()));
         }
         // Relative to the peak, so that the squares of no finite value overflow or vanish.
-        let n = samples.len() as f64;
-        let mean = samples.iter().map(|v| v / peak).sum::<f64>() / n;
-        let mean_square = samples.iter().map(|v| (v / peak).powi(2)).sum::<f64>() / n;
-        let variance = samples.iter().map(|v| (v / peak - mean).powi(2)).sum::<f64>() / n;
+        let n = samples.n_samples() as f64;
+        let (mut sum, mut sum_of_squares) = (0.0, 0.0);
+        let mut spans = Spans::between(min, max);
+        each_block(samples, channel, |block| {
+            sum = block.iter().fold(sum, |sum, v| sum + v / peak);
+            sum_of_squares = block.iter().fold(sum_of_squares, |sum, v| sum + (v / peak).powi(2));
+            block.iter().for_each(|v| spans.take(*v));
+            Ok(())
+        })?;
+        let (mean, mean_square) = (sum / n, sum_of_squares / n);
+        let mut sum_of_deviations = 0.0;
+        each_block(samples, channel, |block| {
+            let squared = |sum: f64, v: &f64| sum + (v / peak - mean).powi(2);
+            sum_of_deviations = block.iter().fold(sum_of_deviations, squared);
+            Ok(())
+        })?;
+        let variance: f64 = sum_of_deviations / n;
         quality.mean = mean * peak;
         quality.rms = mean_square.sqrt() * peak;
         quality.std = variance.sqrt() * peak;
         quality.peak_to_rms = Some(1.0 / mean_square.sqrt());
-        let clipping = Clipping::of(samples, min, max);
+        let clipping = spans.end();
         quality.longest_at_extreme = clipping.longest;
         quality.clipped_share = (clipping.at_min + clipping.at_max) as f64 / n;
-        (quality, clipping)
+        Ok((quality, clipping))
     }
 
     /// Warnings about the channel by itself.
@@ -180,32 +208,60 @@ struct Clipping {
     at_max: u64,
 }
 
-impl Clipping {
-    fn of(samples: &[f64], min: f64, max: f64) -> Self {
-        let mut found = Self::default();
-        for stretch in samples.chunk_by(|a, b| a == b).filter(|s| s[0] == min || s[0] == max) {
-            let len = stretch.len() as u64;
-            found.longest = found.longest.max(len);
-            if len >= CLIPPED_FROM_SAMPLES {
-                *(if stretch[0] == max { &mut found.at_max } else { &mut found.at_min }) += len;
-            }
+/// Finds spans of equal samples at an extreme, sample by sample.
+#[derive(Debug)]
+struct Spans {
+    min: f64,
+    max: f64,
+    /// The last sample, and how many like it came in a row.
+    span: (f64, u64),
+    found: Clipping,
+}
+
+impl Spans {
+    fn between(min: f64, max: f64) -> Self {
+        Self { min, max, span: (min, 0), found: Clipping::default() }
+    }
+
+    fn take(&mut self, sample: f64) {
+        if sample != self.span.0 {
+            self.close();
+            self.span = (sample, 0);
         }
-        found
+        self.span.1 += 1;
+    }
+
+    fn close(&mut self) {
+        let (value, len) = self.span;
+        if value != self.min && value != self.max {
+            return;
+        }
+        self.found.longest = self.found.longest.max(len);
+        if len >= CLIPPED_FROM_SAMPLES {
+            *(if value == self.max { &mut self.found.at_max } else { &mut self.found.at_min }) += len;
+        }
+    }
+
+    fn end(mut self) -> Clipping {
+        self.close();
+        self.found
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::Signal;
 
     fn assess(samples: &[f64]) -> ChannelQuality {
-        ChannelQuality::assess("a", samples).0
+        let mut signal = Signal::new(100.0, vec![samples.to_vec()]).unwrap();
+        ChannelQuality::assess("a", &mut signal, 0).unwrap().0
     }
 
     fn warnings(channels: &[(&str, &[f64])]) -> Vec<String> {
         let names: Vec<String> = channels.iter().map(|(name, _)| (*name).to_owned()).collect();
         let samples = channels.iter().map(|(_, samples)| samples.to_vec()).collect();
-        Quality::assess(&names, &Signal::new(100.0, samples).unwrap()).warnings
+        Quality::assess(&names, &mut Signal::new(100.0, samples).unwrap()).unwrap().warnings
     }
 
     #[test]
@@ -217,6 +273,31 @@ mod tests {
         assert!((q.peak_to_rms.unwrap() - 3.0 / 3.0f64.sqrt()).abs() < 1e-15);
         assert!(!q.dead);
         assert_eq!((q.longest_at_extreme, q.clipped_share), (1, 0.0));
+    }
+
+    #[test]
+    fn a_long_channel_that_is_read_in_blocks_has_the_figures_of_the_whole_bit_for_bit() {
+        // A flat top lies across the end of a block, and a flat bottom at the end of the channel.
+        let n = 100_000;
+        let flat = |i: usize| if (65_530..65_545).contains(&i) { 3.0 } else { -2.75 };
+        let sample = |i: usize| {
+            let free = !(65_530..65_545).contains(&i) && i < n - 4;
+            if free { 0.25 + 2.5 * (i as f64 * 0.37).sin() } else { flat(i) }
+        };
+        let samples: Vec<f64> = (0..n).map(sample).collect();
+        let q = assess(&samples);
+        let (peak, len) = (3.0, n as f64);
+        let mean = samples.iter().map(|v| v / peak).sum::<f64>() / len;
+        let mean_square = samples.iter().map(|v| (v / peak).powi(2)).sum::<f64>() / len;
+        let variance = samples.iter().map(|v| (v / peak - mean).powi(2)).sum::<f64>() / len;
+        assert_eq!((q.min, q.max, q.mean), (-2.75, 3.0, mean * peak));
+        assert_eq!((q.rms, q.std), (mean_square.sqrt() * peak, variance.sqrt() * peak));
+        assert_eq!(q.peak_to_rms, Some(1.0 / mean_square.sqrt()));
+        assert_eq!((q.longest_at_extreme, q.clipped_share), (15, 19.0 / len));
+        let mut late = samples.clone();
+        late[n - 10] += 1e-9;
+        let found = warnings(&[("a", &samples), ("b", &late), ("c", &samples)]);
+        assert_eq!(found.iter().filter(|w| w.contains("repeats")).collect::<Vec<_>>(), ["c repeats a"]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Progress and cancellation of long work: one callback argument.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 
 use super::EngineError;
 
@@ -11,6 +11,18 @@ pub struct Progress<'a> {
     pub stage: &'a str,
     /// Share of this computation that is done, 0..=1, never falling.
     pub fraction: f64,
+}
+
+impl Progress<'_> {
+    /// The same as a part of longer work, which it takes from the first of these shares to the second.
+    pub(super) fn within(self, share: &Range<f64>) -> Self {
+        Self { fraction: within(self.fraction, share), ..self }
+    }
+}
+
+/// The share of longer work that is done when this share of its part is done.
+pub(super) fn within(fraction: f64, share: &Range<f64>) -> f64 {
+    share.start + (share.end - share.start) * fraction
 }
 
 /// Called often by long work; returning [`ControlFlow::Break`] cancels it.

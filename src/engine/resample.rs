@@ -4,9 +4,12 @@
 //! 100 dB, so that nothing aliases. The first output sample lies at the first input sample; beyond its
 //! ends the signal is held.
 
+use std::io;
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use super::{EngineError, Signal, first_not_finite};
+use super::{EngineError, Samples, Signal, first_not_finite};
 
 /// Attenuation of the stop band, dB.
 const STOP_DB: f64 = 100.0;
@@ -25,6 +28,20 @@ const MAX_TERM: u64 = 1_000_000;
 /// interpolated between them, linearly: the error is (pi / 4096)^2 / 8, 143 dB down.
 const PHASES: f64 = 4096.0;
 
+/// Samples of a channel, of the lower or the higher rate, that are in memory at once.
+const SAMPLES_AT_ONCE: usize = 1 << 17;
+
+/// The reason why samples were not converted.
+#[derive(Debug, thiserror::Error)]
+pub enum ResampleError {
+    /// The rates or the samples.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// The file that holds the samples, or takes them.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
 /// The signal at `to_hz` samples per second, `round(n * to_hz / rate)` of them and at least one.
 ///
 /// # Errors
@@ -32,6 +49,54 @@ const PHASES: f64 = 4096.0;
 /// finite.
 pub fn resample(x: &Signal, to_hz: f64) -> Result<Signal, EngineError> {
     let (from_hz, n) = (x.sample_rate_hz(), x.n_samples());
+    let ratio = check(from_hz, to_hz, n)?;
+    if Signal::same_rate(from_hz, to_hz) {
+        return Signal::new(to_hz, x.channels().to_vec());
+    }
+    let (filter, n_out) = filter(ratio, n);
+    let channels: Vec<Vec<f64>> =
+        x.channels().par_iter().map(|samples| filter.apply(samples, 0, n, 0..n_out)).collect();
+    for (channel, samples) in channels.iter().enumerate() {
+        if let Some(sample) = first_not_finite(samples) {
+            return Err(EngineError::NonFiniteResult { what: "resampled signal", channel, sample });
+        }
+    }
+    Signal::new(to_hz, channels)
+}
+
+/// Passes on the samples of [`resample`], one channel after the other and some at a time; only those are in
+/// memory.
+///
+/// # Errors
+/// As [`resample`]; as [`Samples::read`]; those of `take`.
+pub fn resample_pieces(
+    x: &mut impl Samples,
+    to_hz: f64,
+    mut take: impl FnMut(usize, Vec<f64>) -> io::Result<()>,
+) -> Result<(), ResampleError> {
+    let n = x.n_samples();
+    let (filter, n_out) = filter(check(x.sample_rate_hz(), to_hz, n)?, n);
+    let step = (SAMPLES_AT_ONCE as u64 * filter.up.min(filter.down) / filter.down).max(1) as usize;
+    let mut inside = Vec::new();
+    for channel in 0..x.n_channels() {
+        for from in (0..n_out).step_by(step) {
+            let outputs = from..n_out.min(from + step);
+            let inputs = filter.inputs(&outputs, n);
+            inside.clear();
+            x.read(channel, inputs.clone(), &mut inside)?;
+            let piece = filter.apply(&inside, inputs.start, n, outputs);
+            if let Some(at) = first_not_finite(&piece) {
+                let sample = from + at;
+                return Err(EngineError::NonFiniteResult { what: "resampled signal", channel, sample }.into());
+            }
+            take(channel, piece)?;
+        }
+    }
+    Ok(())
+}
+
+/// The ratio of two rates that suit each other, for `n` samples.
+fn check(from_hz: f64, to_hz: f64, n: usize) -> Result<f64, EngineError> {
     let ratio = to_hz / from_hz;
     if !(1.0 / MAX_FALL..=MAX_GROWTH).contains(&ratio) {
         return Err(EngineError::Setting {
@@ -43,20 +108,14 @@ pub fn resample(x: &Signal, to_hz: f64) -> Result<Signal, EngineError> {
     if n == 0 {
         return Err(EngineError::TooShort { what: "signal to resample", needed: 1, found: 0 });
     }
-    if Signal::same_rate(from_hz, to_hz) {
-        return Signal::new(to_hz, x.channels().to_vec());
-    }
+    Ok(ratio)
+}
+
+/// The filter for a ratio of rates, and the number of samples that it makes of `n`.
+fn filter(ratio: f64, n: usize) -> (Polyphase, usize) {
     let (up, down) = fraction(ratio);
     let n_out = ((n as f64 * up as f64 / down as f64).round() as usize).max(1);
-    let filter = Polyphase::new(up, down);
-    let channels: Vec<Vec<f64>> =
-        x.channels().par_iter().map(|samples| filter.apply(samples, n_out)).collect();
-    for (channel, samples) in channels.iter().enumerate() {
-        if let Some(sample) = first_not_finite(samples) {
-            return Err(EngineError::NonFiniteResult { what: "resampled signal", channel, sample });
-        }
-    }
-    Signal::new(to_hz, channels)
+    (Polyphase::new(up, down), n_out)
 }
 
 /// The first convergent of a positive ratio's continued fraction within [`TOLERANCE`], or the last
@@ -120,32 +179,46 @@ impl Polyphase {
         Self { up, down, half, phases }
     }
 
-    fn apply(&self, x: &[f64], n_out: usize) -> Vec<f64> {
+    /// Input sample at or before an output.
+    fn before(&self, output: usize) -> usize {
+        (output as u128 * u128::from(self.down) / u128::from(self.up)) as usize
+    }
+
+    /// Input samples, of `n`, that these outputs are made of.
+    fn inputs(&self, outputs: &Range<usize>, n: usize) -> Range<usize> {
+        let end = self.before(outputs.end - 1) + self.half + 1;
+        (self.before(outputs.start) + 1).saturating_sub(self.half)..end.min(n)
+    }
+
+    /// Outputs of a signal of `n` samples, of which `x` has those from `first` on that they are made of.
+    fn apply(&self, x: &[f64], first: usize, n: usize, outputs: Range<usize>) -> Vec<f64> {
         let steps = self.phases.len() as u64 - 1;
         let at = |m: usize| {
             let position = m as u128 * u128::from(self.down);
-            let before = (position / u128::from(self.up)) as usize;
+            let before = self.before(m);
             // Below `up * steps`, at most 1e6 * 4096.
             let phase = (position % u128::from(self.up)) as u64 * steps;
             let (lower, share) = ((phase / self.up) as usize, (phase % self.up) as f64 / self.up as f64);
-            let y = self.weigh(x, before, &self.phases[lower]);
+            let y = self.weigh(x, first, n, before, &self.phases[lower]);
             if share == 0.0 {
                 return y;
             }
-            y + share * (self.weigh(x, before, &self.phases[lower + 1]) - y)
+            y + share * (self.weigh(x, first, n, before, &self.phases[lower + 1]) - y)
         };
-        (0..n_out).map(at).collect()
+        outputs.into_par_iter().map(at).collect()
     }
 
-    /// Sum over the samples `before + 1 - half ..= before + half`, held beyond the signal's ends.
-    fn weigh(&self, x: &[f64], before: usize, taps: &[f64]) -> f64 {
-        let last = x.len() - 1;
+    /// Sum over the samples `before + 1 - half ..= before + half` of `n`, held beyond the signal's ends; `x`
+    /// begins with the sample `first`.
+    fn weigh(&self, x: &[f64], first: usize, n: usize, before: usize, taps: &[f64]) -> f64 {
+        let last = n - 1;
         match (before + 1).checked_sub(self.half) {
             Some(start) if before + self.half <= last => {
+                let start = start - first;
                 x[start..start + taps.len()].iter().zip(taps).map(|(x, t)| x * t).sum()
             }
             _ => {
-                let held = |k: usize| x[(before + 1 + k).saturating_sub(self.half).min(last)];
+                let held = |k: usize| x[(before + 1 + k).saturating_sub(self.half).min(last) - first];
                 taps.iter().enumerate().map(|(k, t)| t * held(k)).sum()
             }
         }
@@ -260,6 +333,31 @@ mod tests {
         let wavy = Signal::new(1000.0, vec![sine(1000.0, 400.0, 50)]).unwrap();
         let same = resample(&wavy, 1000.0001).unwrap();
         assert_eq!((same.channels(), same.sample_rate_hz()), (wavy.channels(), 1000.0001));
+    }
+
+    #[test]
+    fn pieces_are_the_whole_bit_for_bit() {
+        let n = 300_000;
+        for (from, into) in [(50_000.0, 4096.0), (1000.0, 2048.0), (1000.0, 1.5), (1000.0, 999.7)] {
+            let channels = vec![sine(from, 0.1 * from.min(into), n), sine(from, 0.3 * from.min(into), n)];
+            let mut x = Signal::new(from, channels).unwrap();
+            let whole = resample(&x, into).unwrap();
+            let (mut pieces, mut most) = (vec![Vec::new(); 2], 0);
+            resample_pieces(&mut x, into, |channel, piece| {
+                most = most.max(piece.len());
+                pieces[channel].extend(piece);
+                Ok(())
+            })
+            .unwrap();
+            assert!(pieces == whole.channels(), "{from} -> {into} Hz");
+            assert!(most < n && most <= SAMPLES_AT_ONCE, "{most}");
+        }
+        let mut huge = Signal::new(1000.0, vec![vec![0.0; n], vec![f64::MAX; n]]).unwrap();
+        let refused = resample(&huge, 500.0).unwrap_err();
+        let Err(ResampleError::Engine(found)) = resample_pieces(&mut huge, 500.0, |_, _| Ok(())) else {
+            panic!("not finite")
+        };
+        assert_eq!(found, refused);
     }
 
     #[test]

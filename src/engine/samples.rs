@@ -45,6 +45,51 @@ impl Samples for Signal {
     }
 }
 
+/// Samples that are passed on at once by [`each_block`].
+const SAMPLES_AT_ONCE: usize = 1 << 15;
+
+/// Passes on the samples of a channel in order, some at a time.
+///
+/// # Errors
+/// As [`Samples::read`], and those of `take`.
+///
+/// # Panics
+/// If there is no such channel.
+pub fn each_block(
+    samples: &mut impl Samples,
+    channel: usize,
+    mut take: impl FnMut(&[f64]) -> io::Result<()>,
+) -> io::Result<()> {
+    let (n, mut block) = (samples.n_samples(), Vec::new());
+    for from in (0..n).step_by(SAMPLES_AT_ONCE) {
+        block.clear();
+        samples.read(channel, from..n.min(from + SAMPLES_AT_ONCE), &mut block)?;
+        take(&block)?;
+    }
+    Ok(())
+}
+
+/// Whether two channels have the same samples.
+///
+/// # Errors
+/// As [`Samples::read`].
+///
+/// # Panics
+/// If there are no such channels.
+pub fn are_equal(samples: &mut impl Samples, a: usize, b: usize) -> io::Result<bool> {
+    let n = samples.n_samples();
+    for from in (0..n).step_by(SAMPLES_AT_ONCE) {
+        let range = from..n.min(from + SAMPLES_AT_ONCE);
+        let mut blocks = [Vec::new(), Vec::new()];
+        samples.read(a, range.clone(), &mut blocks[0])?;
+        samples.read(b, range, &mut blocks[1])?;
+        if blocks[0] != blocks[1] {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// The same range of samples of all channels, `[channel][sample]`.
 ///
 /// # Errors

@@ -20,35 +20,40 @@ mod write;
 use std::io::Read;
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, ReadError, check_channel_count, check_name};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool, check_channel_count, check_name};
 use number::{number, trim};
 use rows::Rows;
 use time::TimeColumn;
 
 pub use pieces::{CsvPieces, TimeOfRows};
-pub use write::write;
+pub use write::{head, rows, write};
 
 /// Reads a file.
 ///
 /// # Errors
 /// The `csv.*` codes with row and column; `run.*` codes with channel and sample.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
-    read_from(file, file.len() as u64).map_err(ReadError::of_bytes)
+    read_from(file, Spool::in_memory()).map(ParsedRun::into_memory).map_err(ReadError::of_bytes)
 }
 
-/// [`read`] for a file of `len` bytes that is not in memory; only a piece of it is kept at a time.
+/// [`read`] for a file that is not in memory: only a piece of it is kept at a time, and its samples go to an
+/// empty spool.
 ///
 /// # Errors
 /// As [`read`]; errors of the file system.
-pub fn read_from(file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
+pub fn read_from(file: impl Read, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
     let mut rows = Rows::new(file)?;
-    let mut table = Table { decimal_comma: rows.separator() != b',', ..Table::default() };
+    let mut table = Table {
+        decimal_comma: rows.separator() != b',',
+        times: spool.another(),
+        channels: spool,
+        ..Table::default()
+    };
     if !rows.next()? {
         return Err(FormatError::Empty.into());
     }
     table.width = rows.cells().len();
     check_channel_count(table.width as u64)?;
-    table.columns = vec![Vec::new(); table.width];
 
     let header_row = rows.row();
     let mut more = true;
@@ -65,30 +70,28 @@ pub fn read_from(file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
         Some(names) => TimeColumn::find(names, table.units.as_deref(), header_row)?,
         None => None,
     };
+    table.channels.add_columns(table.width - usize::from(time.is_some()));
+    table.times.add_columns(1);
     table.first_row = rows.row();
-    let begin = rows.passed();
     while more {
         table.take(&rows, time.as_ref())?;
-        if table.columns[0].len() == TRIED {
-            table.reserve((len.saturating_sub(begin)) / (rows.passed() - begin).max(1));
-        }
         more = rows.next()?;
     }
-    Ok(table.finish(time)?)
+    table.finish(time)
 }
 
-/// Rows from which the number of rows is estimated, if the others are as long.
-const TRIED: usize = 64;
-
-/// The columns read so far, a time column among them.
+/// The columns read so far.
 #[derive(Default)]
 struct Table {
     decimal_comma: bool,
     width: usize,
     names: Option<Vec<String>>,
     units: Option<Vec<String>>,
-    /// `[column][row]`.
-    columns: Vec<Vec<f64>>,
+    channels: Spool,
+    /// One column: the time of each sample, where the file has it.
+    times: Spool,
+    /// Samples of each channel.
+    samples: usize,
     /// Line of the first sample.
     first_row: u64,
 }
@@ -121,7 +124,7 @@ impl Table {
     }
 
     /// Adds one row of samples.
-    fn take(&mut self, rows: &Rows<impl Read>, time: Option<&TimeColumn>) -> Result<(), FormatError> {
+    fn take(&mut self, rows: &Rows<impl Read>, time: Option<&TimeColumn>) -> Result<(), ReadError> {
         self.check_width(rows)?;
         for (column, cell) in rows.cells().iter().enumerate() {
             let Some(value) = number(cell, self.decimal_comma) else {
@@ -130,50 +133,51 @@ impl Table {
                     column: column + 1,
                     name: self.names.as_ref().map(|n| n[column].clone()),
                     found: excerpt(&String::from_utf8_lossy(trim(cell))),
-                });
+                }
+                .into());
             };
             if !value.is_finite() {
                 return Err(FormatError::NonFinite {
                     channel: self.channel_at(column, time),
-                    sample: self.columns[column].len(),
+                    sample: self.samples,
                     row: Some(rows.row()),
                     column: Some(column + 1),
-                });
+                }
+                .into());
             }
-            self.columns[column].push(value);
+            match time {
+                Some(time) if time.column == column => self.times.push(0, value)?,
+                time => self.channels.push(channel(column, time), value)?,
+            }
         }
+        self.samples += 1;
         Ok(())
     }
 
-    /// Reserves memory for `times` as many rows as there are. Columns that grow side by side would leave as
-    /// much freed memory behind as they hold; reserved memory that is not used takes none.
-    fn reserve(&mut self, times: u64) {
-        let rows = self.columns[0].len().saturating_mul(times as usize);
-        for column in &mut self.columns {
-            // If the memory cannot be reserved, the columns grow as usual.
-            let _ = column.try_reserve_exact(rows);
-        }
-    }
-
     fn channel_at(&self, column: usize, time: Option<&TimeColumn>) -> ChannelAt {
-        let before = usize::from(time.is_some_and(|t| t.column < column));
-        ChannelAt { index: column - before, name: self.names.as_ref().map(|n| n[column].clone()) }
+        let name = self.names.as_ref().map(|names| names[column].clone());
+        ChannelAt { index: channel(column, time), name }
     }
 
-    fn finish(mut self, time: Option<TimeColumn>) -> Result<ParsedRun, FormatError> {
+    fn finish(mut self, time: Option<TimeColumn>) -> Result<ParsedRun<Spool>, ReadError> {
         let mut sample_rate_hz = None;
         if let Some(time) = time {
-            let values = self.columns.remove(time.column);
             if let Some(names) = &mut self.names {
                 names.remove(time.column);
             }
             if let Some(units) = &mut self.units {
                 units.remove(time.column);
             }
-            sample_rate_hz = time.sample_rate_hz(&values, self.first_row)?;
+            sample_rate_hz = time.sample_rate_hz(&self.times, self.first_row)?;
         }
-        ParsedRun { sample_rate_hz, names: self.names, units: self.units, channels: self.columns }.check()
+        let Self { names, units, channels, .. } = self;
+        Ok(ParsedRun { sample_rate_hz, names, units, channels }.check()?)
     }
+}
+
+/// Index of a column among those that are not the time.
+fn channel(column: usize, time: Option<&TimeColumn>) -> usize {
+    column - usize::from(time.is_some_and(|time| time.column < column))
 }
 
 /// Channel names of a header row: not empty, each once.

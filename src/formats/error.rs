@@ -138,6 +138,14 @@ pub enum FormatError {
         /// Cells of this row.
         found: usize,
     },
+    /// A row that is too long to be kept.
+    #[error("row {row} is longer than {limit} bytes")]
+    CsvLongRow {
+        /// Line of the file.
+        row: u64,
+        /// Most bytes.
+        limit: usize,
+    },
     /// A time column that does not rise in even steps.
     #[error(
         "row {row}: the time step is {} s, and not the {} s of most rows (within 0.1 %)",
@@ -253,6 +261,7 @@ impl FormatError {
             Self::CsvHeader { .. } => "csv.header",
             Self::CsvNotANumber { .. } => "csv.not_a_number",
             Self::CsvRagged { .. } => "csv.ragged_row",
+            Self::CsvLongRow { .. } => "csv.long_row",
             Self::CsvUnevenTime { .. } => "csv.uneven_time",
             Self::CsvTime { .. } => "csv.time_column",
             Self::NpyHeader(_) => "npy.header",
@@ -276,6 +285,7 @@ impl FormatError {
             | Self::CsvHeader { row, .. }
             | Self::CsvNotANumber { row, .. }
             | Self::CsvRagged { row, .. }
+            | Self::CsvLongRow { row, .. }
             | Self::CsvUnevenTime { row, .. }
             | Self::CsvTime { row, .. }
             | Self::Json { row, .. }
@@ -337,6 +347,7 @@ impl FormatError {
             Self::UnequalLengths { expected, .. } => Some(format!("{expected} samples")),
             Self::SampleRate { .. } => Some("a positive, finite number of hertz".into()),
             Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),
+            Self::CsvLongRow { limit, .. } => Some(format!("at most {limit} bytes")),
             Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
             Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),

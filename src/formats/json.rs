@@ -3,70 +3,89 @@
 //! Channels keep the order of the file. Unknown fields and fields that come twice are refused, so that a
 //! typing error does not silently become a default.
 
+mod token_limit;
+
 use std::fmt;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 
 use serde::Deserializer;
 use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, PIECE, ParsedRun, ReadError, check_channel_count, check_name};
+use super::{ChannelAt, FormatError, PIECE, ParsedRun, ReadError, Spool, check_channel_count, check_name};
 use crate::engine::wording::plain;
+use token_limit::TokenLimit;
 
 /// Reads a file.
 ///
 /// # Errors
 /// The `json.*` codes, with row and column where the parser has them; `run.*` codes.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
-    parse(serde_json::Deserializer::from_slice(file)).map_err(ReadError::of_bytes)
+    parse(serde_json::Deserializer::from_slice(file), Spool::in_memory())
+        .map(ParsedRun::into_memory)
+        .map_err(ReadError::of_bytes)
 }
 
-/// [`read`] for a file that is not in memory; only a piece of it is kept at a time.
+/// [`read`] for a file that is not in memory: only a piece of it is kept at a time, and its samples go to an
+/// empty spool.
 ///
 /// # Errors
 /// As [`read`]; errors of the file system.
-pub fn read_from(file: impl Read) -> Result<ParsedRun, ReadError> {
-    parse(serde_json::Deserializer::from_reader(BufReader::with_capacity(PIECE, file)))
+pub fn read_from(file: impl Read, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
+    let text = BufReader::with_capacity(PIECE, TokenLimit::new(file));
+    parse(serde_json::Deserializer::from_reader(text), spool)
 }
 
 fn parse<'de>(
     mut json: serde_json::Deserializer<impl serde_json::de::Read<'de>>,
-) -> Result<ParsedRun, ReadError> {
-    let mut place = ParsePosition::default();
+    spool: Spool,
+) -> Result<ParsedRun<Spool>, ReadError> {
+    let mut place = ParsePosition { spool, ..ParsePosition::default() };
     let read = File(&mut place).deserialize(&mut json).and_then(|run| json.end().map(|()| run));
     match read {
-        Ok((sample_rate_hz, channels)) => {
-            let (names, channels) = channels.into_iter().unzip();
-            let names = Some(names);
-            Ok(ParsedRun { sample_rate_hz: Some(sample_rate_hz), names, units: None, channels }.check()?)
+        Ok((sample_rate_hz, names)) => {
+            let (sample_rate_hz, names) = (Some(sample_rate_hz), Some(names));
+            Ok(ParsedRun { sample_rate_hz, names, units: None, channels: place.spool }.check()?)
         }
-        Err(error) if error.is_io() => Err(ReadError::Io(error.into())),
-        Err(error) => Err(place.explain(&error).into()),
+        Err(error) if error.is_io() => {
+            // What is too long for the parser is the file's fault.
+            Err(io::Error::from(error)
+                .downcast::<FormatError>()
+                .map_or_else(ReadError::Io, ReadError::Format))
+        }
+        Err(error) => Err(place.explain(&error)),
     }
 }
 
-type Channels = Vec<(String, Vec<f64>)>;
-
-/// The position of the parser, and the error that a rule of this format found there: serde's errors are
-/// text only.
+/// The position of the parser, the samples before it, and the error that a rule of this format or the spool
+/// found there: serde's errors are text only.
 #[derive(Default)]
 struct ParsePosition {
-    refused: Option<FormatError>,
+    refused: Option<ReadError>,
     /// The array being read.
     channel: Option<ChannelAt>,
     /// Elements of it that are read.
     sample: usize,
+    spool: Spool,
 }
 
 impl ParsePosition {
     /// Keeps the error, and gives serde one that stops the parser.
-    fn refuse<E: Error>(&mut self, error: FormatError) -> E {
+    fn refuse<E: Error>(&mut self, error: impl Into<ReadError>) -> E {
+        let error = error.into();
         let stop = E::custom(&error);
         self.refused = Some(error);
         stop
     }
 
-    fn explain(self, error: &serde_json::Error) -> FormatError {
+    /// Adds a sample to the channel being read.
+    fn push<E: Error>(&mut self, value: f64) -> Result<(), E> {
+        let channel = self.channel.as_ref().map_or(0, |channel| channel.index);
+        self.sample += 1;
+        self.spool.push(channel, value).map_err(|error: io::Error| self.refuse(error))
+    }
+
+    fn explain(self, error: &serde_json::Error) -> ReadError {
         if let Some(error) = self.refused {
             return error;
         }
@@ -85,6 +104,7 @@ impl ParsePosition {
                 FormatError::Json { row, column, detail }
             }
         }
+        .into()
     }
 }
 
@@ -92,7 +112,7 @@ impl ParsePosition {
 struct File<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for File<'_> {
-    type Value = (f64, Channels);
+    type Value = (f64, Vec<String>);
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
         deserializer.deserialize_map(self)
@@ -100,7 +120,7 @@ impl<'de> DeserializeSeed<'de> for File<'_> {
 }
 
 impl<'de> Visitor<'de> for File<'_> {
-    type Value = (f64, Channels);
+    type Value = (f64, Vec<String>);
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("an object with sample_rate_hz and channels")
@@ -136,40 +156,42 @@ impl<'de> Visitor<'de> for File<'_> {
 struct ChannelMap<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for ChannelMap<'_> {
-    type Value = Channels;
+    /// Names of the channels.
+    type Value = Vec<String>;
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Channels, D::Error> {
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<String>, D::Error> {
         deserializer.deserialize_map(self)
     }
 }
 
 impl<'de> Visitor<'de> for ChannelMap<'_> {
-    type Value = Channels;
+    type Value = Vec<String>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("an object of channel names, each with an array of numbers")
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Channels, A::Error> {
-        let mut channels: Channels = Vec::new();
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Vec<String>, A::Error> {
+        let mut names: Vec<String> = Vec::new();
         while let Some(name) = map.next_key::<String>()? {
-            let index = channels.len();
+            let index = names.len();
             if let Err(error) = check_channel_count(index as u64 + 1) {
                 return Err(self.0.refuse(error));
             }
             if let Err(error) = check_name(&name) {
                 return Err(self.0.refuse(error));
             }
-            if channels.iter().any(|(n, _)| *n == name) {
+            if names.contains(&name) {
                 return Err(self.0.refuse(FormatError::DuplicateChannel { name }));
             }
             self.0.channel = Some(ChannelAt { index, name: Some(name.clone()) });
             self.0.sample = 0;
-            let samples = map.next_value_seed(Samples(&mut *self.0))?;
+            self.0.spool.add_columns(1);
+            map.next_value_seed(Samples(&mut *self.0))?;
             self.0.channel = None;
-            channels.push((name, samples));
+            names.push(name);
         }
-        Ok(channels)
+        Ok(names)
     }
 }
 
@@ -177,41 +199,39 @@ impl<'de> Visitor<'de> for ChannelMap<'_> {
 struct Samples<'p>(&'p mut ParsePosition);
 
 impl<'de> DeserializeSeed<'de> for Samples<'_> {
-    type Value = Vec<f64>;
+    type Value = ();
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<f64>, D::Error> {
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
         // Programs that write a list of one as its element write a single sample so.
         deserializer.deserialize_any(self)
     }
 }
 
 impl<'de> Visitor<'de> for Samples<'_> {
-    type Value = Vec<f64>;
+    type Value = ();
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("an array of numbers")
     }
 
-    fn visit_f64<E: Error>(self, value: f64) -> Result<Vec<f64>, E> {
-        Ok(vec![value])
+    fn visit_f64<E: Error>(self, value: f64) -> Result<(), E> {
+        self.0.push(value)
     }
 
-    fn visit_i64<E: Error>(self, value: i64) -> Result<Vec<f64>, E> {
-        Ok(vec![value as f64])
+    fn visit_i64<E: Error>(self, value: i64) -> Result<(), E> {
+        self.0.push(value as f64)
     }
 
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Vec<f64>, E> {
-        Ok(vec![value as f64])
+    fn visit_u64<E: Error>(self, value: u64) -> Result<(), E> {
+        self.0.push(value as f64)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Vec<f64>, A::Error> {
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
         // No size hint is trusted: the array grows with the elements that arrive.
-        let mut samples = Vec::new();
         while let Some(value) = seq.next_element::<f64>()? {
-            samples.push(value);
-            self.0.sample = samples.len();
+            self.0.push(value)?;
         }
-        Ok(samples)
+        Ok(())
     }
 }
 

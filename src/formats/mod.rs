@@ -1,20 +1,21 @@
 //! Reading and writing of measurement files, one module per format.
 //!
 //! Every reader takes the file from memory or piece by piece, and returns a [`ParsedRun`] or a
-//! [`FormatError`] with the place of the error. Memory grows with the bytes that arrive: a size that a file
-//! declares is compared with them before it is used. Arrays are `[sample, channel]` in files and
-//! `[channel][sample]` in memory.
+//! [`FormatError`] with the place of the error. Samples go to memory or to a [`Spool`], whose memory does not
+//! grow with them. A size that a file declares is compared with the bytes that arrive before it is used.
+//! Arrays are `[sample, channel]` in files and `[channel][sample]` in memory.
 
 pub mod csv;
 mod error;
 pub mod json;
 pub mod npy;
+mod pieces;
+mod spool;
 
 use std::collections::HashSet;
 
 pub use error::{ChannelAt, FormatError, ReadError};
-
-use crate::engine::first_not_finite;
+pub use spool::{Spool, SpooledSamples};
 
 /// Most channels of a file: a bound on memory per byte (each channel is a vector of its own), far
 /// above any rig.
@@ -29,9 +30,9 @@ pub const NUMBERS_AT_ONCE: usize = 1 << 14;
 /// Longest name of a channel: longer than a rig's may be.
 pub const MAX_NAME_BYTES: usize = 4096;
 
-/// The content of a measurement file.
+/// The content of a measurement file, its samples in memory unless they are in a [`Spool`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct ParsedRun {
+pub struct ParsedRun<C = Vec<Vec<f64>>> {
     /// Sample rate from the file's field or its time column.
     pub sample_rate_hz: Option<f64>,
     /// Channel names, distinct, where the format has them.
@@ -39,20 +40,21 @@ pub struct ParsedRun {
     /// Units per channel (empty: none given), where the file has them.
     pub units: Option<Vec<String>>,
     /// `[channel][sample]`: at least one of each, equally long, finite.
-    pub channels: Vec<Vec<f64>>,
+    pub channels: C,
 }
 
-impl ParsedRun {
+impl ParsedRun<Spool> {
     /// Checks the rules that all formats share.
     ///
     /// # Errors
     /// The `run.*` codes of [`FormatError`].
     pub(crate) fn check(self) -> Result<Self, FormatError> {
         let at = |index: usize| ChannelAt { index, name: self.names.as_ref().map(|n| n[index].clone()) };
-        if self.channels.is_empty() {
+        let channels = self.channels.n_columns();
+        if channels == 0 {
             return Err(FormatError::NoChannels);
         }
-        check_channel_count(self.channels.len() as u64)?;
+        check_channel_count(channels as u64)?;
         let mut seen = HashSet::new();
         if let Some(name) = self.names.iter().flatten().find(|name| !seen.insert(name.as_str())) {
             return Err(FormatError::DuplicateChannel { name: name.clone() });
@@ -62,25 +64,28 @@ impl ParsedRun {
         {
             return Err(FormatError::SampleRate { found });
         }
-        let expected = self.channels[0].len();
-        for (index, samples) in self.channels.iter().enumerate() {
-            if samples.len() != expected {
-                return Err(FormatError::UnequalLengths {
-                    channel: at(index),
-                    expected,
-                    found: samples.len(),
-                });
+        let expected = self.channels.len(0);
+        for index in 0..channels {
+            let found = self.channels.len(index);
+            if found != expected {
+                return Err(FormatError::UnequalLengths { channel: at(index), expected, found });
             }
         }
         if expected == 0 {
             return Err(FormatError::Empty);
         }
-        for (index, samples) in self.channels.iter().enumerate() {
-            if let Some(sample) = first_not_finite(samples) {
+        for index in 0..channels {
+            if let Some(sample) = self.channels.first_not_finite(index) {
                 return Err(FormatError::NonFinite { channel: at(index), sample, row: None, column: None });
             }
         }
         Ok(self)
+    }
+
+    /// The run of a spool in memory.
+    pub(crate) fn into_memory(self) -> ParsedRun {
+        let Self { sample_rate_hz, names, units, channels } = self;
+        ParsedRun { sample_rate_hz, names, units, channels: channels.into_columns() }
     }
 }
 
@@ -120,12 +125,13 @@ mod tests {
 
     #[test]
     fn a_file_that_comes_in_pieces_is_the_same_with_the_same_faults() {
-        let same = |at_once: Result<ParsedRun, FormatError>, in_pieces: Result<ParsedRun, ReadError>| {
-            assert_eq!(at_once, in_pieces.map_err(ReadError::of_bytes));
+        let same = |at_once: Result<ParsedRun, FormatError>,
+                    in_pieces: Result<ParsedRun<Spool>, ReadError>| {
+            assert_eq!(at_once, in_pieces.map(ParsedRun::into_memory).map_err(ReadError::of_bytes));
         };
         for text in ["", "a,b\n1,2\n3,4", "\u{feff}a\r\n1\r\n", "a,b\n1,x", "a\n1\n\n2", "a,a\n1,1"] {
             let file = text.as_bytes();
-            same(csv::read(file), csv::read_from(Pieces(file), file.len() as u64));
+            same(csv::read(file), csv::read_from(Pieces(file), Spool::in_memory()));
         }
         for text in [
             r#"{"sample_rate_hz": 5, "channels": {"a": [1, 2.5], "b": [3, 4]}}"#,
@@ -138,35 +144,101 @@ mod tests {
             let told = |error: FormatError| {
                 (error.code(), error.row(), error.channel().map(str::to_owned), error.sample())
             };
-            let in_pieces = json::read_from(Pieces(text.as_bytes())).map_err(ReadError::of_bytes);
+            let in_pieces = json::read_from(Pieces(text.as_bytes()), Spool::in_memory());
+            let in_pieces = in_pieces.map(ParsedRun::into_memory).map_err(ReadError::of_bytes);
             assert_eq!(json::read(text.as_bytes()).map_err(told), in_pieces.map_err(told));
         }
         let channels = vec![(0..3000).map(f64::from).collect::<Vec<_>>(), vec![0.5; 3000]];
         for order in [npy::Order::C, npy::Order::Fortran] {
             let file = npy::write(&channels, npy::Dtype::F8, order).unwrap();
             for len in [0, 5, 9, 11, 60, file.len() - 1, file.len()] {
-                same(npy::read(&file[..len]), npy::read_from(Pieces(&file[..len]), len as u64));
+                let in_pieces = npy::read_from(Pieces(&file[..len]), len as u64, Spool::in_memory());
+                same(npy::read(&file[..len]), in_pieces);
             }
             // Shorter than its length was said to be, as by a failing disk.
             for len in [60, file.len() - 1] {
-                let read = npy::read_from(Pieces(&file[..len]), file.len() as u64);
+                let read = npy::read_from(Pieces(&file[..len]), file.len() as u64, Spool::in_memory());
                 assert!(matches!(read, Err(ReadError::Io(_))), "{read:?}");
             }
         }
     }
 
-    fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun {
+    /// Every format's samples go through a spool, whatever its place.
+    #[test]
+    fn a_file_that_goes_through_a_spool_on_disk_is_the_same_with_the_same_faults() {
+        let directory = tempfile::tempdir().unwrap();
+        let spool = || Spool::in_file(directory.path());
+        let channels: Vec<Vec<f64>> =
+            [0.25, 3.0].map(|k| (0..10_000).map(|i| (k * f64::from(i)).sin()).collect()).to_vec();
+        let mut bad = channels.clone();
+        (bad[0][9_990], bad[1][5_000]) = (f64::INFINITY, f64::NAN);
+        let read = |run: ParsedRun<Spool>| {
+            let mut found = vec![Vec::new(); run.channels.n_columns()];
+            for (c, to) in found.iter_mut().enumerate() {
+                run.channels.read(c, 0..run.channels.len(c), to).unwrap();
+            }
+            (run.sample_rate_hz, run.names, run.units, found)
+        };
+        let same = |at_once: Result<ParsedRun, FormatError>, spooled: Result<ParsedRun<Spool>, ReadError>| {
+            let at_once = at_once.map(|run| (run.sample_rate_hz, run.names, run.units, run.channels));
+            assert_eq!(at_once, spooled.map(read).map_err(ReadError::of_bytes));
+        };
+        for order in [npy::Order::C, npy::Order::Fortran] {
+            let mut file = npy::write(&channels, npy::Dtype::F8, order).unwrap();
+            same(npy::read(&file), npy::read_from(&file[..], file.len() as u64, spool()));
+            let start = file.len() - 16 * channels[0].len();
+            for (c, bad) in bad.iter().enumerate() {
+                for (i, v) in bad.iter().enumerate() {
+                    let at = if order == npy::Order::C { 2 * i + c } else { c * bad.len() + i };
+                    file[start + 8 * at..][..8].copy_from_slice(&v.to_le_bytes());
+                }
+            }
+            let refused = npy::read(&file).unwrap_err();
+            assert_eq!((refused.channel_index(), refused.sample()), (Some(0), Some(9_990)));
+            same(Err(refused), npy::read_from(&file[..], file.len() as u64, spool()));
+        }
+        let names = ["time_s".to_owned(), "u".into(), "y".into()];
+        let table = |late: f64| {
+            let time = (0..10_000).map(|i| 5.0 + f64::from(i) / 100.0 + if i == 9_000 { late } else { 0.0 });
+            let columns = [vec![time.collect()], channels.clone()].concat();
+            csv::write(&names, Some(&["s".to_owned(), "kN".into(), "mm".into()]), &columns).unwrap()
+        };
+        for late in [0.0, 0.004] {
+            let file = table(late);
+            assert_eq!(csv::read(&file).err().and_then(|e| e.row()), (late > 0.0).then_some(9_003));
+            same(csv::read(&file), csv::read_from(&file[..], spool()));
+        }
+        let text = |c: &Vec<f64>| serde_json::to_string(c).unwrap();
+        for longer in ["", ",1.5"] {
+            let (u, y) = (text(&channels[0]), text(&channels[1]));
+            let y = format!("{}{longer}]", &y[..y.len() - 1]);
+            let file = format!(r#"{{"sample_rate_hz": 5, "channels": {{"u": {u}, "y": {y}}}}}"#);
+            same(json::read(file.as_bytes()), json::read_from(file.as_bytes(), spool()));
+        }
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "nothing is left behind");
+    }
+
+    fn spooled(channels: Vec<Vec<f64>>) -> Spool {
+        let mut spool = Spool::in_memory();
+        spool.add_columns(channels.len());
+        for (c, samples) in channels.into_iter().enumerate() {
+            spool.extend(c, samples).unwrap();
+        }
+        spool
+    }
+
+    fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun<Spool> {
         let names = Some(names.iter().map(|n| n.to_string()).collect());
-        ParsedRun { sample_rate_hz: None, names, units: None, channels }
+        ParsedRun { sample_rate_hz: None, names, units: None, channels: spooled(channels) }
     }
 
     #[test]
     fn what_no_format_may_hold_is_refused_by_name() {
-        let code = |run: ParsedRun| run.check().unwrap_err().code();
+        let code = |run: ParsedRun<Spool>| run.check().unwrap_err().code();
         assert_eq!(code(run(&[], vec![])), "run.no_channels");
         assert_eq!(code(run(&["a"], vec![vec![]])), "run.empty");
         assert_eq!(code(run(&["a", "a"], vec![vec![1.0], vec![1.0]])), "run.duplicate_channel");
-        let many = vec![vec![1.0]; MAX_CHANNELS + 1];
+        let many = spooled(vec![vec![1.0]; MAX_CHANNELS + 1]);
         let error =
             ParsedRun { sample_rate_hz: None, names: None, units: None, channels: many }.check().unwrap_err();
         assert_eq!(error.code(), "run.too_many_channels");

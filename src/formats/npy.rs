@@ -11,7 +11,7 @@ use std::io::Read;
 
 use realfft::num_complex::Complex64;
 
-use super::{ChannelAt, FormatError, ParsedRun, ReadError};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool};
 
 pub use header::{Header, header};
 pub use pieces::NpyPieces;
@@ -58,14 +58,16 @@ const SAMPLES_AT_ONCE: usize = 1024;
 /// Those of [`header`]; `run.non_finite` with channel and sample.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
     let header = header(file)?;
-    numbers(&header, &file[header.data_offset..]).map_err(ReadError::of_bytes)
+    let read = numbers(&header, &file[header.data_offset..], Spool::in_memory());
+    read.map(ParsedRun::into_memory).map_err(ReadError::of_bytes)
 }
 
-/// [`read`] for a file of `len` bytes that is not in memory; only a piece of it is kept at a time.
+/// [`read`] for a file of `len` bytes that is not in memory: only a piece of it is kept at a time, and its
+/// samples go to an empty spool.
 ///
 /// # Errors
 /// As [`read`]; errors of the file system.
-pub fn read_from(mut file: impl Read, len: u64) -> Result<ParsedRun, ReadError> {
+pub fn read_from(mut file: impl Read, len: u64, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
     let mut start = Vec::new();
     (&mut file).take(header::START as u64).read_to_end(&mut start)?;
     let text = header::text(&start, len)?;
@@ -77,51 +79,50 @@ pub fn read_from(mut file: impl Read, len: u64) -> Result<ParsedRun, ReadError> 
     let header = header::check(found, text.end, len - text.end as u64)?;
     // A short header ends before the start does.
     let rest = start.split_off(text.end);
-    numbers(&header, rest.as_slice().chain(file))
+    numbers(&header, rest.as_slice().chain(file), spool)
 }
 
 /// Reads the numbers after a header.
-fn numbers(header: &Header, data: impl Read) -> Result<ParsedRun, ReadError> {
-    let channels = match (header.dtype, header.big_endian) {
-        (Dtype::F4, false) => values(header, data, |b| f64::from(f32::from_le_bytes(b))),
-        (Dtype::F4, true) => values(header, data, |b| f64::from(f32::from_be_bytes(b))),
-        (Dtype::F8, false) => values(header, data, f64::from_le_bytes),
-        (Dtype::F8, true) => values(header, data, f64::from_be_bytes),
-        (Dtype::I2, false) => values(header, data, |b| f64::from(i16::from_le_bytes(b))),
-        (Dtype::I2, true) => values(header, data, |b| f64::from(i16::from_be_bytes(b))),
-        (Dtype::I4, false) => values(header, data, |b| f64::from(i32::from_le_bytes(b))),
-        (Dtype::I4, true) => values(header, data, |b| f64::from(i32::from_be_bytes(b))),
+fn numbers(header: &Header, data: impl Read, mut spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
+    let to = &mut spool;
+    match (header.dtype, header.big_endian) {
+        (Dtype::F4, false) => values(header, data, to, |b| f64::from(f32::from_le_bytes(b))),
+        (Dtype::F4, true) => values(header, data, to, |b| f64::from(f32::from_be_bytes(b))),
+        (Dtype::F8, false) => values(header, data, to, f64::from_le_bytes),
+        (Dtype::F8, true) => values(header, data, to, f64::from_be_bytes),
+        (Dtype::I2, false) => values(header, data, to, |b| f64::from(i16::from_le_bytes(b))),
+        (Dtype::I2, true) => values(header, data, to, |b| f64::from(i16::from_be_bytes(b))),
+        (Dtype::I4, false) => values(header, data, to, |b| f64::from(i32::from_le_bytes(b))),
+        (Dtype::I4, true) => values(header, data, to, |b| f64::from(i32::from_be_bytes(b))),
     }?;
-    Ok(ParsedRun { sample_rate_hz: None, names: None, units: None, channels }.check()?)
+    Ok(ParsedRun { sample_rate_hz: None, names: None, units: None, channels: spool }.check()?)
 }
 
 /// Numbers of `N` bytes, sorted into channels.
 fn values<const N: usize>(
     header: &Header,
     mut data: impl Read,
+    spool: &mut Spool,
     number: impl Fn([u8; N]) -> f64,
-) -> std::io::Result<Vec<Vec<f64>>> {
+) -> std::io::Result<()> {
     // These sizes were compared with the number of bytes.
-    let mut channels = vec![Vec::with_capacity(header.samples); header.channels];
+    spool.add_columns(header.channels);
+    spool.reserve(header.samples);
     // Channels one after the other are read as files of one channel each.
-    let files: Vec<&mut [Vec<f64>]> = match header.order {
-        Order::C => vec![&mut channels],
-        Order::Fortran => channels.chunks_mut(1).collect(),
-    };
+    let step = if header.order == Order::C { header.channels } else { 1 };
     let mut piece = Vec::new();
-    for channels in files {
+    for first in (0..header.channels).step_by(step) {
         for from in (0..header.samples).step_by(SAMPLES_AT_ONCE) {
             let rows = SAMPLES_AT_ONCE.min(header.samples - from);
-            piece.resize(rows * channels.len() * N, 0);
+            piece.resize(rows * step * N, 0);
             data.read_exact(&mut piece)?;
             let (numbers, _) = piece.as_chunks::<N>();
-            let step = channels.len();
-            for (c, channel) in channels.iter_mut().enumerate() {
-                channel.extend(numbers[c..].iter().step_by(step).map(|&b| number(b)));
+            for c in 0..step {
+                spool.extend(first + c, numbers[c..].iter().step_by(step).map(|&b| number(b)))?;
             }
         }
     }
-    Ok(channels)
+    Ok(())
 }
 
 /// Writes `[channel][sample]` as `<f4` or `<f8` (integers are not written) of shape
@@ -254,25 +255,33 @@ pub enum Array<'a> {
     Complex(&'a [Complex64]),
 }
 
-/// Writes an array of shape `shape`.
-///
-/// # Panics
-/// If there are not as many numbers as the shape says: our bug.
-pub fn write_array(array: &Array<'_>, shape: &[usize]) -> Vec<u8> {
-    let (descr, len) = match array {
-        Array::Real(numbers) => ("<f8", numbers.len()),
-        Array::Complex(numbers) => ("<c16", numbers.len()),
-    };
-    assert_eq!(shape.iter().product::<usize>(), len, "an array has as many numbers as its shape says");
-    let mut file = header_of(descr, shape, Order::C);
-    file.reserve_exact(len * if descr == "<f8" { 8 } else { 16 });
-    match array {
-        Array::Real(numbers) => numbers.iter().for_each(|v| file.extend(v.to_le_bytes())),
-        Array::Complex(numbers) => {
-            numbers.iter().flat_map(|z| [z.re, z.im]).for_each(|v| file.extend(v.to_le_bytes()));
+impl Array<'_> {
+    /// The header of a file of arrays of this type, of shape `shape` together.
+    pub fn header(&self, shape: &[usize]) -> Vec<u8> {
+        let descr = match self {
+            Self::Real(_) => "<f8",
+            Self::Complex(_) => "<c16",
+        };
+        header_of(descr, shape, Order::C)
+    }
+
+    /// Appends the numbers.
+    pub fn put(&self, file: &mut Vec<u8>) {
+        match self {
+            Self::Real(numbers) => numbers.iter().for_each(|v| file.extend(v.to_le_bytes())),
+            Self::Complex(numbers) => {
+                numbers.iter().flat_map(|z| [z.re, z.im]).for_each(|v| file.extend(v.to_le_bytes()));
+            }
         }
     }
-    file
+
+    /// Bytes of one number.
+    pub fn size_of_number(&self) -> usize {
+        match self {
+            Self::Real(_) => size_of::<f64>(),
+            Self::Complex(_) => size_of::<Complex64>(),
+        }
+    }
 }
 
 fn npy_header(samples: usize, channels: usize, dtype: Dtype, order: Order) -> Vec<u8> {

@@ -1,8 +1,8 @@
 //! Admission control: each class of traffic has permits and a bounded queue of its own, so that a crowd
 //! in one class does not keep another waiting.
 //!
-//! Predictions get their permits where they compute ([`crate::compute`]); here a prediction is only
-//! refused before its body is read if no permit would be left for it. Other requests hold a permit from
+//! Predictions get their permits where they compute ([`crate::compute`]). Here a prediction is promised one, or
+//! refused, before its body is read: a body is only read and parsed if it will be worked on. Other requests hold a permit from
 //! the end of their body to the head of their answer, so that a slow sender holds none while it sends.
 //! Uploads, whose bodies go to disk as they arrive, hold one from the beginning.
 
@@ -22,7 +22,7 @@ use super::Shared;
 use super::auth::Caller;
 use super::problem::Problem;
 use crate::compute::Class;
-use crate::compute::fair_queue::{ClientId, FairQueue, Permit, QueueSettings, Refused};
+use crate::compute::fair_queue::{Asker, ClientId, FairQueue, Permit, QueueSettings, Refused};
 
 /// Classes of traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,7 +87,7 @@ impl Admission {
     }
 
     /// All queues, for the health report.
-    pub fn all(&self) -> [&FairQueue; 4] {
+    pub fn all(&self) -> [&Arc<FairQueue>; 4] {
         [&self.control, &self.registry, &self.upload, &self.jobs]
     }
 
@@ -104,13 +104,18 @@ impl Admission {
 }
 
 tokio::task_local! {
-    /// The client whose request this task answers.
-    static CLIENT: ClientId;
+    /// The client whose request this task answers, with the permit that it was promised.
+    static ASKER: Asker;
+}
+
+/// The client whose request is being answered, with the permit that it was promised; nobody outside of a request.
+pub fn asker() -> Asker {
+    ASKER.try_with(Asker::clone).unwrap_or_default()
 }
 
 /// The client whose request is being answered; `None` outside of a request.
 pub fn client_id() -> ClientId {
-    CLIENT.try_with(|client| *client).unwrap_or_default()
+    asker().client
 }
 
 /// Lets a request in when it gets a permit, or refuses it.
@@ -122,8 +127,11 @@ pub async fn admit(
     let client = request.extensions().get::<Caller>().and_then(Caller::token).map(|token| token.id);
     let Some(queue) = http.admission.of(traffic) else {
         let class = Class::of_bytes(declared(request.headers()).unwrap_or_default() as usize);
-        return match http.compute.queue(class).check(client) {
-            Ok(()) => CLIENT.scope(client, next.run(request)).await,
+        return match http.compute.queue(class).promise(client) {
+            Ok(place) => {
+                let asker = Asker { client, place: Some(Arc::new(place)) };
+                ASKER.scope(asker, next.run(request)).await
+            }
             Err(why) => send_away(request, why),
         };
     };
@@ -132,10 +140,10 @@ pub async fn admit(
             return send_away(request, why);
         }
         let (request, _permit) = permit_after_body(request, Arc::clone(queue), client);
-        return CLIENT.scope(client, next.run(request)).await;
+        return ASKER.scope(client.into(), next.run(request)).await;
     }
     match queue.acquire(client).await {
-        Ok(_permit) => CLIENT.scope(client, next.run(request)).await,
+        Ok(_permit) => ASKER.scope(client.into(), next.run(request)).await,
         Err(why) => send_away(request, why),
     }
 }

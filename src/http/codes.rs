@@ -66,6 +66,7 @@ codes! {
     IF_MATCH_MISSING = "if_match.missing", 428, "If-Match is required";
     IDEMPOTENCY_KEY_MALFORMED = "idempotency_key.malformed", 400, "Idempotency-Key cannot be read";
     IDEMPOTENCY_KEY_IN_USE = "idempotency_key.in_use", 409, "A request under the same key is under way";
+    IDEMPOTENCY_KEY_SECRET = "idempotency_key.secret", 409, "The secret was in the first answer only";
     IDEMPOTENCY_KEY_GONE = "idempotency_key.gone", 410, "What was created under the key is deleted";
     IDEMPOTENCY_KEY_REUSED = "idempotency_key.reused", 422, "The key belongs to another request";
 
@@ -95,6 +96,7 @@ codes! {
     CSV_HEADER = "csv.header", 422, "The header row is not valid";
     CSV_NOT_A_NUMBER = "csv.not_a_number", 422, "A cell is not a number";
     CSV_RAGGED_ROW = "csv.ragged_row", 422, "Rows differ in their number of cells";
+    CSV_LONG_ROW = "csv.long_row", 422, "A row is too long";
     CSV_UNEVEN_TIME = "csv.uneven_time", 422, "Time does not rise in even steps";
     CSV_TIME_COLUMN = "csv.time_column", 422, "The time column cannot be read";
     NPY_HEADER = "npy.header", 400, "The NPY header cannot be read";
@@ -175,6 +177,7 @@ codes! {
     BUSY = "busy", 503, "Busy";
     DRAINING = "draining", 503, "Shutting down";
     STORE_DAMAGED = "store.damaged", 500, "Stored data are damaged";
+    STORE_ROW = "store.row", 503, "A stored row is damaged";
     STORE_UNAVAILABLE = "store.unavailable", 503, "The store is out of reach";
     STORE_FULL = "store.full", 507, "The disk is full";
 }

@@ -25,6 +25,11 @@ impl From<StoreError> for Problem {
                 Self::new(codes::STORE_DAMAGED, "Stored data are damaged; they are not served.")
                     .because(error)
             }
+            error if error.is_damaged_row() => {
+                let detail =
+                    "A row of the registry is damaged; it is not served. It is being mended: ask again.";
+                Self::new(codes::STORE_ROW, detail).because(error).retry_after(1)
+            }
             StoreError::Repeated => {
                 let detail = "A request under the same Idempotency-Key is under way; ask again later.";
                 Self::new(codes::IDEMPOTENCY_KEY_IN_USE, detail).retry_after(1)

@@ -29,6 +29,7 @@ const CREATING: &[&str] = &[
     "/v1/rigs/{rig}/diagnoses",
     "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt",
     "/v1/rigs/{rig}/models",
+    "/v1/tokens",
 ];
 
 /// Longest key.
@@ -139,6 +140,13 @@ impl KeyedRequest {
                 before.answer.location
             );
             return Err(Problem::new(codes::IDEMPOTENCY_KEY_GONE, detail));
+        }
+        if let Some(token) = before.answer.token_id() {
+            let detail = format!(
+                "Token {token} was made under this Idempotency-Key. Its secret was in the first answer only: if that was \
+                 lost, revoke the token and make another one under a new key."
+            );
+            return Err(Problem::new(codes::IDEMPOTENCY_KEY_SECRET, detail));
         }
         created(before.answer)
     }

@@ -57,6 +57,7 @@ pub fn begin(http: &Http) {
     }
     count(names::DEADLINES, &[]);
     count(names::ABANDONED, &[]);
+    count(names::ROWS_MENDED, &[]);
     names::STORE_FAILURES.iter().for_each(|kind| count(names::STORE_ERRORS, &[("kind", kind)]));
 }
 

@@ -83,14 +83,15 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB; 256 MiB; a minute.
+    /// 64 MiB; 128 MiB, which hold an hour of three drives at 1 kHz in either precision; 4 GiB; 224 MiB, so
+    /// that all that predictions take stays below 256 MiB; a minute.
     fn default() -> Self {
         Self {
             json_bytes: 64 << 20,
             drive_bytes: 128 << 20,
             upload_bytes: 4 << 30,
             pace: Pace::default(),
-            prediction_bytes: 256 << 20,
+            prediction_bytes: 224 << 20,
             deadline: Duration::from_secs(60),
         }
     }
@@ -140,7 +141,7 @@ impl Http {
         T: Send + 'static,
         F: FnOnce() -> T + Send + 'static,
     {
-        self.compute.run(class, admission::client_id(), work).await.map_err(Into::into)
+        self.compute.run(class, admission::asker(), work).await.map_err(Into::into)
     }
 }
 

@@ -6,6 +6,12 @@ use axum::http::header::ACCEPT;
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
 
+/// Media type of tables of text.
+pub const CSV: &str = "text/csv";
+
+/// Media type of NumPy arrays.
+pub const NPY: &str = "application/x-npy";
+
 /// The offer with the highest quality in `Accept`; without `Accept`, and among equals, the first.
 ///
 /// # Errors

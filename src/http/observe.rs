@@ -14,9 +14,9 @@ use axum::response::{IntoResponse, Response};
 use futures::FutureExt;
 use tracing::Instrument;
 
-use super::Shared;
 use super::headers::protect;
 use super::problem::{self, Problem};
+use super::{Shared, codes};
 use crate::domain::RigId;
 use crate::telemetry::names;
 
@@ -70,6 +70,9 @@ pub async fn observe(
         AssertUnwindSafe(next.run(request)).catch_unwind().instrument(span.clone()).await.unwrap_or_else(
             |panic| Problem::internal(format!("panic: {}", panic_text(&*panic))).into_response(),
         );
+    if response.extensions().get::<Problem>().is_some_and(|problem| problem.code() == codes::STORE_ROW.name) {
+        http.store.doubt_rows();
+    }
     let response = finish(response, &id, &span);
 
     let status = response.status();

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use axum::extract::{FromRequestParts, Query};
 use axum::http::request::Parts;
+use percent_encoding::percent_decode_str;
 
 use super::codes;
 use super::problem::{Answer, FieldError, Problem};
@@ -131,12 +132,9 @@ impl<S: Send + Sync> FromRequestParts<S> for Params {
 
 /// The first parameter of a query whose name or value is no UTF-8. The parser would put U+FFFD in place of its bytes.
 fn not_utf8(query: &str) -> Option<String> {
-    let replaced = |text: &str| text.matches('\u{fffd}').count();
-    let sent = |pair: &str| replaced(pair) + pair.to_ascii_uppercase().matches("%EF%BF%BD").count();
-    query.split('&').find_map(|pair| {
-        let (name, value) = form_urlencoded::parse(pair.as_bytes()).next()?;
-        (replaced(&name) + replaced(&value) > sent(pair)).then(|| name.into_owned())
-    })
+    let pair = query.split('&').find(|pair| percent_decode_str(pair).decode_utf8().is_err())?;
+    let (name, _) = form_urlencoded::parse(pair.as_bytes()).next()?;
+    Some(name.into_owned())
 }
 
 impl<S: Send + Sync> FromRequestParts<S> for NoParams {

@@ -5,6 +5,7 @@ use axum::http::StatusCode;
 use axum::response::IntoResponse;
 use serde::Serialize;
 
+use super::idempotency::RequestKey;
 use super::json::{self, Json};
 use super::params::{NoParams, Params, page};
 use super::paths::{OfToken, no_token};
@@ -29,13 +30,18 @@ pub async fn list(State(http): State<Shared>, mut params: Params) -> Answer {
 }
 
 /// `POST /v1/tokens`
-pub async fn create(State(http): State<Shared>, _: NoParams, Json(draft): Json<TokenDraft>) -> Answer {
+pub async fn create(
+    State(http): State<Shared>,
+    _: NoParams,
+    key: RequestKey,
+    Json(draft): Json<TokenDraft>,
+) -> Answer {
     draft.check(http.now()).map_err(|found| {
         Problem::new(codes::BODY_INVALID_VALUE, errors::summary("The token does not make sense", &found))
             .with_all(found)
     })?;
     let secret = Secret::draw().map_err(Problem::internal)?;
-    match http.store.insert_token(&draft, secret.digest(), http.now()).await? {
+    match http.store.insert_token(&draft, secret.digest(), key.stored().as_ref(), http.now()).await? {
         TokenInsert::Inserted(token) => {
             http.auth.changed();
             let answer = json::answer(&NewToken { token: &token, secret: secret.reveal() })?;

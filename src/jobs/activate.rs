@@ -97,39 +97,50 @@ async fn compare(
     let new = Side::of_fit(fitted, &channels.outputs, same_filter);
     let Some(old) = Side::of_row(row, &channels.outputs, same_filter) else { return unreadable() };
     let common = common(&new, &old);
-    let runs = context.store.all_runs(&row.rig).await?;
+    let noted = |common: &Common| matches!((&common.new, &common.old), (Score::Noted(_), Score::Noted(_)));
+    // Where a score is to be computed, the run of its span is looked for by its id and by its digest.
+    let runs = if common.iter().all(noted) { Vec::new() } else { context.store.all_runs(&row.rig).await? };
     let filter = if same_filter { active.preprocess } else { Preprocess::default() };
     let active = Arc::new(active);
     let mut sums: Vec<(Squares, Squares)> = vec![Default::default(); channels.outputs.len()];
     let mut seconds = 0.0;
     for Common { span, new, old } in common {
-        let measured = if new.is_none() || old.is_none() {
-            let Some(run) = run_of(&runs, &span, plan) else { continue };
-            let signal = context.store.load_signal(run).await?;
-            Some(ScoredSegment::cut(pair(run, signal, &channels.inputs, &channels.outputs)?, &span))
-        } else {
-            None
+        let span_s = (span.to_sample - span.from_sample) as f64 / fitted.model.sample_rate_hz;
+        let (new, old) = match (new, old) {
+            (Score::Noted(new), Score::Noted(old)) => (new, old),
+            (new, old) => {
+                let Some(run) = run_of(&runs, &span, plan) else { continue };
+                let signal = context.store.load_signal(run).await?;
+                let measured =
+                    ScoredSegment::cut(pair(run, signal, &channels.inputs, &channels.outputs)?, &span);
+                let work = Work {
+                    measured,
+                    inputs: channels.inputs.clone(),
+                    outputs: channels.outputs.clone(),
+                    filter,
+                };
+                let (fitted, active) = (Arc::clone(fitted.model), Arc::clone(&active));
+                let watched = Arc::clone(control);
+                let scored = context
+                    .compute
+                    .run(Class::Fit, None, move || {
+                        Ok((work.score(new, &fitted, &watched)?, work.score(old, &active, &watched)?))
+                    })
+                    .await?;
+                match scored {
+                    Ok(scores) => scores,
+                    Err(EngineError::Cancelled) => return Err(JobError::Stopped),
+                    // The new model has predicted its own data in the fit, so the active one is at fault.
+                    Err(
+                        EngineError::Weights(_)
+                        | EngineError::TensorShape { .. }
+                        | EngineError::NonFiniteResult { .. },
+                    ) => return unreadable(),
+                    Err(error) => return Err(of_engine(&error, &channels)),
+                }
+            }
         };
-        seconds += (span.to_sample - span.from_sample) as f64 / fitted.model.sample_rate_hz;
-        let work = Work { measured, plan: (channels.inputs.clone(), channels.outputs.clone()), filter };
-        let (fitted, active, watched) = (Arc::clone(fitted.model), Arc::clone(&active), Arc::clone(control));
-        let scored = context
-            .compute
-            .run(Class::Fit, None, move || {
-                Ok((work.score(new, &fitted, &watched)?, work.score(old, &active, &watched)?))
-            })
-            .await?;
-        let (new, old) = match scored {
-            Ok(scores) => scores,
-            Err(EngineError::Cancelled) => return Err(JobError::Stopped),
-            // The new model has predicted its own data in the fit, so the active one is at fault.
-            Err(
-                EngineError::Weights(_)
-                | EngineError::TensorShape { .. }
-                | EngineError::NonFiniteResult { .. },
-            ) => return unreadable(),
-            Err(error) => return Err(of_engine(&error, &channels)),
-        };
+        seconds += span_s;
         for (sum, (new, old)) in sums.iter_mut().zip(new.into_iter().zip(old)) {
             *sum = (sum.0.plus(new), sum.1.plus(old));
         }
@@ -192,14 +203,23 @@ impl<'a> Side<'a> {
         Some(Self { lineage: &row.lineage, noted })
     }
 
-    /// Its score on a span: noted, or still to be computed. `None` if it has seen the span.
-    fn score(&self, span: &Span) -> Option<Option<Vec<Squares>>> {
+    /// Its score on a span. `None` if it has seen the span.
+    fn score(&self, span: &Span) -> Option<Score> {
         let place = self.lineage.validation.iter().position(|own| same_data(own, span));
         if let Some(noted) = place.and_then(|place| self.noted.get(place)) {
-            return Some(Some(noted.clone()));
+            return Some(Score::Noted(noted.clone()));
         }
-        (!self.lineage.has_seen(span)).then_some(None)
+        (!self.lineage.has_seen(span)).then_some(Score::ToCompute)
     }
+}
+
+/// Score of a model on a span of data, in the fit's order of outputs.
+#[derive(Debug, PartialEq)]
+enum Score {
+    /// As its report has it.
+    Noted(Vec<Squares>),
+    /// From a prediction that is still to be made.
+    ToCompute,
 }
 
 /// Scores of a report against the filtered responses, or, where the other model has another filter,
@@ -223,12 +243,12 @@ fn same_data(a: &Span, b: &Span) -> bool {
     a.sha256 == b.sha256 && (a.from_sample, a.to_sample) == (b.from_sample, b.to_sample)
 }
 
-/// A span that both models are scored on: by what was noted, or anew.
+/// A span that both models are scored on.
 #[derive(Debug, PartialEq)]
 struct Common {
     span: Span,
-    new: Option<Vec<Squares>>,
-    old: Option<Vec<Squares>>,
+    new: Score,
+    old: Score,
 }
 
 /// Spans of either model's validation data that both can be scored on, each measurement once.
@@ -272,29 +292,27 @@ impl ScoredSegment {
 
 /// The data from which a span's scores are computed.
 struct Work {
-    measured: Option<ScoredSegment>,
+    measured: ScoredSegment,
     /// The fit's inputs and outputs.
-    plan: (Vec<String>, Vec<String>),
+    inputs: Vec<String>,
+    outputs: Vec<String>,
     /// Filter of the responses: that of both models, or none where they differ.
     filter: Preprocess,
 }
 
 impl Work {
     /// The noted scores, or else the sums over the span.
-    fn score(
-        &self,
-        noted: Option<Vec<Squares>>,
-        model: &RigModel,
-        control: &Control,
-    ) -> Result<Vec<Squares>, EngineError> {
-        let (None, Some(segment)) = (&noted, &self.measured) else { return Ok(noted.unwrap_or_default()) };
+    fn score(&self, score: Score, model: &RigModel, control: &Control) -> Result<Vec<Squares>, EngineError> {
+        if let Score::Noted(noted) = score {
+            return Ok(noted);
+        }
+        let segment = &self.measured;
         let progress = Progress { stage: "comparing with the active model", fraction: 1.0 };
         if control.watch(progress).is_break() {
             return Err(EngineError::Cancelled);
         }
-        let (inputs, outputs) = &self.plan;
-        let (Some(inputs), Some(outputs)) = (places(inputs, &model.inputs), places(&model.outputs, outputs))
-        else {
+        let places = (places(&self.inputs, &model.inputs), places(&model.outputs, &self.outputs));
+        let (Some(inputs), Some(outputs)) = places else {
             return Err(EngineError::Weights("the model has other channels than its row says".into()));
         };
         let predicted = model.predict(&segment.pair.x.select(&inputs))?;
@@ -368,13 +386,20 @@ mod tests {
         let found = common(&side(&a, 1.0), &side(&a, 2.0));
         assert_eq!(
             found,
-            [Common { span: span(2, 0, 1000), new: Some(squares(1.0)), old: Some(squares(2.0)) }]
+            [Common {
+                span: span(2, 0, 1000),
+                new: Score::Noted(squares(1.0)),
+                old: Score::Noted(squares(2.0))
+            }]
         );
         assert_eq!(common(&side(&a, 1.0), &side(&b, 2.0)), [], "each has seen what the other left out");
         // A run from after the active model's fit is new to it as it is.
         let newer = Lineage { training: vec![span(3, 0, 1000)], ..left_out(3) };
         let found = common(&side(&newer, 1.0), &side(&a, 2.0));
-        assert_eq!(found[0], Common { span: span(3, 0, 1000), new: Some(squares(1.0)), old: None });
+        assert_eq!(
+            found[0],
+            Common { span: span(3, 0, 1000), new: Score::Noted(squares(1.0)), old: Score::ToCompute }
+        );
     }
 
     #[test]

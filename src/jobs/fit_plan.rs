@@ -8,7 +8,9 @@ use crate::domain::fits::{Activate, FitRequest, RunFilter, RunSelection};
 use crate::domain::{
     FieldError, FitChannels, Lineage, Problem, Rig, Run, RunId, RunKind, Span, Split, model, task,
 };
-use crate::engine::model::{FitSplit, ModelKind, Preset, RunLengths, Section, Sections, Task};
+use crate::engine::model::{
+    FitSplit, ModelKind, Preset, RunLengths, Section, Sections, Task, own_frf_sections,
+};
 use crate::storage::{Store, StoreError};
 
 use super::problem::{codes, sentence, too_many_waiting};
@@ -338,9 +340,9 @@ impl FitPlan {
         if request.kind != ModelKind::Lstm
             && let Some(segment_len) = request.frf.segment_len
         {
-            let longest =
-                self.frf_sections(&sections.training).iter().map(|s| s.to_sample).max().unwrap_or(0);
-            if longest < segment_len as u64 {
+            let sections = self.frf_sections(&sections.training);
+            let longest = sections.iter().map(|section| section.samples.end).max().unwrap_or(0);
+            if longest < segment_len {
                 return refuse(
                     "/frf/segment_len",
                     format!("at most {longest}, the samples of the longest run that the FRF is estimated on"),
@@ -379,47 +381,44 @@ impl FitPlan {
         self.frf.iter().flatten().filter(move |run| !known(run))
     }
 
-    /// Spans that the FRF part is estimated on when `training` is trained on.
-    fn frf_sections(&self, training: &[Section]) -> Vec<Span> {
-        let Some(own) = &self.frf else {
-            return training.iter().map(|section| self.span(section)).collect();
-        };
-        let mut spans = Vec::new();
-        for run in own {
-            match self.training.iter().position(|other| other.sha256 == run.sha256) {
-                Some(place) => {
-                    spans
-                        .extend(training.iter().filter(|s| s.run == place).map(|section| self.span(section)));
-                }
-                None => spans.push(span(run, 0, run.samples)),
-            }
-        }
-        spans
+    /// A run by its place: training runs, validation runs, then those of the FRF part alone.
+    fn run(&self, place: usize) -> &Run {
+        let run = self.training.iter().chain(&self.validation).chain(self.frf_only()).nth(place);
+        run.expect("a section names a run of the plan")
     }
 
-    fn span(&self, section: &Section) -> Span {
-        let run = self.training.iter().chain(&self.validation).nth(section.run);
-        let run = run.expect("a section names a run of the plan");
-        span(run, section.samples.start as u64, section.samples.end as u64)
+    fn spans(&self, sections: &[Section]) -> Vec<Span> {
+        let of = |section: &Section| {
+            span(self.run(section.run), section.samples.start as u64, section.samples.end as u64)
+        };
+        sections.iter().map(of).collect()
+    }
+
+    fn length(&self, place: usize) -> usize {
+        usize::try_from(self.run(place).samples).unwrap_or(usize::MAX)
+    }
+
+    /// Data of the FRF part when `training` is trained on.
+    fn frf_sections(&self, training: &[Section]) -> Vec<Section> {
+        match self.frf_places() {
+            Some(own) => own_frf_sections(&own, training, self.training.len(), |place| self.length(place)),
+            None => training.to_vec(),
+        }
     }
 
     /// The spans of data behind the model. `refitted`: the model was fitted again on all training runs after
     /// the comparison.
     pub fn lineage(&self, refitted: bool) -> Lineage {
         let Sections { training, stopping, comparison, .. } = self.sections();
-        let spans = |sections: &[Section]| sections.iter().map(|section| self.span(section)).collect();
-        let own_frf = self.frf.is_some();
-        let all: Vec<Span> = self.training.iter().map(|run| span(run, 0, run.samples)).collect();
-        let whole_frf = || self.frf.iter().flatten().map(|run| span(run, 0, run.samples)).collect();
+        let whole =
+            || (0..self.training.len()).map(|run| Section { run, samples: 0..self.length(run) }).collect();
+        let (training, stopping) = if refitted { (whole(), Vec::new()) } else { (training, stopping) };
+        let frf = if self.frf.is_some() { self.frf_sections(&training) } else { Vec::new() };
         Lineage {
-            training: if refitted { all } else { spans(&training) },
-            frf: match (own_frf, refitted) {
-                (false, _) => Vec::new(),
-                (true, true) => whole_frf(),
-                (true, false) => self.frf_sections(&training),
-            },
-            stopping: Some(if refitted { Vec::new() } else { spans(&stopping) }),
-            validation: spans(&comparison),
+            frf: self.spans(&frf),
+            training: self.spans(&training),
+            stopping: Some(self.spans(&stopping)),
+            validation: self.spans(&comparison),
             diagnoses: Vec::new(),
         }
     }

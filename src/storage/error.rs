@@ -188,10 +188,8 @@ impl StoreError {
     pub fn kind(&self) -> &'static str {
         match self {
             error if error.is_disk_full() => "full",
-            Self::ObjectMissing { .. }
-            | Self::ObjectDamaged { .. }
-            | Self::Damaged { .. }
-            | Self::Row { .. } => "damaged",
+            Self::ObjectMissing { .. } | Self::ObjectDamaged { .. } | Self::Damaged { .. } => "damaged",
+            error if error.is_damaged_row() => "damaged",
             error if error.is_unavailable() => "unavailable",
             _ => "defect",
         }
@@ -202,6 +200,12 @@ impl StoreError {
         if !matches!(self, Self::Repeated | Self::Stopped) {
             metrics::counter!(names::STORE_ERRORS, "kind" => self.kind()).increment(1);
         }
+    }
+
+    /// Whether a row holds what was never written.
+    pub fn is_damaged_row(&self) -> bool {
+        use sqlx::Error::{ColumnDecode, Decode};
+        matches!(self, Self::Row { .. } | Self::Database(ColumnDecode { .. } | Decode(_)))
     }
 
     /// Whether the store is out of reach for a while, through no fault of the request: locks, failing

@@ -95,6 +95,9 @@ impl Store {
                 "SELECT EXISTS (SELECT 1 FROM models WHERE rig = ? AND version = CAST(? AS INTEGER))",
                 &[rig, version],
             ),
+            ["v1", "tokens", token] => {
+                ("SELECT EXISTS (SELECT 1 FROM tokens WHERE id = ? AND revoked_us IS NULL)", &[token])
+            }
             _ => return Ok(true),
         };
         let mut query = sqlx::query_scalar::<_, bool>(query);

@@ -3,6 +3,10 @@
 //! In Fortran order one channel follows the other, as in memory. The store reads only files that it has
 //! written, so reading means comparing the header with the expected one.
 
+use std::io::{self, Write};
+
+use crate::engine::samples::{Samples, each_block};
+
 /// The header of a signal: 64-byte aligned, as NumPy writes it.
 pub(super) fn header(samples: usize, channels: usize) -> Vec<u8> {
     let mut dict = format!("{{'descr': '<f8', 'fortran_order': True, 'shape': ({samples}, {channels}), }}");
@@ -17,16 +21,21 @@ pub(super) fn header(samples: usize, channels: usize) -> Vec<u8> {
     header
 }
 
-/// Channels, equally long, as an NPY file. Each is dropped once it is written, so that a long run is in memory
-/// little more than once.
-pub(super) fn encode(channels: Vec<Vec<f64>>) -> Vec<u8> {
-    let samples = channels.first().map_or(0, Vec::len);
-    let mut bytes = header(samples, channels.len());
-    bytes.reserve_exact(8 * samples * channels.len());
-    for channel in channels {
-        bytes.extend(channel.iter().flat_map(|value| value.to_le_bytes()));
+/// Writes samples as an NPY file, some at a time.
+///
+/// # Errors
+/// Those of the file that holds the samples, and of the one that is written.
+pub(super) fn encode(samples: &mut impl Samples, file: &mut impl Write) -> io::Result<()> {
+    file.write_all(&header(samples.n_samples(), samples.n_channels()))?;
+    let mut bytes: Vec<u8> = Vec::new();
+    for channel in 0..samples.n_channels() {
+        each_block(samples, channel, |block| {
+            bytes.clear();
+            bytes.extend(block.iter().flat_map(|value| value.to_le_bytes()));
+            file.write_all(&bytes)
+        })?;
     }
-    bytes
+    Ok(())
 }
 
 /// Bytes of a file of this shape, header included.
@@ -49,6 +58,13 @@ pub(super) fn decode(bytes: &[u8], samples: usize, channels: usize) -> Option<Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::Signal;
+
+    fn encode(channels: Vec<Vec<f64>>) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        super::encode(&mut Signal::new(1.0, channels).unwrap(), &mut bytes).unwrap();
+        bytes
+    }
 
     #[test]
     fn a_signal_survives_bit_for_bit() {

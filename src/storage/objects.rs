@@ -1,6 +1,7 @@
 //! Objects: immutable bytes, named by their SHA-256 and verified at each read.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,6 +14,8 @@ use sha2::{Digest as _, Sha256};
 use tokio::sync::RwLockReadGuard;
 
 use super::corruption::CorruptObjects;
+use super::files::{self, failed};
+use super::object_file::ObjectFile;
 use super::write::Write;
 use super::{Store, StoreError, quarantine};
 
@@ -23,27 +26,28 @@ pub struct Digest(String);
 impl Digest {
     /// Digest of `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
-        Self::hex(&Sha256::digest(bytes))
-    }
-
-    fn hex(bytes: &[u8]) -> Self {
-        use std::fmt::Write;
-        let mut hex = String::with_capacity(2 * bytes.len());
-        for byte in bytes {
-            write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
-        }
-        Self(hex)
+        Self(hex(&Sha256::digest(bytes)))
     }
 
     /// Digest of the bytes that were hashed piece by piece.
     pub(super) fn finished(hash: Sha256) -> Self {
-        Self::hex(&hash.finalize())
+        Self(hex(&hash.finalize()))
     }
 
     /// As hex.
     pub fn as_str(&self) -> &str {
         &self.0
     }
+}
+
+/// Bytes as lower-case hex digits.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    use std::fmt::Write;
+    let mut hex = String::with_capacity(2 * bytes.len());
+    for byte in bytes {
+        write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
+    }
+    hex
 }
 
 /// The object files of a data directory.
@@ -77,6 +81,20 @@ impl Objects {
     pub async fn put(&self, digest: &Digest, bytes: Bytes) -> Result<(), StoreError> {
         let (before, after) = (self.size(digest.as_str()).await, bytes.len() as u64);
         self.files.put(&key(digest.as_str()), bytes.into()).await?;
+        self.bytes.fetch_add(after.wrapping_sub(before), Ordering::Relaxed);
+        self.corrupt.note(digest.as_str(), false);
+        Ok(())
+    }
+
+    /// Stores an object as [`Objects::put`] does.
+    ///
+    /// # Errors
+    /// The file system's refusals; a half-written object is never visible.
+    pub(super) async fn put_file(&self, file: ObjectFile) -> Result<(), StoreError> {
+        let (digest, after) = (file.digest().clone(), file.size());
+        let before = self.size(digest.as_str()).await;
+        let place = self.path_of(digest.as_str());
+        off_thread(move || file.persist(&place)).await?;
         self.bytes.fetch_add(after.wrapping_sub(before), Ordering::Relaxed);
         self.corrupt.note(digest.as_str(), false);
         Ok(())
@@ -122,7 +140,7 @@ impl Objects {
 
     /// The file of an object, whether it is there or not.
     pub(super) fn path_of(&self, digest: &str) -> PathBuf {
-        self.root.join(key(digest).as_ref())
+        place(&self.root, digest)
     }
 
     /// Size of an object; 0 if it is not there.
@@ -132,7 +150,7 @@ impl Objects {
 
     /// Removes all objects but these.
     pub(super) fn retain(&self, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
-        self.keep(wanted, |file| std::fs::remove_file(file).map_err(|source| self.failed(source)))
+        self.keep(wanted, files::remove)
     }
 
     /// Puts all objects but these into the quarantine of the data directory, and removes unfinished files.
@@ -147,12 +165,8 @@ impl Objects {
                 tracing::warn!(object.digest = name, "put an object aside that no row names");
                 return quarantine::put_aside(data_dir, file);
             }
-            std::fs::remove_file(file).map_err(|source| self.failed(source))
+            files::remove(file)
         })
-    }
-
-    fn failed(&self, source: std::io::Error) -> StoreError {
-        StoreError::DataDir { path: self.root.clone(), source }
     }
 
     /// Does away with all objects but these, and counts the bytes of these.
@@ -161,20 +175,12 @@ impl Objects {
         wanted: &BTreeSet<String>,
         do_away: impl Fn(&Path) -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
-        let failed = |source| self.failed(source);
         let mut kept = 0;
-        for directory in std::fs::read_dir(&self.root).map_err(failed)? {
-            let directory = directory.map_err(failed)?.path();
-            if !directory.is_dir() {
-                continue;
-            }
-            for file in std::fs::read_dir(&directory).map_err(failed)? {
-                let file = file.map_err(failed)?;
-                if file.file_name().to_str().is_none_or(|name| !wanted.contains(name)) {
-                    do_away(&file.path())?;
-                } else {
-                    kept += file.metadata().map_err(failed)?.len();
-                }
+        for file in all_below(&self.root)? {
+            if file.file_name().and_then(OsStr::to_str).is_none_or(|name| !wanted.contains(name)) {
+                do_away(&file)?;
+            } else {
+                kept += std::fs::metadata(&file).map_err(failed(&file))?.len();
             }
         }
         self.bytes.store(kept, Ordering::Relaxed);
@@ -209,6 +215,29 @@ impl Objects {
 /// Names of all objects that rows refer to.
 pub(super) const REFERENCED: &str =
     "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses";
+
+/// Every file below a directory of objects.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn all_below(root: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let mut found = Vec::new();
+    for directory in std::fs::read_dir(root).map_err(failed(root))? {
+        let directory = directory.map_err(failed(root))?.path();
+        if !directory.is_dir() {
+            continue;
+        }
+        for file in std::fs::read_dir(&directory).map_err(failed(&directory))? {
+            found.push(file.map_err(failed(&directory))?.path());
+        }
+    }
+    Ok(found)
+}
+
+/// Where an object is in a directory of objects.
+pub(super) fn place(root: &Path, digest: &str) -> PathBuf {
+    root.join(key(digest).as_ref())
+}
 
 /// Spreads the objects over 256 directories, to keep each of them small.
 fn key(digest: &str) -> Key {
@@ -257,6 +286,13 @@ impl Store {
     ) -> Result<ObjectWrite<'_>, StoreError> {
         let gate = self.objects_gate().read().await;
         self.objects().put(digest, bytes.clone()).await?;
+        Ok(ObjectWrite { gate, tx: self.write().await? })
+    }
+
+    /// As [`Store::write_object`], for an object in a file.
+    pub(super) async fn write_object_file(&self, file: ObjectFile) -> Result<ObjectWrite<'_>, StoreError> {
+        let gate = self.objects_gate().read().await;
+        self.objects().put_file(file).await?;
         Ok(ObjectWrite { gate, tx: self.write().await? })
     }
 

@@ -1,15 +1,25 @@
 //! Prepares a run for the store: all work for the processor, done before the transaction.
 
 use std::collections::HashMap;
+use std::path::Path;
 
 use crate::domain::{FieldError, Quality, Rig, RunMeta};
-use crate::engine::Signal;
+use crate::engine::{Samples, Signal};
 
-use super::{Digest, npy};
+use super::files::failed;
+use super::object_file::ObjectFile;
+use super::{Digest, StoreError, npy};
 
-/// A checked run with its quality figures and its bytes, ready to be stored.
-#[derive(Debug, Clone)]
+/// A checked run with its quality figures and its object, ready to be stored.
+#[derive(Debug)]
 pub struct PreparedRun {
+    pub(super) row: NewRun,
+    pub(super) object: ObjectFile,
+}
+
+/// The columns of a new run, but for those that the store gives it.
+#[derive(Debug)]
+pub(super) struct NewRun {
     pub(super) meta: RunMeta,
     pub(super) channels: Vec<String>,
     pub(super) units: Vec<String>,
@@ -19,40 +29,62 @@ pub struct PreparedRun {
     pub(super) sha256: String,
     pub(super) quality: Quality,
     pub(super) object: Digest,
-    pub(super) bytes: bytes::Bytes,
+}
+
+/// The reason why a run was not prepared.
+#[derive(Debug)]
+pub enum PrepareError {
+    /// It does not suit its rig.
+    Unsuitable(Vec<FieldError>),
+    /// Its samples could not be read, or its object not be written.
+    Store(StoreError),
+}
+
+impl From<Vec<FieldError>> for PrepareError {
+    fn from(found: Vec<FieldError>) -> Self {
+        Self::Unsuitable(found)
+    }
+}
+
+impl From<StoreError> for PrepareError {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
 }
 
 impl PreparedRun {
-    /// Checks a parsed file against its rig. Takes processor time: call it off the async threads.
+    /// Checks the samples of a file against its rig, and writes them to a file in `scratch`, some at a time.
+    /// Takes processor time: call it off the async threads.
     ///
-    /// `channels` name the signal's channels in order; `units`, where the file had some, must be the
+    /// `channels` name the channels in order; `units`, where the file had some, must be the
     /// rig's (an empty unit is ignored); `sha256` is that of the uploaded file, hex.
     ///
     /// # Errors
     /// Channels that are unknown or come twice, another unit, another sample rate, no samples,
-    /// and what [`RunMeta::check`] finds.
+    /// and what [`RunMeta::check`] finds; the file system's errors.
     pub fn new(
+        scratch: &Path,
         rig: &Rig,
         meta: RunMeta,
         channels: Vec<String>,
         units: Option<Vec<String>>,
-        signal: Signal,
+        mut samples: impl Samples,
         sha256: String,
-    ) -> Result<Self, Vec<FieldError>> {
+    ) -> Result<Self, PrepareError> {
         let meta = meta.check()?;
-        let units = check_channels(rig, &channels, units.as_deref(), &signal)?;
-        if !Signal::same_rate(rig.sample_rate_hz, signal.sample_rate_hz()) {
-            let found = signal.sample_rate_hz();
+        let units = check_channels(rig, &channels, units.as_deref(), &samples)?;
+        if !Signal::same_rate(rig.sample_rate_hz, samples.sample_rate_hz()) {
+            let found = samples.sample_rate_hz();
             let limit = format!("{} Hz, the rig's sample rate; found {found} Hz", rig.sample_rate_hz);
-            return Err(vec![FieldError::new("/sample_rate_hz", limit)]);
+            return Err(vec![FieldError::new("/sample_rate_hz", limit)].into());
         }
-        if signal.n_samples() == 0 {
-            return Err(vec![FieldError::new("", "at least one sample")]);
+        if samples.n_samples() == 0 {
+            return Err(vec![FieldError::new("", "at least one sample")].into());
         }
-        let quality = Quality::assess(&channels, &signal);
-        let samples = signal.n_samples();
-        let bytes = npy::encode(signal.into_channels());
-        Ok(Self {
+        let quality = Quality::assess(&channels, &mut samples).map_err(failed(scratch))?;
+        let object = ObjectFile::make(scratch, |file| npy::encode(&mut samples, file))?;
+        let samples = samples.n_samples();
+        let row = NewRun {
             meta,
             channels,
             units,
@@ -62,21 +94,22 @@ impl PreparedRun {
             sample_rate_hz: rig.sample_rate_hz,
             sha256,
             quality,
-            object: Digest::of(&bytes),
-            bytes: bytes.into(),
-        })
+            object: object.digest().clone(),
+        };
+        Ok(Self { row, object })
     }
 }
 
-/// Units of the channels, which must be channels of the rig and as many as the signal has.
+/// Units of the channels, which must be channels of the rig and as many as there are samples of.
 fn check_channels(
     rig: &Rig,
     channels: &[String],
     units: Option<&[String]>,
-    signal: &Signal,
+    samples: &impl Samples,
 ) -> Result<Vec<String>, Vec<FieldError>> {
-    if channels.len() != signal.n_channels() {
-        let limit = format!("one name a channel: {} names, {} channels", channels.len(), signal.n_channels());
+    if channels.len() != samples.n_channels() {
+        let limit =
+            format!("one name a channel: {} names, {} channels", channels.len(), samples.n_channels());
         return Err(vec![FieldError::new("/channels", limit)]);
     }
     let mut errors = Vec::new();
@@ -112,13 +145,14 @@ mod tests {
         signal: &Signal,
     ) -> Result<PreparedRun, Vec<FieldError>> {
         let own = |texts: &[&str]| texts.iter().map(|t| (*t).to_owned()).collect::<Vec<_>>();
-        PreparedRun::new(
-            &rig(&draft("bench")),
-            meta(),
-            own(channels),
-            units.map(own),
-            signal.clone(),
-            "00".into(),
+        let scratch = tempfile::tempdir().unwrap();
+        let rig = rig(&draft("bench"));
+        let (names, units) = (own(channels), units.map(own));
+        PreparedRun::new(scratch.path(), &rig, meta(), names, units, signal.clone(), "00".into()).map_err(
+            |error| match error {
+                PrepareError::Unsuitable(found) => found,
+                PrepareError::Store(error) => panic!("{error}"),
+            },
         )
     }
 
@@ -128,7 +162,7 @@ mod tests {
 
     #[test]
     fn a_subset_of_the_channels_in_any_order_is_a_run() {
-        let run = prepare(&["y", "u"], None, &signal(100.0, &[&[1.0, 2.0], &[3.0, 4.0]])).unwrap();
+        let run = prepare(&["y", "u"], None, &signal(100.0, &[&[1.0, 2.0], &[3.0, 4.0]])).unwrap().row;
         assert_eq!((run.units, run.samples, run.duration_s), (vec!["mm".into(), "kN".into()], 2, 0.02));
     }
 

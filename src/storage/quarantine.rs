@@ -8,7 +8,8 @@ use std::time::UNIX_EPOCH;
 use jiff::{SignedDuration, Timestamp};
 use rustix::fs::{AtFlags, CWD, Timespec, Timestamps, UTIME_NOW, utimensat};
 
-use super::objects::off_thread;
+use super::files::{self, failed};
+use super::objects::{off_thread, place};
 use super::{Store, StoreError};
 
 /// How long an object is kept after it was put aside.
@@ -16,33 +17,6 @@ const KEPT: SignedDuration = SignedDuration::from_hours(7 * 24);
 
 fn directory(data_dir: &Path) -> PathBuf {
     data_dir.join("quarantine")
-}
-
-fn failed(path: &Path) -> impl FnOnce(io::Error) -> StoreError + use<> {
-    let path = path.to_owned();
-    move |source| StoreError::DataDir { path, source }
-}
-
-/// Names of the objects below a directory of objects.
-///
-/// # Errors
-/// The file system's errors.
-pub(super) fn names_in(objects: &Path) -> Result<Vec<String>, StoreError> {
-    let mut names = Vec::new();
-    for folder in std::fs::read_dir(objects).map_err(failed(objects))? {
-        let folder = folder.map_err(failed(objects))?.path();
-        if !folder.is_dir() {
-            continue;
-        }
-        for file in std::fs::read_dir(&folder).map_err(failed(&folder))? {
-            names.extend(file.map_err(failed(&folder))?.file_name().into_string());
-        }
-    }
-    Ok(names)
-}
-
-fn place(data_dir: &Path, name: &str) -> PathBuf {
-    data_dir.join("objects").join(name.get(..2).unwrap_or("xx")).join(name)
 }
 
 /// Puts an object aside. Its week begins now, by the clock of the file system.
@@ -65,7 +39,7 @@ pub(super) fn put_aside(data_dir: &Path, object: &Path) -> Result<(), StoreError
 /// The file system's errors.
 pub(super) fn bring_back(data_dir: &Path, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
     for (name, path) in files(data_dir)? {
-        let place = place(data_dir, &name);
+        let place = place(&data_dir.join("objects"), &name);
         if wanted.contains(&name) && !place.exists() {
             let folder = place.parent().unwrap_or(data_dir);
             std::fs::create_dir_all(folder).map_err(failed(folder))?;
@@ -118,7 +92,7 @@ impl Store {
                 let since = SignedDuration::try_from(since).unwrap_or(SignedDuration::MAX);
                 if now.as_duration().saturating_sub(since) > KEPT {
                     tracing::info!(object.digest = name, "deleted an object that no row named for a week");
-                    std::fs::remove_file(&path).map_err(failed(&path))?;
+                    files::remove(&path)?;
                 }
             }
             Ok(())

@@ -4,6 +4,7 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::objects::{ObjectWrite, to_the_end};
+use super::prepare::NewRun;
 use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{RunRow, all, int, json, us};
@@ -65,7 +66,7 @@ impl Store {
     ) -> Result<RunInsert, StoreError> {
         let (store, rig) = (self.clone(), rig.clone());
         to_the_end(async move {
-            let object = run.object.clone();
+            let object = run.object.digest().clone();
             let inserted = store.insert_run_gated(&rig, run, token, key.as_ref(), now);
             let made = |inserted: &RunInsert| matches!(inserted, RunInsert::Inserted(_));
             store.discard_unless(made, &object, inserted).await
@@ -81,7 +82,8 @@ impl Store {
         key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object(&run.object, &run.bytes).await?;
+        let PreparedRun { row: run, object } = run;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object_file(object).await?;
         idempotency::check_unused(&mut tx, key).await?;
         let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(RunInsert::MissingRig) };
         let unit = |name| rig.channel(name).map(|channel| &channel.unit);
@@ -232,7 +234,7 @@ async fn run_in(
 async fn insert_row(
     connection: &mut SqliteConnection,
     rig: &RigId,
-    run: &PreparedRun,
+    run: &NewRun,
     now: Timestamp,
 ) -> Result<Run, StoreError> {
     let RunMeta { name, kind, split, tags, started_at } = &run.meta;
@@ -409,16 +411,17 @@ mod tests {
     async fn a_run_for_a_rig_that_is_gone_leaves_nothing() {
         let store = TestStore::open().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-        let prepared = store.prepare(&rig, meta(), &[1.0]);
-        let object = prepared.object.as_str().to_owned();
+        let [prepared, again] = [store.prepare(&rig, meta(), &[1.0]), store.prepare(&rig, meta(), &[1.0])];
+        let object = prepared.row.object.as_str().to_owned();
         store.delete_rig(&rig.id).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared.clone(), None, None, now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, prepared, None, None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::MissingRig);
         assert!(matches!(store.objects().get(&object).await, Err(StoreError::ObjectMissing { .. })));
         let mut other = draft("bench");
         other.sample_rate_hz = 200.0;
         store.insert_rig(&other, None, now()).await.unwrap();
-        let inserted = store.insert_run(&rig.id, prepared, None, None, now()).await.unwrap();
+        let inserted = store.insert_run(&rig.id, again, None, None, now()).await.unwrap();
         assert_eq!(inserted, RunInsert::RigChanged);
+        assert_eq!(std::fs::read_dir(store.scratch_dir()).unwrap().count(), 0);
     }
 }

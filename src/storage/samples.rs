@@ -5,10 +5,10 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::ops::Range;
 use std::os::unix::fs::FileExt;
-use std::path::PathBuf;
 
 use sha2::{Digest as _, Sha256};
 
+use super::files::failed;
 use super::objects::off_thread;
 use super::{Digest, Store, StoreError, npy};
 use crate::domain::Run;
@@ -75,8 +75,7 @@ impl Store {
         let mut stored = self.open_samples(run, columns, all.clone()).await?;
         let (key, path) = (run.id.to_string(), self.objects().path_of(&run.object));
         off_thread(move || {
-            let channels =
-                samples::block(&mut stored, &all).map_err(|source| StoreError::DataDir { path, source })?;
+            let channels = samples::block(&mut stored, &all).map_err(failed(&path))?;
             Signal::new(stored.sample_rate_hz, channels).map_err(|error| StoreError::Row {
                 table: "runs",
                 key,
@@ -90,7 +89,6 @@ impl Store {
     /// its caller goes away.
     async fn verified(&self, digest: &str) -> Result<(File, u64), StoreError> {
         let path = self.objects().path_of(digest);
-        let failed = |path: &PathBuf, source: io::Error| StoreError::DataDir { path: path.clone(), source };
         let opened = {
             let path = path.clone();
             off_thread(move || Ok(File::open(path))).await?
@@ -100,7 +98,7 @@ impl Store {
                 self.objects().corrupt().note(digest, true);
                 return Err(StoreError::ObjectMissing { digest: digest.to_owned() });
             }
-            file => file.map_err(|error| failed(&path, error))?,
+            file => file.map_err(failed(&path))?,
         };
         let (mut hash, mut size, mut more) = (Sha256::new(), 0, true);
         while more {
@@ -108,7 +106,7 @@ impl Store {
             (file, hash, size, more) = off_thread(move || {
                 let mut piece = vec![0; READ_AT_ONCE];
                 for _ in 0..VERIFIED_AT_ONCE / READ_AT_ONCE {
-                    let n = file.read(&mut piece).map_err(|error| failed(&here, error))?;
+                    let n = file.read(&mut piece).map_err(failed(&here))?;
                     hash.update(&piece[..n]);
                     size += n as u64;
                     if n == 0 {

@@ -11,12 +11,17 @@ use sqlx::{SqliteConnection, SqlitePool};
 use tokio::sync::RwLock;
 
 use super::error::sqlite_code;
+use super::files::{self, failed, sync_directory};
 use super::journal::{self, Journal};
+use super::objects::off_thread;
 use super::reserve::Reserve;
 use super::{Objects, StoreError, migrations};
 
 /// Name of the database in a data directory and in a backup.
 pub(super) const DATABASE: &str = "rigcast.db";
+
+/// The database, its write-ahead log, and the index of that log.
+pub(super) const DATABASE_FILES: [&str; 3] = [DATABASE, "rigcast.db-wal", "rigcast.db-shm"];
 
 /// How long a start waits for the lock of a process that is about to end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
@@ -128,14 +133,12 @@ impl Store {
             journal.check().await?;
         }
         let path = self.scratch_dir().join(".ping");
-        let failed = |source| StoreError::DataDir { path: path.clone(), source };
-        let written = tokio::fs::write(&path, b"ping").await.map_err(failed);
-        // Two pings at once may remove the same file.
-        let removed = match tokio::fs::remove_file(&path).await {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(failed(source)),
-            _ => Ok(()),
-        };
-        match written.and(removed) {
+        let pinged = off_thread(move || {
+            let written = std::fs::write(&path, b"ping").map_err(failed(&path));
+            // Two pings at once may remove the same file.
+            written.and(files::remove(&path))
+        });
+        match pinged.await {
             Err(error) if error.is_disk_full() => Ok(false),
             done => done.map(|()| self.reserve().is_none_or(Reserve::hold)),
         }
@@ -216,15 +219,14 @@ async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
 
 /// Makes the data directory and takes its lock. A process that was just killed may still hold it for a moment.
 pub(super) fn lock(data_dir: &Path) -> Result<File, StoreError> {
-    let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
     let new = !data_dir.exists();
-    std::fs::create_dir_all(data_dir).map_err(failed)?;
+    std::fs::create_dir_all(data_dir).map_err(failed(data_dir))?;
     let lock = File::options()
         .create(true)
         .truncate(false)
         .write(true)
         .open(data_dir.join("lock"))
-        .map_err(failed)?;
+        .map_err(failed(data_dir))?;
     let until = Instant::now() + LOCK_WAIT;
     loop {
         match lock.try_lock() {
@@ -233,28 +235,27 @@ pub(super) fn lock(data_dir: &Path) -> Result<File, StoreError> {
                 std::thread::sleep(Duration::from_millis(50));
             }
             Err(TryLockError::WouldBlock) => return Err(StoreError::Locked { path: data_dir.to_owned() }),
-            Err(TryLockError::Error(source)) => return Err(failed(source)),
+            Err(TryLockError::Error(source)) => return Err(failed(data_dir)(source)),
         }
     }
     // Otherwise a power cut could lose a new directory with all acknowledged data.
     let parent = data_dir.parent().filter(|parent| new && !parent.as_os_str().is_empty());
     if let Some(parent) = parent {
-        File::open(parent).and_then(|directory| directory.sync_all()).map_err(failed)?;
+        sync_directory(parent)?;
     }
     Ok(lock)
 }
 
 /// Makes the directories, empties the scratch directory.
 fn prepare_directory(data_dir: &Path) -> Result<(), StoreError> {
-    let failed = |source| StoreError::DataDir { path: data_dir.to_owned(), source };
     let scratch = data_dir.join("scratch");
     match std::fs::remove_dir_all(&scratch) {
-        Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(failed(source)),
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(failed(data_dir)(source)),
         _ => {}
     }
-    std::fs::create_dir_all(&scratch).map_err(failed)?;
-    std::fs::create_dir_all(data_dir.join("objects")).map_err(failed)?;
-    File::open(data_dir).and_then(|directory| directory.sync_all()).map_err(failed)
+    std::fs::create_dir_all(&scratch).map_err(failed(data_dir))?;
+    std::fs::create_dir_all(data_dir.join("objects")).map_err(failed(data_dir))?;
+    sync_directory(data_dir)
 }
 
 /// Refuses objects or a journal without a database: the database was lost, and a start would be an empty one.
@@ -262,7 +263,7 @@ fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
     let empty = match std::fs::metadata(database) {
         Ok(found) => found.len() == 0,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => true,
-        Err(source) => return Err(StoreError::DataDir { path: database.to_owned(), source }),
+        Err(source) => return Err(failed(database)(source)),
     };
     if empty && (journal::is_there(data_dir) || Objects::any(&data_dir.join("objects"))) {
         let what = "it is missing or empty, but there are runs and models beside it".into();

@@ -116,7 +116,8 @@ impl TestStore {
         let signal = Signal::new(rig.sample_rate_hz, vec![u.to_vec(), y]).unwrap();
         let file: Vec<u8> = u.iter().flat_map(|v| v.to_le_bytes()).collect();
         let sha256 = Digest::of(&file).as_str().to_owned();
-        PreparedRun::new(rig, meta, vec!["u".into(), "y".into()], None, signal, sha256).unwrap()
+        let names = vec!["u".into(), "y".into()];
+        PreparedRun::new(&self.scratch_dir(), rig, meta, names, None, signal, sha256).unwrap()
     }
 
     pub(crate) async fn upload_with(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> InsertedRun {

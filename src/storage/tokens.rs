@@ -2,10 +2,11 @@
 
 use jiff::Timestamp;
 
+use super::idempotency::{check_unused, record};
 use super::reserve::with_reserve;
 use super::rows::{TokenRow, all, json, us};
-use super::{Store, StoreError};
-use crate::domain::{Page, PageRequest, SecretDigest, Token, TokenDraft, TokenId, new_id};
+use super::{IdempotencyKey, Store, StoreError};
+use crate::domain::{Created, Page, PageRequest, SecretDigest, Token, TokenDraft, TokenId, new_id};
 
 /// Outcome of creating a token.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -42,9 +43,11 @@ impl Store {
         &self,
         draft: &TokenDraft,
         secret: SecretDigest,
+        key: Option<&IdempotencyKey>,
         now: Timestamp,
     ) -> Result<TokenInsert, StoreError> {
         let mut tx = self.write().await?;
+        check_unused(&mut tx, key).await?;
         let any: bool =
             sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
         if !any && !draft.may_be_first() {
@@ -63,8 +66,10 @@ impl Store {
         .bind(draft.expires_at.map(us))
         .fetch_one(&mut *tx)
         .await?;
+        let token: Token = row.try_into()?;
+        record(&mut tx, key, || Created::token(&token), now).await?;
         tx.commit().await?;
-        row.try_into().map(TokenInsert::Inserted)
+        Ok(TokenInsert::Inserted(token))
     }
 
     /// Tokens that are not revoked, oldest first.
@@ -129,7 +134,7 @@ mod tests {
 
     async fn insert(store: &TestStore, draft: &TokenDraft) -> Option<(Secret, Token)> {
         let secret = Secret::draw().unwrap();
-        match store.insert_token(draft, secret.digest(), now()).await.unwrap() {
+        match store.insert_token(draft, secret.digest(), None, now()).await.unwrap() {
             TokenInsert::Inserted(token) => Some((secret, token)),
             TokenInsert::FirstMustBeAdmin => None,
         }

@@ -3,11 +3,10 @@
 use std::io;
 use std::path::Path;
 
+use super::files::failed;
 use super::objects::off_thread;
-use super::{Store, StoreError};
-
-/// Files of the registry: the database, its write-ahead log, the index of that log, and the journal.
-const DATABASE: [&str; 4] = ["rigcast.db", "rigcast.db-wal", "rigcast.db-shm", "rigcast.journal"];
+use super::store::DATABASE_FILES;
+use super::{Store, StoreError, journal};
 
 /// Sizes in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,11 +37,12 @@ impl Store {
         let (data_dir, scratch, objects) =
             (self.data_dir().to_owned(), self.scratch_dir(), self.objects().bytes());
         off_thread(move || {
-            let failed = |source| StoreError::DataDir { path: data_dir.clone(), source };
-            let database = DATABASE.iter().map(|name| size(&data_dir.join(name))).sum();
-            let scratch = std::fs::read_dir(&scratch).map_err(failed)?;
+            let database =
+                DATABASE_FILES.iter().chain([&journal::FILE]).map(|name| size(&data_dir.join(name))).sum();
+            let scratch = std::fs::read_dir(&scratch).map_err(failed(&scratch))?;
             let scratch = scratch.flatten().map(|file| size(&file.path())).sum();
-            let system = rustix::fs::statvfs(&data_dir).map_err(|error| failed(io::Error::from(error)))?;
+            let system =
+                rustix::fs::statvfs(&data_dir).map_err(|error| failed(&data_dir)(io::Error::from(error)))?;
             Ok(Usage { database, objects, scratch, free: system.f_bavail.saturating_mul(system.f_frsize) })
         })
         .await

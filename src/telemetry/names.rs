@@ -59,6 +59,8 @@ metrics! {
     PARSE_ERRORS = Counter "rigcast_parse_errors_total", "Files that could not be read, by format and reason.";
     STORE_ERRORS = Counter "rigcast_store_errors_total",
         "Failures of the store, by kind: full, unavailable, damaged or defect.";
+    ROWS_MENDED = Counter "rigcast_rows_mended_total",
+        "Rows of the registry that were not as they were written, and were mended from the journal.";
     MODEL_LOADS = Counter "rigcast_model_loads_total", "Models read from the store into memory.";
     LOADED_MODELS = Gauge "rigcast_loaded_models", "Models in memory.";
     DEGRADED = Gauge "rigcast_degraded", "Models, runs and diagnoses that could not be read when last wanted.";

@@ -1,8 +1,10 @@
 //! A model's FRF: all that was measured of it, its inverse, and what is refused.
 
+use realfft::num_complex::Complex64;
+use rigcast::engine::model::to_safetensors;
 use serde_json::{Value, json};
 
-use crate::support::{SAFETENSORS, TestApp, bench, gain_weights, noise, wave};
+use crate::support::{SAFETENSORS, TestApp, bench, gain_model, gain_weights, noise, triple, wave};
 
 const MODELS: &str = "/v1/rigs/bench/models";
 const NPY: &str = "application/x-npy";
@@ -229,4 +231,62 @@ async fn a_model_without_frf_says_so() {
         let problem = app.get(&format!("{href}/frf{query}")).await.problem(409, "model.no_frf");
         assert!(problem["detail"].as_str().is_some_and(|d| d.contains("lstm")), "{problem}");
     }
+}
+
+#[tokio::test]
+async fn an_frf_that_is_written_in_pieces_is_whole_and_the_same_in_every_format() {
+    let app = TestApp::start();
+    app.rig(&triple()).await;
+    let outputs = ["fx", "fy", "fz"];
+    let lines = 20_001;
+    let mut model = gain_model(&["u"], &outputs, 2.0);
+    let frf = model.frf.as_mut().expect("an FRF");
+    frf.segment_len = 2 * (lines - 1);
+    let parts = noise(2 * 3 * lines, 9);
+    frf.h = parts.chunks(2).map(|z| Complex64::new(1.5 + z[0], z[1])).collect();
+    let sent = frf.h.clone();
+    app.post_file("/v1/rigs/triple/models", SAFETENSORS, to_safetensors(&model)).await.expect(201);
+    let href = "/v1/rigs/triple/models/1/frf";
+    let accept = |query: &str, media_type: &'static str| {
+        app.call("GET", &format!("{href}{query}")).header("accept", media_type).send()
+    };
+    let flat = |array: &Value| -> Vec<f64> {
+        let paths =
+            array.as_array().expect("lines").iter().flat_map(|line| line.as_array().expect("outputs"));
+        paths.flat_map(numbers).collect()
+    };
+    let (re, im): (Vec<f64>, Vec<f64>) = sent.iter().map(|z| (z.re, z.im)).unzip();
+    let document = app.get(href).await.expect(200).json();
+    assert!(flat(&document["h"]["re"]) == re && flat(&document["h"]["im"]) == im);
+    assert_eq!(document["h"]["re"].as_array().map(Vec::len), Some(lines));
+    let freq = numbers(&document["freq_hz"]);
+    assert_eq!((freq.len(), freq[lines - 1]), (lines, 50.0));
+
+    let file = accept("", NPY).await.expect(200);
+    assert_eq!(file.header("content-length"), file.bytes.len().to_string());
+    let (header, h) = read_npy(&file.bytes);
+    assert!(header.contains("(20001, 3, 1)"), "{header}");
+    assert!(h == sent.iter().flat_map(|z| [z.re, z.im]).collect::<Vec<f64>>());
+
+    let table = accept("?part=h", "text/csv").await.expect(200).text().to_owned();
+    let mut rows = table.lines();
+    assert_eq!(rows.next(), Some("freq_hz,re(fx/u),im(fx/u),re(fy/u),im(fy/u),re(fz/u),im(fz/u)"));
+    assert_eq!(rows.next(), Some("Hz,kN/kN,kN/kN,kN/kN,kN/kN,kN/kN,kN/kN"));
+    let cells: Vec<f64> = rows.flat_map(|row| row.split(',')).map(|c| c.parse().expect("a number")).collect();
+    let expected = freq.iter().zip(sent.chunks(3));
+    let expected = expected.flat_map(|(hz, h)| [*hz].into_iter().chain(h.iter().flat_map(|z| [z.re, z.im])));
+    assert!(cells == expected.collect::<Vec<f64>>());
+
+    let inverse = app.get(&format!("{href}?inverse")).await.expect(200).json();
+    let (_, of_file) = read_npy(&accept("?inverse", NPY).await.expect(200).bytes);
+    let inverse = &inverse["inverse"];
+    assert!(flat(&inverse["re"]) == of_file.iter().step_by(2).copied().collect::<Vec<f64>>());
+    assert!(flat(&inverse["im"]) == of_file.iter().skip(1).step_by(2).copied().collect::<Vec<f64>>());
+    // H^+ H is one, but for the ridge.
+    let product: Complex64 = of_file[6 * 9_000..6 * 9_001]
+        .chunks(2)
+        .zip(&sent[3 * 9_000..])
+        .map(|(z, h)| Complex64::new(z[0], z[1]) * h)
+        .sum();
+    assert!((product - 1.0).norm() < 0.01, "{product}");
 }

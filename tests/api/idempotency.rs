@@ -66,6 +66,25 @@ async fn a_repeat_after_what_it_made_was_deleted_says_so() {
 }
 
 #[tokio::test]
+async fn a_repeat_that_would_make_a_token_makes_none_and_shows_no_secret() {
+    let mut app = TestApp::start();
+    app.close_doors().await;
+    let create = async |body: &Value| app.call("POST", "/v1/tokens").header(KEY, "k").json(body).send().await;
+    let draft = json!({"role": "reader", "name": "iteration software"});
+    let first = create(&draft).await.expect(201).json();
+    let (id, secret) = (first["id"].as_str().expect("an id"), first["secret"].as_str().expect("a secret"));
+    let again = create(&draft).await;
+    assert!(!again.text().contains(secret));
+    let problem = again.problem(409, "idempotency_key.secret");
+    assert!(problem["detail"].as_str().expect("text").contains(id), "{problem}");
+    create(&json!({"role": "reader"})).await.problem(422, "idempotency_key.reused");
+    let tokens = app.get("/v1/tokens").await.expect(200).json();
+    assert_eq!(tokens["items"].as_array().map(Vec::len), Some(2), "the admin's and one more");
+    app.delete(&format!("/v1/tokens/{id}")).await.expect(204);
+    create(&draft).await.problem(410, "idempotency_key.gone");
+}
+
+#[tokio::test]
 async fn fifty_requests_with_one_key_make_one_job_and_a_restart_does_not_forget_it() {
     let app = TestApp::start();
     app.rig(&bench()).await;

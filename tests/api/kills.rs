@@ -236,7 +236,7 @@ async fn one_fit_outlives_all_kills_of_the_service_and_makes_the_same_model() {
     let begin = Instant::now();
     let trial = client.fit("bench", &training(3000.0)).await.expect("a job");
     client.wait(&trial, |_| {}).await.expect("a model");
-    let request = training(1.5 * 1.5 * kills as f64 / begin.elapsed().as_secs_f64() * 3000.0);
+    let request = training(1.5 * 2.5 * kills as f64 / begin.elapsed().as_secs_f64() * 3000.0);
     let job = client.fit("bench", &request).await.expect("a job");
 
     let (mut program, mut running) = (program, 0);

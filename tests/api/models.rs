@@ -51,6 +51,23 @@ async fn weights_that_do_not_fit_store_nothing() {
         frf.sample_rate_hz = 200.0;
     }
     import(rigcast::engine::model::to_safetensors(&fast)).await.problem(422, "model.sample_rate");
+    let bend = |change: fn(&mut rigcast::engine::model::RigModel)| {
+        let mut model = gain_model(&["u"], &["y"], 2.0);
+        change(&mut model);
+        import(rigcast::engine::model::to_safetensors(&model))
+    };
+    let senseless = [
+        ("range[0]", bend(|model| (model.range[0].min, model.range[0].max) = (1.0, -1.0)).await),
+        ("max_rate", bend(|model| model.range[0].max_rate = -1.0).await),
+        ("range[0].band_hz", bend(|model| model.range[0].band_hz = Some([40.0, 2.0])).await),
+        ("usable_hz", bend(|model| model.frf.iter_mut().for_each(|frf| frf.usable_hz = [50.0, 0.0])).await),
+        ("usable_hz", bend(|model| model.frf.iter_mut().for_each(|frf| frf.usable_hz = [0.0, 80.0])).await),
+        ("sample_rate_hz", bend(|model| model.sample_rate_hz = -100.0).await),
+    ];
+    for (named, answer) in senseless {
+        let problem = answer.problem(422, "weights.malformed");
+        assert!(problem["detail"].as_str().expect("text").contains(named), "{problem}");
+    }
     app.post_file(MODELS, "application/json", "{}").await.problem(415, "content_type.unsupported");
     let all = app.get(MODELS).await.expect(200).json();
     assert_eq!((&all["items"], app.files().len()), (&json!([]), 0));

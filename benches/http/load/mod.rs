@@ -2,10 +2,12 @@
 //!
 //! - `load`: C, the highest rate with a 99th percentile of at most 100 ms; twice, five and ten times that;
 //! - `fair`: one token at ten times its share, and the latency of the others;
+//! - `soak`: two hours at 0.6 C with runs and fits beside it, and what the service then holds;
 //! - `slow`: 2,000 connections that send a byte now and then, and the latency of an honest client.
 
 mod arrivals;
 mod client;
+mod soak;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,6 +24,8 @@ use crate::rig::{activate, create, npy_request};
 use crate::service::Service;
 use arrivals::{Outcome, accepted, arrivals, quantile, shed};
 use client::{Target, request};
+
+pub use soak::soak;
 
 /// Samples of a request: 10 s.
 const SAMPLES: usize = 10_000;

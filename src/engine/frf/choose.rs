@@ -7,7 +7,7 @@ use super::data::{Data, means};
 use super::estimate::{Means, solve};
 use super::lines::Lines;
 use super::{Estimator, FrfFilter, FrfSettings};
-use crate::engine::progress::{Watch, report};
+use crate::engine::progress::{Watch, report, within};
 use crate::engine::spectral::{Record, cross_spectra};
 use crate::engine::{EngineError, Signal};
 
@@ -177,7 +177,7 @@ impl Search<'_> {
             let mut scores = vec![Some(Score::new(self.data.n_outputs)); ridges.len()];
             for (fold, held_out) in self.held_out.iter().enumerate() {
                 let step = (done * self.held_out.len() + fold) as f64;
-                report(self.watch, "FRF", progress.start + (progress.end - progress.start) * step / steps)?;
+                report(self.watch, "FRF", within(step / steps, &progress))?;
                 held_out.score(self.settings, len, self.longest, ridges, &mut scores)?;
             }
             for (score, &ridge) in scores.iter().zip(ridges) {

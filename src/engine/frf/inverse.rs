@@ -31,8 +31,7 @@ const ROUNDS: usize = 30;
 /// as well, where its response is far weaker than at most lines. On lines that are not excited the
 /// inverse falls from its value at the edge to zero by half a cosine, as `H` does.
 #[derive(Debug, Clone)]
-pub struct FrfInverse<'a> {
-    frf: &'a Frf,
+pub struct FrfInverse {
     ridge: f64,
     /// Excited lines, first and last of each stretch.
     spans: Vec<(usize, usize)>,
@@ -42,12 +41,12 @@ pub struct FrfInverse<'a> {
     level: f64,
 }
 
-impl<'a> FrfInverse<'a> {
+impl FrfInverse {
     /// Balances an FRF; without `quality`, every line of the usable band counts as excited.
     ///
     /// # Errors
     /// [`EngineError::Setting`] for a ridge that is negative or not finite.
-    pub fn new(frf: &'a Frf, quality: Option<&FrfQuality>, ridge: f64) -> Result<Self, EngineError> {
+    pub fn new(frf: &Frf, quality: Option<&FrfQuality>, ridge: f64) -> Result<Self, EngineError> {
         if !(ridge.is_finite() && ridge >= 0.0) {
             let limit = "a finite number, not negative".into();
             return Err(EngineError::Setting { setting: "ridge", found: ridge.to_string(), limit });
@@ -59,32 +58,32 @@ impl<'a> FrfInverse<'a> {
         };
         let (row, column) = balance(frf, &spans);
         let tapers = tapers(&spans, frf.n_lines());
-        let mut inverse = Self { frf, ridge, spans, tapers, row, column, level: 0.0 };
+        let mut inverse = Self { ridge, spans, tapers, row, column, level: 0.0 };
         let rank = frf.n_outputs.min(frf.n_inputs) as f64;
         let mut squares: Vec<f64> = inverse
             .excited()
-            .map(|line| inverse.scaled(line).map(|a| a.norm_sqr()).sum::<f64>() / rank)
+            .map(|line| inverse.scaled(frf, line).map(|a| a.norm_sqr()).sum::<f64>() / rank)
             .collect();
         inverse.level = median(&mut squares).unwrap_or(0.0);
         Ok(inverse)
     }
 
-    /// `H^+` of some lines, input unit / output unit, `[line, input, output]`.
+    /// `H^+` of some lines of the FRF that this was made of, input unit / output unit, `[line, input, output]`.
     ///
     /// # Errors
     /// [`EngineError::NonFiniteResult`].
     ///
     /// # Panics
-    /// If there are no such lines.
-    pub fn lines(&self, lines: Range<usize>) -> Result<Vec<Complex64>, EngineError> {
+    /// If there are no such lines, or the FRF has other channels.
+    pub fn lines(&self, frf: &Frf, lines: Range<usize>) -> Result<Vec<Complex64>, EngineError> {
         let first = lines.start;
-        let of_lines: Vec<Vec<Complex64>> = lines.into_par_iter().map(|line| self.line(line)).collect();
+        let of_lines: Vec<Vec<Complex64>> = lines.into_par_iter().map(|line| self.line(frf, line)).collect();
         let inverse: Vec<Complex64> = of_lines.into_iter().flatten().collect();
         match inverse.iter().position(|z| !(z.re.is_finite() && z.im.is_finite())) {
             None => Ok(inverse),
             Some(at) => {
-                let per_line = self.frf.n_inputs * self.frf.n_outputs;
-                let (what, channel) = ("inverse of the FRF", at % per_line / self.frf.n_outputs);
+                let per_line = frf.n_inputs * frf.n_outputs;
+                let (what, channel) = ("inverse of the FRF", at % per_line / frf.n_outputs);
                 Err(EngineError::NonFiniteResult { what, channel, sample: first + at / per_line })
             }
         }
@@ -97,11 +96,11 @@ impl<'a> FrfInverse<'a> {
         [first, last]
     }
 
-    fn line(&self, line: usize) -> Vec<Complex64> {
-        let (nx, ny) = (self.frf.n_inputs, self.frf.n_outputs);
+    fn line(&self, frf: &Frf, line: usize) -> Vec<Complex64> {
+        let (nx, ny) = (frf.n_inputs, frf.n_outputs);
         let nothing = || vec![Complex64::default(); nx * ny];
         let Some((edge, share)) = self.nearest(line) else { return nothing() };
-        let scaled: Vec<Complex64> = self.scaled(edge).collect();
+        let scaled: Vec<Complex64> = self.scaled(frf, edge).collect();
         let Ok(svd) = Mat::from_fn(ny, nx, |o, i| scaled[o * nx + i]).thin_svd() else {
             return vec![Complex64::new(f64::NAN, 0.0); nx * ny];
         };
@@ -143,9 +142,9 @@ impl<'a> FrfInverse<'a> {
     }
 
     /// `R H C` of a line, `[output, input]`.
-    fn scaled(&self, line: usize) -> impl Iterator<Item = Complex64> + '_ {
-        let pairs = (0..self.frf.n_outputs).flat_map(|o| (0..self.frf.n_inputs).map(move |i| (o, i)));
-        pairs.map(move |(o, i)| self.frf.at(line, o, i) * self.row[o] * self.column[i])
+    fn scaled<'a>(&'a self, frf: &'a Frf, line: usize) -> impl Iterator<Item = Complex64> + 'a {
+        let pairs = (0..frf.n_outputs).flat_map(|o| (0..frf.n_inputs).map(move |i| (o, i)));
+        pairs.map(move |(o, i)| frf.at(line, o, i) * self.row[o] * self.column[i])
     }
 }
 

@@ -145,10 +145,7 @@ impl Fit<'_> {
                     RunPart { x: &run.x, y: &run.y, samples: section.samples.clone() }
                 })
                 .collect();
-            let span = progress.end - progress.start;
-            let tell = |p: Progress<'_>| {
-                (self.watch)(Progress { stage: p.stage, fraction: progress.start + span * p.fraction })
-            };
+            let tell = |p: Progress<'_>| (self.watch)(p.within(&progress));
             let estimate = frf::estimate_parts(&parts, &settings.frf, &tell)?;
             warnings.extend(estimate.warnings);
             warnings.extend(frf::low_coherence(&estimate.frf, &estimate.quality, &settings.outputs));

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::split::{FitSplit, RunLengths, Section, Sections};
+use super::split::{FitSplit, RunLengths, Section, Sections, own_frf_sections};
 use super::{FitSettings, InputRange, ModelKind, Preprocess};
 use crate::engine::{EngineError, Signal};
 
@@ -89,16 +89,11 @@ impl FitData {
     /// Data of the FRF part when the network is trained on `training`: the same data, or those of its own runs
     /// that are neither left out nor held out.
     pub(super) fn frf_sections(&self, training: &[Section]) -> Vec<Section> {
-        let Some(own) = &self.frf else { return training.to_vec() };
-        let mut sections = Vec::new();
-        for &run in own {
-            if run < self.training.len() {
-                sections.extend(training.iter().filter(|section| section.run == run).cloned());
-            } else {
-                sections.push(Section { run, samples: 0..self.run(run).x.n_samples() });
-            }
+        let length = |run| self.run(run).x.n_samples();
+        match &self.frf {
+            Some(own) => own_frf_sections(own, training, self.training.len(), length),
+            None => training.to_vec(),
         }
-        sections
     }
 
     /// Every run has the settings' channels, one sample rate and equally long halves.

@@ -74,10 +74,7 @@ pub(super) fn repeat(
     let prepared = NetworkData::new(data, model, training, &[])?;
     let start = start(model.kind, &prepared.x, &prepared.y, settings, seed);
     let stage = format!("LSTM {:?}, all runs", settings.blocks);
-    let tell = |p: Progress<'_>| {
-        let fraction = course.progress.start + (course.progress.end - course.progress.start) * p.fraction;
-        (course.watch)(Progress { stage: &stage, fraction })
-    };
+    let tell = |p: Progress<'_>| (course.watch)(Progress { stage: &stage, ..p.within(&course.progress) });
     let kept = (course.checkpoints, "all runs");
     let until = Until::Epoch(epoch);
     let trained = lstm::train(&prepared.training, until, &start, (settings, seed), kept, &tell)?;
@@ -163,7 +160,6 @@ impl NetworkData {
         let n = settings.seeds.len();
         let stage = format!("LSTM {:?}, {n} seed{}", settings.blocks, if n == 1 { "" } else { "s" });
         let done: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(0)).collect();
-        let span = course.progress.end - course.progress.start;
         settings
             .seeds
             .par_iter()
@@ -172,8 +168,8 @@ impl NetworkData {
                 let tell = |p: Progress<'_>| -> ControlFlow<()> {
                     done[i].store((p.fraction * 1e6) as u64, Ordering::Relaxed);
                     let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
-                    let mean = sum as f64 / (1e6 * n as f64);
-                    (course.watch)(Progress { stage: &stage, fraction: course.progress.start + span * mean })
+                    let mean = Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64) };
+                    (course.watch)(mean.within(&course.progress))
                 };
                 let start = start(kind, &self.x, &self.y, settings, seed);
                 let part = format!("seed {i}");

@@ -38,7 +38,7 @@ pub use preprocess::Preprocess;
 pub use scaler::Scaler;
 pub use score::{CONTEXT_SAMPLES, SectionScore, Squares, with_context};
 pub use settings::{FitSettings, LstmOptions, Preset, Task};
-pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule};
+pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule, own_frf_sections};
 pub use trust::{InputRange, Trust, TrustSpan};
 pub use weights::{from_safetensors, to_safetensors};
 

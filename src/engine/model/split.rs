@@ -62,6 +62,24 @@ pub struct Section {
     pub samples: Range<usize>,
 }
 
+/// Data of an FRF part with runs of its own, by their places, when a network is trained on `training`, which is
+/// of the first `n_training` runs: of a training run the same sections, of any other run all `length` samples.
+pub fn own_frf_sections(
+    own: &[usize],
+    training: &[Section],
+    n_training: usize,
+    length: impl Fn(usize) -> usize,
+) -> Vec<Section> {
+    let sections = |&run: &usize| {
+        if run < n_training {
+            training.iter().filter(|section| section.run == run).cloned().collect()
+        } else {
+            vec![Section { run, samples: 0..length(run) }]
+        }
+    };
+    own.iter().flat_map(sections).collect()
+}
+
 /// A [`FitSplit`] carried out on runs of known length. A run's place counts the training runs first, then
 /// the validation runs.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

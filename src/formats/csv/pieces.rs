@@ -1,10 +1,12 @@
 //! Writing CSV piece by piece, so that a table of any length takes the memory of a few thousand rows.
 
 use std::io;
+use std::ops::Range;
 
 use super::write::{head, rows};
-use crate::engine::{Samples, samples};
-use crate::formats::{FormatError, NUMBERS_AT_ONCE};
+use crate::engine::Samples;
+use crate::formats::FormatError;
+use crate::formats::pieces::RowBlocks;
 
 /// The first column of a table: the time of each row.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,9 +22,7 @@ pub struct TimeOfRows {
 pub struct CsvPieces<S> {
     head: Vec<u8>,
     time: Option<usize>,
-    samples: S,
-    /// Rows that are written.
-    at: usize,
+    blocks: RowBlocks<S>,
 }
 
 impl<S: Samples> CsvPieces<S> {
@@ -42,22 +42,18 @@ impl<S: Samples> CsvPieces<S> {
             units.insert(0, "s".into());
         }
         let head = head(&names, Some(&units), columns)?;
-        Ok(Self { head, time: time.map(|time| time.first), samples, at: 0 })
+        Ok(Self { head, time: time.map(|time| time.first), blocks: RowBlocks::new(samples) })
     }
 
-    fn piece(&mut self) -> io::Result<Vec<u8>> {
-        let n = self.samples.n_samples();
-        let range = self.at..n.min(self.at + (NUMBERS_AT_ONCE / self.samples.n_channels()).max(1));
-        let mut block = samples::block(&mut self.samples, &range)?;
+    fn piece(&mut self, range: Range<usize>, mut block: Vec<Vec<f64>>) -> Vec<u8> {
         if let Some(first) = self.time {
-            let rate = self.samples.sample_rate_hz();
-            block.insert(0, range.clone().map(|i| (first + i) as f64 / rate).collect());
+            let rate = self.blocks.samples().sample_rate_hz();
+            block.insert(0, range.map(|i| (first + i) as f64 / rate).collect());
         }
         let columns: Vec<&[f64]> = block.iter().map(Vec::as_slice).collect();
         let mut text = std::mem::take(&mut self.head);
         rows(&mut text, &columns);
-        self.at = range.end;
-        Ok(text)
+        text
     }
 }
 
@@ -65,8 +61,8 @@ impl<S: Samples> Iterator for CsvPieces<S> {
     type Item = io::Result<Vec<u8>>;
 
     fn next(&mut self) -> Option<io::Result<Vec<u8>>> {
-        let more = self.at < self.samples.n_samples() || !self.head.is_empty();
-        more.then(|| self.piece())
+        let block = self.blocks.next()?;
+        Some(block.map(|(range, block)| self.piece(range, block)))
     }
 }
 
@@ -75,6 +71,7 @@ mod tests {
     use super::super::write;
     use super::*;
     use crate::engine::Signal;
+    use crate::formats::NUMBERS_AT_ONCE;
 
     #[test]
     fn pieces_make_the_table_of_the_whole() {

@@ -11,6 +11,9 @@ use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 use super::number::trim;
 use crate::formats::{FormatError, MAX_CHANNELS, PIECE, ReadError};
 
+/// Longest row, bytes: the longest names of as many channels as a file may have take a quarter of it.
+const MAX_ROW_BYTES: usize = 16 << 20;
+
 /// Reads row after row.
 pub(super) struct Rows<R> {
     bytes: Bytes<R>,
@@ -69,11 +72,6 @@ impl<R: Read> Rows<R> {
         })
     }
 
-    /// Bytes of the file up to the end of the current row.
-    pub(super) fn passed(&self) -> u64 {
-        self.bytes.before + self.bytes.passed as u64
-    }
-
     /// Separator of cells.
     pub(super) fn separator(&self) -> u8 {
         self.separator
@@ -82,7 +80,7 @@ impl<R: Read> Rows<R> {
     /// Goes to the next row; false at the end.
     ///
     /// # Errors
-    /// `csv.ragged_row` for an empty line between two rows; errors of the file system.
+    /// `csv.ragged_row` for an empty line between two rows; `csv.long_row`; errors of the file system.
     pub(super) fn next(&mut self) -> Result<bool, ReadError> {
         // The csv crate ends a row at the CR of a CRLF.
         if self.bytes.after_cr && self.bytes.peek()? == Some(b'\n') {
@@ -95,7 +93,7 @@ impl<R: Read> Rows<R> {
             empty = true;
         }
         let line = self.bytes.line()?;
-        if !self.split()? {
+        if !self.split(line)? {
             return Ok(false);
         }
         if self.row == 0 {
@@ -107,8 +105,8 @@ impl<R: Read> Rows<R> {
         Ok(true)
     }
 
-    /// Splits the next row; false at the end.
-    fn split(&mut self) -> std::io::Result<bool> {
+    /// Splits the next row, which begins in this line; false at the end.
+    fn split(&mut self, line: u64) -> Result<bool, ReadError> {
         self.len = 0;
         let (mut kept, mut text_len) = (0, 0);
         loop {
@@ -126,6 +124,9 @@ impl<R: Read> Rows<R> {
             match result {
                 ReadRecordResult::InputEmpty => {}
                 ReadRecordResult::OutputFull if self.len > kept => text_len = 0,
+                ReadRecordResult::OutputFull if self.text.len() >= MAX_ROW_BYTES => {
+                    return Err(FormatError::CsvLongRow { row: line, limit: MAX_ROW_BYTES }.into());
+                }
                 ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
                 ReadRecordResult::OutputEndsFull => (kept, text_len) = (0, 0),
                 ReadRecordResult::Record => return Ok(true),
@@ -158,8 +159,6 @@ impl<R: Read> Rows<R> {
 struct Bytes<R> {
     file: R,
     piece: Vec<u8>,
-    /// Bytes of the file before the piece.
-    before: u64,
     /// Bytes of the piece that were consumed.
     passed: usize,
     /// Line ends consumed, without that of a CR that was consumed last.
@@ -170,7 +169,7 @@ struct Bytes<R> {
 impl<R: Read> Bytes<R> {
     /// A reader after the byte order mark, if there is one.
     fn new(file: R) -> std::io::Result<Self> {
-        let mut bytes = Self { file, piece: Vec::new(), before: 0, passed: 0, lines: 0, after_cr: false };
+        let mut bytes = Self { file, piece: Vec::new(), passed: 0, lines: 0, after_cr: false };
         bytes.more()?;
         if bytes.piece.starts_with(b"\xEF\xBB\xBF") {
             bytes.passed = 3;
@@ -193,7 +192,6 @@ impl<R: Read> Bytes<R> {
     /// The next byte.
     fn peek(&mut self) -> std::io::Result<Option<u8>> {
         if self.passed == self.piece.len() {
-            self.before += self.piece.len() as u64;
             self.piece.clear();
             self.passed = 0;
             self.more()?;
@@ -217,12 +215,12 @@ impl<R: Read> Bytes<R> {
     }
 
     /// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so that a
-    /// single column may have decimal commas. Reads the whole first row into memory.
+    /// single column may have decimal commas. Reads the first row into memory, unless it is too long.
     fn separator(&mut self) -> std::io::Result<u8> {
         const SEPARATORS: [u8; 3] = *b"\t;,";
         let (mut at, mut quoted, mut begun) = (self.passed, false, false);
         let mut found = [false; 3];
-        while at < self.piece.len() || self.more()? {
+        while at < MAX_ROW_BYTES && (at < self.piece.len() || self.more()?) {
             let byte = self.piece[at];
             at += 1;
             begun |= !byte.is_ascii_whitespace();
@@ -284,6 +282,30 @@ mod tests {
             assert!(between.next().unwrap() && between.next().unwrap());
             let Err(ReadError::Format(error)) = between.next() else { panic!("an empty line") };
             assert_eq!(error, FormatError::CsvRagged { row: 3, expected: 1, found: 0 }, "{end:?}");
+        }
+    }
+
+    #[test]
+    fn a_row_that_never_ends_is_refused_at_its_line() {
+        struct Letters(usize);
+        impl Read for Letters {
+            fn read(&mut self, space: &mut [u8]) -> std::io::Result<usize> {
+                let n = space.len().min(self.0);
+                space[..n].fill(b'a');
+                self.0 -= n;
+                Ok(n)
+            }
+        }
+        for (start, line) in [("", 1), ("a,b\n", 2), ("a,b\n1,2\n\"", 3)] {
+            let mut rows = Rows::new(start.as_bytes().chain(Letters(4 * MAX_ROW_BYTES))).unwrap();
+            let refused = loop {
+                match rows.next() {
+                    Ok(more) => assert!(more, "line {line}"),
+                    Err(error) => break error.of_bytes(),
+                }
+            };
+            assert_eq!(refused, FormatError::CsvLongRow { row: line, limit: MAX_ROW_BYTES });
+            assert!(rows.bytes.piece.capacity() <= 2 * MAX_ROW_BYTES && rows.text.len() <= MAX_ROW_BYTES);
         }
     }
 

@@ -1,6 +1,6 @@
 //! The time column and the sample rate that it gives.
 
-use crate::formats::FormatError;
+use crate::formats::{FormatError, ReadError, Spool};
 
 /// A column of times.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,42 +52,56 @@ impl TimeColumn {
         }
     }
 
-    /// Sample rate of evenly spaced `times` (in the column's unit); `None` for a single one.
+    /// Sample rate of evenly spaced `times` (one column, in the unit of the time column); `None` for a single
+    /// one.
     ///
     /// # Errors
     /// `csv.uneven_time` with the row of the first step that is not the step of most rows;
-    /// `first_row` is the row of the first sample.
-    pub(super) fn sample_rate_hz(&self, times: &[f64], first_row: u64) -> Result<Option<f64>, FormatError> {
-        let [first, .., last] = times else { return Ok(None) };
-        let step = (last - first) / (times.len() - 1) as f64;
+    /// `first_row` is the row of the first sample. Errors of the file system.
+    pub(super) fn sample_rate_hz(&self, times: &Spool, first_row: u64) -> Result<Option<f64>, ReadError> {
+        let n = times.len(0);
+        if n < 2 {
+            return Ok(None);
+        }
+        let (first, last) = (times.at(0, 0)?, times.at(0, n - 1)?);
+        let step = (last - first) / (n - 1) as f64;
         // Compared with the grid and not step by step: rounded times may not drift.
-        let even = step > 0.0
-            && step.is_finite()
-            && times
-                .iter()
-                .enumerate()
-                .all(|(i, t)| (t - (first + i as f64 * step)).abs() <= TOLERANCE * step);
+        let off = |i: usize, t: f64| {
+            let distance = (t - (first + i as f64 * step)).abs();
+            distance.is_nan() || distance > TOLERANCE * step
+        };
+        let even = step > 0.0 && step.is_finite() && times.position(0, off)?.is_none();
         let rate = 1.0 / (step * self.scale);
         if even && rate.is_finite() {
             return Ok(Some(rate));
         }
-        let every = times.len() / STEPS + 1;
-        let mut steps: Vec<f64> = times.windows(2).step_by(every).map(|w| w[1] - w[0]).collect();
+        let every = n / STEPS + 1;
+        let (mut steps, mut before) = (Vec::new(), first);
+        times.position(0, |i, t| {
+            if i > 0 && (i - 1) % every == 0 {
+                steps.push(t - before);
+            }
+            before = t;
+            false
+        })?;
         let middle = steps.len() / 2;
         let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let uneven = |w: &[f64]| {
-            let step = w[1] - w[0];
-            step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs()
-        };
+        before = first;
+        let uneven = times.position(0, |i, t| {
+            let step = t - before;
+            before = t;
+            i > 0 && (step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs())
+        })?;
         // When every step is within the limit the times drift, and the last row is the farthest off.
-        let place = times.windows(2).position(uneven).unwrap_or(times.len() - 2);
+        let place = uneven.unwrap_or(n - 1);
         Err(FormatError::CsvUnevenTime {
             // Rows of samples are consecutive lines, since a number holds no line end.
-            row: first_row + place as u64 + 1,
+            row: first_row + place as u64,
             column: self.column + 1,
             step_s: usual * self.scale,
-            found_s: (times[place + 1] - times[place]) * self.scale,
-        })
+            found_s: (times.at(0, place)? - times.at(0, place - 1)?) * self.scale,
+        }
+        .into())
     }
 }
 
@@ -149,16 +163,23 @@ mod tests {
 
     const SECONDS: TimeColumn = TimeColumn { column: 0, scale: 1.0 };
 
+    fn rate(column: TimeColumn, times: &[f64], first_row: u64) -> Result<Option<f64>, FormatError> {
+        let mut spool = Spool::in_memory();
+        spool.add_columns(1);
+        spool.extend(0, times.iter().copied()).unwrap();
+        column.sample_rate_hz(&spool, first_row).map_err(ReadError::of_bytes)
+    }
+
     #[test]
     fn even_times_give_the_rate() {
         let times: Vec<f64> = (0..5000).map(|i| 7.0 + f64::from(i) / 1000.0).collect();
-        let rate = SECONDS.sample_rate_hz(&times, 2).unwrap().unwrap();
+        let found = rate(SECONDS, &times, 2).unwrap().unwrap();
         // Times near 12 s are exact to 1e-15 s, their difference of 5 s to 1e-15 relative.
-        assert!((rate / 1000.0 - 1.0).abs() < 1e-12, "{rate}");
+        assert!((found / 1000.0 - 1.0).abs() < 1e-12, "{found}");
         let milliseconds = TimeColumn { column: 0, scale: 1e-3 };
-        assert_eq!(milliseconds.sample_rate_hz(&[0.0, 2.0, 4.0], 2), Ok(Some(500.0)));
-        assert_eq!(SECONDS.sample_rate_hz(&[3.0], 2), Ok(None));
-        assert_eq!(SECONDS.sample_rate_hz(&[], 2), Ok(None));
+        assert_eq!(rate(milliseconds, &[0.0, 2.0, 4.0], 2), Ok(Some(500.0)));
+        assert_eq!(rate(SECONDS, &[3.0], 2), Ok(None));
+        assert_eq!(rate(SECONDS, &[], 2), Ok(None));
     }
 
     #[test]
@@ -166,8 +187,8 @@ mod tests {
         let times = |error: f64| -> Vec<f64> {
             (0..100).map(|i| f64::from(i) + if i == 50 { error } else { 0.0 }).collect()
         };
-        assert_eq!(SECONDS.sample_rate_hz(&times(0.9e-3), 2), Ok(Some(1.0)));
-        assert_eq!(SECONDS.sample_rate_hz(&times(1.1e-3), 2).unwrap_err().row(), Some(52));
+        assert_eq!(rate(SECONDS, &times(0.9e-3), 2), Ok(Some(1.0)));
+        assert_eq!(rate(SECONDS, &times(1.1e-3), 2).unwrap_err().row(), Some(52));
     }
 
     #[test]
@@ -175,10 +196,10 @@ mod tests {
         let mut gap: Vec<f64> = (0..10).map(f64::from).collect();
         gap.remove(6);
         assert_eq!(
-            SECONDS.sample_rate_hz(&gap, 3),
+            rate(SECONDS, &gap, 3),
             Err(FormatError::CsvUnevenTime { row: 9, column: 1, step_s: 1.0, found_s: 2.0 })
         );
-        let row = |times: &[f64]| SECONDS.sample_rate_hz(times, 1).unwrap_err().row();
+        let row = |times: &[f64]| rate(SECONDS, times, 1).unwrap_err().row();
         assert_eq!(row(&[0.0, 1.0, 1.0, 2.0, 3.0]), Some(3));
         assert_eq!(row(&[0.0, 1.0, 0.5, 2.0, 3.0]), Some(3));
         assert_eq!(row(&[1.0, 1.0]), Some(2));

@@ -35,15 +35,12 @@ pub fn write(
     Ok(file)
 }
 
-/// The header row and, where any of `units` is not empty, the units row of a table of so many columns.
+/// The header row and, where any of `units` is not empty, the units row of a table of so many columns, as
+/// [`write()`] writes them.
 ///
 /// # Errors
 /// As [`write()`].
-pub(super) fn head(
-    names: &[String],
-    units: Option<&[String]>,
-    columns: usize,
-) -> Result<Vec<u8>, FormatError> {
+pub fn head(names: &[String], units: Option<&[String]>, columns: usize) -> Result<Vec<u8>, FormatError> {
     if names.len() != columns || units.is_some_and(|u| u.len() != columns) {
         let channel = ChannelAt { index: columns, name: names.get(columns).cloned() };
         return Err(FormatError::UnequalLengths { channel, expected: columns, found: names.len() });
@@ -71,8 +68,8 @@ pub(super) fn head(
     Ok(writer.into_inner().expect(fits))
 }
 
-/// Appends a row for each sample of these columns.
-pub(super) fn rows(file: &mut Vec<u8>, columns: &[&[f64]]) {
+/// Appends a row for each number of these columns, which are equally long and finite.
+pub fn rows(file: &mut Vec<u8>, columns: &[&[f64]]) {
     for sample in 0..columns.first().map_or(0, |column| column.len()) {
         for (index, column) in columns.iter().enumerate() {
             let separator = if index == 0 { "" } else { "," };

@@ -23,6 +23,9 @@ pub struct Header {
     pub data_offset: usize,
 }
 
+/// Longest text of a header, bytes; that of a file with an array of numbers has some hundred.
+const MAX_TEXT_BYTES: usize = 64 << 10;
+
 /// Bytes at the start of a file that give the length of its header.
 pub(super) const START: usize = 12;
 
@@ -52,6 +55,9 @@ pub(super) fn text(file: &[u8], len: u64) -> Result<Range<usize>, FormatError> {
         _ => return Err(cut),
     };
     let data_offset = text_len.checked_add(text_offset).filter(|&end| end as u64 <= len).ok_or(cut)?;
+    if text_len > MAX_TEXT_BYTES {
+        return Err(FormatError::NpyHeader("the header is longer than 64 KiB"));
+    }
     Ok(text_offset..data_offset)
 }
 

@@ -3,38 +3,33 @@
 use std::io;
 
 use super::{Dtype, Order, npy_header, put};
-use crate::engine::{Samples, samples};
-use crate::formats::NUMBERS_AT_ONCE;
+use crate::engine::Samples;
+use crate::formats::pieces::RowBlocks;
 
 /// The pieces of a `<f8` file of shape `[samples, channels]` in C order.
 #[derive(Debug)]
 pub struct NpyPieces<S> {
     head: Vec<u8>,
-    samples: S,
-    /// Samples of each channel that are written.
-    at: usize,
+    blocks: RowBlocks<S>,
 }
 
 impl<S: Samples> NpyPieces<S> {
     /// The file of these samples.
     pub fn new(samples: S) -> Self {
         let head = npy_header(samples.n_samples(), samples.n_channels(), Dtype::F8, Order::C);
-        Self { head, samples, at: 0 }
+        Self { head, blocks: RowBlocks::new(samples) }
     }
 
     /// Bytes of the whole file, before its first piece was taken.
     pub fn size(&self) -> u64 {
-        let numbers = self.samples.n_samples() as u64 * self.samples.n_channels() as u64;
+        let samples = self.blocks.samples();
+        let numbers = samples.n_samples() as u64 * samples.n_channels() as u64;
         self.head.len() as u64 + numbers * Dtype::F8.size() as u64
     }
 
-    fn piece(&mut self) -> io::Result<Vec<u8>> {
-        let n = self.samples.n_samples();
-        let range = self.at..n.min(self.at + (NUMBERS_AT_ONCE / self.samples.n_channels()).max(1));
-        let block = samples::block(&mut self.samples, &range)?;
+    fn piece(&mut self, from: usize, block: &[Vec<f64>]) -> io::Result<Vec<u8>> {
         let mut bytes = std::mem::take(&mut self.head);
-        put(&mut bytes, &block, Dtype::F8, range.start).map_err(io::Error::other)?;
-        self.at = range.end;
+        put(&mut bytes, block, Dtype::F8, from).map_err(io::Error::other)?;
         Ok(bytes)
     }
 }
@@ -43,8 +38,8 @@ impl<S: Samples> Iterator for NpyPieces<S> {
     type Item = io::Result<Vec<u8>>;
 
     fn next(&mut self) -> Option<io::Result<Vec<u8>>> {
-        let more = self.at < self.samples.n_samples() || !self.head.is_empty();
-        more.then(|| self.piece())
+        let block = self.blocks.next()?;
+        Some(block.and_then(|(range, block)| self.piece(range.start, &block)))
     }
 }
 
@@ -53,6 +48,7 @@ mod tests {
     use super::super::write;
     use super::*;
     use crate::engine::Signal;
+    use crate::formats::NUMBERS_AT_ONCE;
 
     #[test]
     fn pieces_make_the_file_of_the_whole_and_its_size_is_known() {

@@ -121,6 +121,10 @@ fn broken_headers_are_refused_at_every_length() {
     }
     let deep = format!("{{'descr': {}", "[".repeat(60_000));
     assert_eq!(read(&file(&deep, &[])).unwrap_err().code(), "npy.dtype");
+    let mut long = b"\x93NUMPY\x02\x00".to_vec();
+    long.extend(100_000_u32.to_le_bytes());
+    long.resize(200_000, b' ');
+    assert_eq!(read(&long).unwrap_err(), FormatError::NpyHeader("the header is longer than 64 KiB"));
     let mut old = good.clone();
     old[6] = 9;
     assert_eq!(read(&old).unwrap_err().code(), "npy.header");

@@ -115,7 +115,7 @@ mod tests {
     async fn admin(store: &TestStore) -> (Secret, Token) {
         let draft = TokenDraft { name: String::new(), role: TokenRole::Admin, rigs: None, expires_at: None };
         let secret = Secret::draw().unwrap();
-        match store.insert_token(&draft, secret.digest(), now()).await.unwrap() {
+        match store.insert_token(&draft, secret.digest(), None, now()).await.unwrap() {
             TokenInsert::Inserted(token) => (secret, token),
             other => panic!("{other:?}"),
         }

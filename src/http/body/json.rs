@@ -1,6 +1,8 @@
 //! Strict JSON bodies: unknown fields, duplicate keys, NaN, numbers out of range and deep nesting are
 //! refused, and the refusal points at the field. A single value is accepted in place of a list of one.
 
+use std::borrow::Cow;
+
 use axum::extract::{FromRequest, Request};
 use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
@@ -137,7 +139,7 @@ fn refusal(error: &serde_json::Error, path: &Path) -> Problem {
     }
     let text = error.to_string();
     // The pointer makes line and column needless.
-    let text = text.split(" at line ").next().unwrap_or(&text);
+    let text = &*without_middle(text.split(" at line ").next().unwrap_or(&text));
     let words = plain(text);
     let words = shortened(&words, MAX_QUOTED);
     let pointer = pointer(path, text);
@@ -150,6 +152,17 @@ fn refusal(error: &serde_json::Error, path: &Path) -> Problem {
     };
     let place = if pointer.is_empty() { "The body" } else { &pointer };
     Problem::new(code, format!("{place}: {words}.")).with(FieldError::new(pointer.clone(), words.as_ref()))
+}
+
+/// A message without the middle of the text that it quotes, which may be the whole body: each copy of it takes its
+/// memory.
+fn without_middle(text: &str) -> Cow<'_, str> {
+    const KEPT: usize = 4 * MAX_QUOTED;
+    if text.len() <= 2 * KEPT {
+        return Cow::Borrowed(text);
+    }
+    let (head, tail) = (text.floor_char_boundary(KEPT), text.ceil_char_boundary(text.len() - KEPT));
+    Cow::Owned(format!("{}...{}", &text[..head], &text[tail..]))
 }
 
 fn syntax(error: &serde_json::Error) -> Problem {

@@ -1,4 +1,7 @@
-//! An FRF as JSON.
+//! An FRF as JSON, piece by piece.
+
+use std::io;
+use std::vec::IntoIter;
 
 use realfft::num_complex::Complex64;
 use serde::ser::SerializeSeq;
@@ -12,7 +15,6 @@ use crate::engine::frf::{FrfQuality, FrfSettings};
 use crate::engine::model::VersionKind;
 use crate::http::body::json::Object;
 use crate::http::problem::Answer;
-use crate::models::LoadedModel;
 
 /// Which model answers.
 #[derive(Serialize)]
@@ -56,75 +58,124 @@ impl<'a> Estimate<'a> {
     }
 }
 
-/// `H`: real and imaginary parts.
-#[derive(Serialize)]
-struct Parts<'a> {
-    re: Nested<'a>,
-    im: Nested<'a>,
+/// The document in order.
+#[derive(Debug)]
+enum Piece {
+    Text(Vec<u8>),
+    /// All lines of the real numbers, the real or the imaginary parts of an array.
+    Lines(Part, Component),
 }
 
-#[derive(Serialize)]
-struct InverseParts<'a> {
-    ridge: f64,
-    zero_outside_hz: [f64; 2],
-    #[serde(flatten)]
-    parts: Parts<'a>,
+#[derive(Debug, Clone, Copy)]
+enum Component {
+    Real,
+    Re,
+    Im,
 }
 
-#[derive(Serialize)]
-struct Confidence<'a> {
-    level: f64,
-    radius: Nested<'a>,
+/// The pieces of the document.
+#[derive(Debug)]
+pub struct FrfDocument {
+    arrays: Arrays,
+    pieces: IntoIter<Piece>,
+    /// The array that is being written, and its next line.
+    begun: Option<(Part, Component, usize)>,
 }
 
-/// Writes the document.
-///
-/// # Errors
-/// None that a query can cause.
-pub fn write(arrays: &Arrays<'_>, units: &Units, loaded: &LoadedModel) -> Answer<Vec<u8>> {
-    let (model, frf) = (arrays.model, arrays.frf);
-    let quality = model.frf_quality.as_ref();
-    let mut document = Object::new();
-    let source = Source { version: loaded.version, kind: model.version_kind(), sha256: &loaded.sha256 };
-    document.add("model", &source)?;
-    document.add("inputs", &model.inputs)?;
-    document.add("outputs", &model.outputs)?;
-    document.add("units", &Both { inputs: &units.inputs, outputs: &units.outputs })?;
-    document.add("sample_rate_hz", &frf.sample_rate_hz)?;
-    document.add("segment_len", &frf.segment_len)?;
-    document.add("usable_hz", &frf.usable_hz)?;
-    document.add("working_point", &Both { inputs: &frf.x_mean, outputs: &frf.y_mean })?;
-    document.add("estimate", &quality.map(|quality| Estimate::of(quality, frf.df_hz())))?;
-    document.add("reason", &quality.is_none().then_some(NO_COHERENCE))?;
-    for (part, numbers) in &arrays.parts {
-        let axes = arrays.axes(*part);
-        match numbers {
-            Numbers::Real(values) => {
-                let nested = Nested { numbers: Of::Real(values), axes: &axes };
-                match part {
-                    Part::Confidence => {
-                        document.add("confidence", &Confidence { level: CONFIDENCE, radius: nested })?;
-                    }
-                    part => document.add(part.as_str(), &nested)?,
+impl FrfDocument {
+    /// The document of all parts.
+    ///
+    /// # Errors
+    /// None that a query can cause.
+    pub fn new(arrays: Arrays, units: &Units) -> Answer<Self> {
+        let (model, frf, loaded) = (arrays.model(), arrays.frf()?, &arrays.loaded);
+        let quality = model.frf_quality.as_ref();
+        let mut document = Object::new();
+        let source = Source { version: loaded.version, kind: model.version_kind(), sha256: &loaded.sha256 };
+        document.add("model", &source)?;
+        document.add("inputs", &model.inputs)?;
+        document.add("outputs", &model.outputs)?;
+        document.add("units", &Both { inputs: &units.inputs, outputs: &units.outputs })?;
+        document.add("sample_rate_hz", &frf.sample_rate_hz)?;
+        document.add("segment_len", &frf.segment_len)?;
+        document.add("usable_hz", &frf.usable_hz)?;
+        document.add("working_point", &Both { inputs: &frf.x_mean, outputs: &frf.y_mean })?;
+        document.add("estimate", &quality.map(|quality| Estimate::of(quality, frf.df_hz())))?;
+        document.add("reason", &quality.is_none().then_some(NO_COHERENCE))?;
+        let mut pieces = Vec::new();
+        for part in &arrays.parts {
+            let inverse = if *part == Part::H { arrays.inverse()? } else { None };
+            let mut object = Object::new();
+            let name = match (part, inverse) {
+                (Part::Confidence, _) => {
+                    object.add("level", &CONFIDENCE)?;
+                    "confidence"
                 }
-            }
-            Numbers::Complex(values) => {
-                let nested = |numbers| Nested { numbers, axes: &axes };
-                let parts = Parts { re: nested(Of::Re(values)), im: nested(Of::Im(values)) };
-                match arrays.inverse {
-                    None => document.add("h", &parts)?,
-                    Some(inverse) => {
-                        let (ridge, zero_outside_hz) = (inverse.ridge, inverse.zero_outside_hz);
-                        document.add("inverse", &InverseParts { ridge, zero_outside_hz, parts })?;
-                    }
+                (_, Some(inverse)) => {
+                    object.add("ridge", &inverse.ridge)?;
+                    object.add("zero_outside_hz", &inverse.zero_outside_hz)?;
+                    "inverse"
                 }
+                (part, None) => part.as_str(),
+            };
+            let text = document.field(name);
+            let components: &[(&'static str, Component)] = match part {
+                Part::H => &[("re", Component::Re), ("im", Component::Im)],
+                Part::Confidence => &[("radius", Component::Real)],
+                part => {
+                    pieces.extend([Piece::Text(std::mem::take(text)), Piece::Lines(*part, Component::Real)]);
+                    continue;
+                }
+            };
+            for (name, component) in components {
+                text.append(object.field(name));
+                pieces.extend([Piece::Text(std::mem::take(text)), Piece::Lines(*part, *component)]);
             }
+            text.append(&mut object.finish());
         }
+        for part in &arrays.missing {
+            document.add(part.as_str(), &None::<f64>)?;
+        }
+        pieces.push(Piece::Text(document.finish()));
+        Ok(Self { arrays, pieces: pieces.into_iter(), begun: None })
     }
-    for part in &arrays.missing {
-        document.add(part.as_str(), &None::<f64>)?;
+
+    /// The next lines of an array as JSON text.
+    fn lines(&mut self, part: Part, component: Component, at: usize) -> io::Result<Vec<u8>> {
+        let axes = self.arrays.axes(part);
+        let (all, lines) = (&self.arrays.lines, self.arrays.piece(at, self.arrays.width(part)));
+        let numbers = self.arrays.numbers(part, lines.clone())?;
+        let numbers = match (&numbers, component) {
+            (Numbers::Complex(values), Component::Im) => Of::Im(values),
+            (Numbers::Complex(values), _) => Of::Re(values),
+            (Numbers::Real(values), _) => Of::Real(values),
+        };
+        let mut text = serde_json::to_vec(&Nested { numbers, axes: &axes })?;
+        // Its brackets are those of the whole array at the ends, and a comma between pieces.
+        if at > all.start {
+            text[0] = b',';
+        }
+        self.begun = (lines.end < all.end).then_some((part, component, lines.end));
+        if self.begun.is_some() {
+            text.pop();
+        }
+        Ok(text)
     }
-    Ok(document.finish())
+}
+
+impl Iterator for FrfDocument {
+    type Item = io::Result<Vec<u8>>;
+
+    fn next(&mut self) -> Option<io::Result<Vec<u8>>> {
+        let (part, component, at) = match self.begun {
+            Some(begun) => begun,
+            None => match self.pieces.next()? {
+                Piece::Text(text) => return Some(Ok(text)),
+                Piece::Lines(part, component) => (part, component, self.arrays.lines.start),
+            },
+        };
+        Some(self.lines(part, component, at))
+    }
 }
 
 #[derive(Clone, Copy)]

@@ -3,28 +3,31 @@
 mod arrays;
 mod csv;
 mod document;
+mod npy;
 mod query;
 
 use axum::extract::State;
+use axum::http::header::CONTENT_LENGTH;
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::IntoResponse;
 
-use super::body::{json, signals::header_names};
+use super::body::json;
+use super::body::pieces::{Pieces, Written};
+use super::body::signals::header_names;
+use super::negotiate::{self, CSV, NPY};
 use super::params::Params;
 use super::paths::{OfModel, no_model, no_rig};
-use super::predict::NPY;
 use super::problem::{Answer, Problem};
-use super::{Shared, codes, negotiate};
+use super::{Shared, codes};
 use crate::compute::Class;
 use crate::domain::Rig;
 use crate::engine::frf::Frf;
 use crate::engine::model::RigModel;
-use crate::formats;
 use arrays::Arrays;
+use csv::FrfTable;
+use document::FrfDocument;
+use npy::FrfNpyPieces;
 use query::{Part, Query};
-
-/// Media type of tables.
-const CSV: &str = "text/csv";
 
 /// `GET /v1/rigs/{rig}/models/{version}/frf`
 pub async fn show(
@@ -41,7 +44,6 @@ pub async fn show(
     let model = loaded.model();
     let frf = frf_of(model)?;
     let lines = query.lines(frf)?;
-    // The lines of an answer are all there before it begins.
     let values = lines.len() * frf.n_inputs * frf.n_outputs;
     let work = if query.inverse.is_some() { values * frf.n_inputs.min(frf.n_outputs) } else { values };
     let mut head = HeaderMap::new();
@@ -59,21 +61,26 @@ pub async fn show(
         put("rigcast-step-hz", frf.df_hz().to_string())?;
     }
     let units = Units::of(&rig_row, model);
-    let bytes = http
+    let (written, size) = http
         .in_time(Class::of_values(work), move |deadline| {
-            let arrays = Arrays::of(loaded.model(), &query, lines, media_type == NPY)?;
-            deadline.check()?;
-            match media_type {
+            let arrays = Arrays::of(loaded, &query, lines, media_type == NPY, deadline)?;
+            let mut size = None;
+            let pieces: Pieces = match media_type {
                 NPY => {
-                    let (array, shape) = arrays.only(query.part.unwrap_or(Part::H))?;
-                    Ok(formats::npy::write_array(&array, &shape))
+                    let pieces = FrfNpyPieces::new(arrays, query.part.unwrap_or(Part::H))?;
+                    size = Some(pieces.size());
+                    Box::new(pieces)
                 }
-                CSV => csv::write(&arrays, &units),
-                _ => document::write(&arrays, &units, &loaded),
-            }
+                CSV => Box::new(FrfTable::new(arrays, &units)?),
+                _ => Box::new(FrfDocument::new(arrays, &units)?),
+            };
+            Ok((Written::begin(pieces).map_err(Problem::internal)?, size))
         })
         .await?;
-    Ok((head, bytes).into_response())
+    if let Some(size) = size {
+        head.insert(CONTENT_LENGTH, size.into());
+    }
+    Ok((head, written.into_body(&http.compute)).into_response())
 }
 
 /// The FRF of a model, or the refusal of a model that has none.

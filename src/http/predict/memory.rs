@@ -14,6 +14,9 @@ const UNIT: usize = 1 << 10;
 /// Memory of a short prediction, which needs no share: a minute of a large rig.
 const SHORT_BYTES: usize = 16 << 20;
 
+/// Memory of an answer besides its samples: its beginning, a piece, and what waits to be sent.
+const ANSWER_BYTES: usize = 3 << 19;
+
 /// Predictions that may wait for memory; each holds the drive that it came with.
 const MAX_WAITING: usize = 32;
 
@@ -49,7 +52,7 @@ impl PredictionMemory {
     }
 
     /// The queue for the next memory that comes free.
-    pub fn queue(&self) -> &FairQueue {
+    pub fn queue(&self) -> &Arc<FairQueue> {
         &self.first
     }
 
@@ -62,7 +65,7 @@ impl PredictionMemory {
         if bytes <= SHORT_BYTES {
             return Ok(Share(None));
         }
-        let units = u32::try_from(bytes / UNIT).unwrap_or(u32::MAX).min(self.units);
+        let units = u32::try_from(of_answer(bytes)).unwrap_or(u32::MAX).min(self.units);
         let _first = self.first.acquire(client).await?;
         match tokio::time::timeout(self.max_wait, Arc::clone(&self.free).acquire_many_owned(units)).await {
             Ok(Ok(permit)) => Ok(Share(Some(permit))),
@@ -71,11 +74,16 @@ impl PredictionMemory {
     }
 }
 
+/// Units of so many bytes of samples and of their answer.
+fn of_answer(bytes: usize) -> usize {
+    bytes.saturating_add(ANSWER_BYTES) / UNIT
+}
+
 impl Share {
-    /// Gives back what is beyond these bytes.
+    /// Gives back what is beyond these bytes of samples.
     pub fn keep(&mut self, bytes: usize) {
         if let Some(permit) = &mut self.0 {
-            let beyond = permit.num_permits().saturating_sub(bytes / UNIT);
+            let beyond = permit.num_permits().saturating_sub(of_answer(bytes));
             drop(permit.split(beyond));
         }
     }
@@ -94,11 +102,11 @@ mod tests {
         let first = memory.take(None, 100 * MIB).await.expect("room");
         let mut second = memory.take(None, 100 * MIB).await.expect("room");
         let _short = memory.take(None, SHORT_BYTES).await.expect("no share");
-        assert_eq!(free(), 56);
+        assert_eq!(free(), 53);
         second.keep(60 * MIB);
-        assert_eq!(free(), 96);
+        assert_eq!(free(), 93);
         second.keep(80 * MIB);
-        assert_eq!(free(), 96, "nothing is taken back");
+        assert_eq!(free(), 93, "nothing is taken back");
         drop((first, second));
         assert_eq!(free(), 256);
         let _all = memory.take(None, 5000 * MIB).await.expect("alone");

@@ -20,10 +20,11 @@ use axum::response::{IntoResponse, Response};
 
 use super::body::signals::header_names;
 use super::deadline::Deadline;
+use super::negotiate::{self, NPY};
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, admission, body, codes, json, negotiate};
+use super::{Shared, admission, body, codes, json};
 use crate::domain::{ModelRef, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
@@ -33,9 +34,6 @@ use request::{NpyQuery, PredictRequest};
 use stages::Stages;
 
 pub use memory::PredictionMemory;
-
-/// Media type of NumPy arrays.
-pub const NPY: &str = "application/x-npy";
 
 /// `POST /v1/rigs/{rig}/predict`
 pub async fn predict(

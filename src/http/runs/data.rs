@@ -13,14 +13,13 @@ use crate::formats::npy::NpyPieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::body::signal_pieces::JsonPieces;
 use crate::http::body::signals::header_names;
+use crate::http::negotiate::{self, CSV, NPY};
 use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfRun, no_run};
-use crate::http::predict::NPY;
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::{Shared, codes, json, negotiate};
+use crate::http::{Shared, codes, json};
 
 /// Media type of tables.
-const CSV: &str = "text/csv";
 /// Name of the first column of a table.
 const TIME: &str = "time_s";
 

@@ -1,14 +1,18 @@
 //! Turns an uploaded file into a run: format, names and sample rate, all checked against the rig.
 
+use std::path::Path;
+
 use super::upload::{self, Upload};
 use crate::domain::Rig;
 use crate::domain::run::RunMeta;
-use crate::engine::{Signal, resample, rounded};
-use crate::formats::{self, ParsedRun, ReadError};
+use crate::engine::resample::{ResampleError, resample_pieces};
+use crate::engine::{Samples, Signal, rounded};
+use crate::formats::{self, ParsedRun, ReadError, Spool, SpooledSamples};
+use crate::http::negotiate::{CSV, NPY};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::{body, codes, errors, json, predict};
-use crate::storage::PreparedRun;
+use crate::http::{body, codes, errors, json};
+use crate::storage::{PrepareError, PreparedRun};
 
 /// Formats of run files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,10 +32,10 @@ impl Format {
     /// `content_type.unsupported`.
     pub fn of(media_type: Option<&str>) -> Answer<Self> {
         match media_type {
-            Some("text/csv") => Ok(Self::Csv),
-            Some(predict::NPY) => Ok(Self::Npy),
+            Some(CSV) => Ok(Self::Csv),
+            Some(NPY) => Ok(Self::Npy),
             Some(json::MEDIA_TYPE) => Ok(Self::Json),
-            other => Err(body::unsupported(other, &["text/csv", predict::NPY, json::MEDIA_TYPE])),
+            other => Err(body::unsupported(other, &[CSV, NPY, json::MEDIA_TYPE])),
         }
     }
 
@@ -43,13 +47,13 @@ impl Format {
         }
     }
 
-    /// Reads piece by piece, because two-byte samples take four times as much in memory.
-    fn read(self, upload: &Upload) -> Result<ParsedRun, ReadError> {
-        let (file, len) = (upload.open()?, upload.size() as u64);
+    /// Reads piece by piece into a spool in `scratch`, so that a file of any size takes the same memory.
+    fn read(self, upload: &Upload, scratch: &Path) -> Result<ParsedRun<Spool>, ReadError> {
+        let (file, spool) = (upload.open()?, Spool::in_file(scratch));
         match self {
-            Self::Csv => formats::csv::read_from(file, len),
-            Self::Npy => formats::npy::read_from(file, len),
-            Self::Json => formats::json::read_from(file),
+            Self::Csv => formats::csv::read_from(file, spool),
+            Self::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
+            Self::Json => formats::json::read_from(file, spool),
         }
     }
 }
@@ -78,17 +82,25 @@ impl RunFile {
         Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")? })
     }
 
-    /// Reads the file and makes it a run of `rig`. Takes processor time: call it off the async threads.
+    /// Reads the file and makes it a run of `rig`, by way of files in `scratch`. Takes processor time: call it
+    /// off the async threads.
     ///
     /// # Errors
-    /// Errors of the format's reader; channels, sample rate or units that are not the rig's.
-    pub fn prepare(self, rig: &Rig, meta: RunMeta, format: Format, upload: &Upload) -> Answer<PreparedRun> {
+    /// Errors of the format's reader; channels, sample rate or units that are not the rig's; `store.full`.
+    pub fn prepare(
+        self,
+        rig: &Rig,
+        meta: RunMeta,
+        format: Format,
+        upload: Upload,
+        scratch: &Path,
+    ) -> Answer<PreparedRun> {
         // Errors of the query are reported before the file is parsed.
         check_channels(self.channels.iter().flatten(), rig)?;
         self.rate(None, rig)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
-        let parsed = format.read(upload).map_err(|error| match error {
+        let parsed = format.read(&upload, scratch).map_err(|error| match error {
             ReadError::Io(error) => upload::disk(error),
             ReadError::Format(error) => {
                 let problem = errors::format(&error, named);
@@ -97,17 +109,25 @@ impl RunFile {
             }
         })?;
         let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
-        let names = self.names(names, channels.len(), rig_names)?;
+        let names = self.names(names, channels.n_columns(), rig_names)?;
         check_channels(&names, rig)?;
         let rate = self.rate(sample_rate_hz, rig)?;
-        let refuse = |error| errors::engine(&error, &names, "");
-        let mut signal = Signal::new(rate, channels).map_err(refuse)?;
+        let sha256 = upload.sha256();
+        // Its room on the disk is free for the copies.
+        drop(upload);
+        let mut samples = channels.at_rate(rate);
         if !Signal::same_rate(rate, rig.sample_rate_hz) {
-            signal = resample::resample(&signal, rig.sample_rate_hz).map_err(refuse)?;
+            samples = resampled(samples, rig.sample_rate_hz, scratch).map_err(|error| match error {
+                ResampleError::Engine(error) => errors::engine(&error, &names, ""),
+                ResampleError::Io(error) => upload::disk(error),
+            })?;
         }
-        PreparedRun::new(rig, meta, names, units, signal, upload.sha256()).map_err(|found| {
-            Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found))
-                .with_all(found)
+        PreparedRun::new(scratch, rig, meta, names, units, samples, sha256).map_err(|error| match error {
+            PrepareError::Store(error) => error.into(),
+            PrepareError::Unsuitable(found) => {
+                Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found))
+                    .with_all(found)
+            }
         })
     }
 
@@ -149,6 +169,18 @@ impl RunFile {
         }
         if self.resample { Ok(rate) } else { Err(refuse(rate, rig.sample_rate_hz)) }
     }
+}
+
+/// The samples at another rate, in a spool of their own.
+fn resampled(
+    mut samples: SpooledSamples,
+    to_hz: f64,
+    scratch: &Path,
+) -> Result<SpooledSamples, ResampleError> {
+    let mut spool = Spool::in_file(scratch);
+    spool.add_columns(samples.n_channels());
+    resample_pieces(&mut samples, to_hz, |channel, piece| spool.extend(channel, piece))?;
+    Ok(spool.at_rate(to_hz))
 }
 
 fn check_channels<'a>(names: impl IntoIterator<Item = &'a String>, rig: &Rig) -> Answer<()> {

@@ -54,7 +54,8 @@ pub async fn upload(
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
-    let run = http.off_thread(class, move || file.prepare(&rig, meta, format, &upload)).await??;
+    let scratch = http.store.scratch_dir();
+    let run = http.off_thread(class, move || file.prepare(&rig, meta, format, upload, &scratch)).await??;
     match http.store.insert_run(&id, run, caller.token_id(), key.stored(), http.now()).await? {
         RunInsert::Inserted(inserted) => {
             if !inserted.jobs.is_empty() {

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use super::failed;
-use crate::storage::objects::off_thread;
+use crate::storage::files::{self, failed};
+use crate::storage::objects::{off_thread, place};
 use crate::storage::{Digest, StoreError};
 
 /// Is told how many objects are done, and of how many. Called from several threads.
@@ -42,10 +42,6 @@ pub(super) async fn copy_objects(
     .await
 }
 
-fn place(objects: &Path, name: &str) -> PathBuf {
-    objects.join(name.get(..2).unwrap_or("xx")).join(name)
-}
-
 /// Brings one object over. Returns its size.
 fn copy(from: &Path, previous: Option<&Path>, to: &Path, name: &str) -> Result<u64, StoreError> {
     let target = place(to, name);
@@ -57,7 +53,7 @@ fn copy(from: &Path, previous: Option<&Path>, to: &Path, name: &str) -> Result<u
     if let Some(earlier) = previous.map(|previous| place(previous, name))
         && let Some(bytes) = intact(&earlier, name)?
     {
-        let _ = std::fs::remove_file(&target);
+        files::remove(&target)?;
         if std::fs::hard_link(&earlier, &target).is_ok() {
             return Ok(bytes.len() as u64);
         }

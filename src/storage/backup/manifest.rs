@@ -5,7 +5,8 @@ use std::path::Path;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{UNFINISHED, damaged, failed, something_else};
+use super::{UNFINISHED, damaged, something_else};
+use crate::storage::files::failed;
 use crate::storage::{Store, StoreError};
 
 pub(super) const MANIFEST: &str = "backup.json";

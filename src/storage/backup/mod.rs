@@ -10,12 +10,13 @@ mod manifest;
 mod tests;
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, SqliteConnection};
 
+use super::files::{self, failed, sync_directory};
 use super::objects::{Objects, REFERENCED, off_thread};
 use super::store::{BUSY_TIMEOUT, DATABASE, check_integrity, check_references};
 use super::{Digest, Store, StoreError, journal};
@@ -127,7 +128,7 @@ fn begin(directory: &Path) -> Result<(), StoreError> {
 /// Takes the mark away.
 fn end(directory: &Path) -> Result<(), StoreError> {
     let mark = directory.join(UNFINISHED);
-    std::fs::remove_file(&mark).map_err(failed(&mark))?;
+    files::remove(&mark)?;
     sync_directory(directory)
 }
 
@@ -137,10 +138,7 @@ fn something_else(path: &Path, wanted: &'static str, what: String) -> StoreError
 
 /// Copies a database as of one moment, even while others write to it.
 async fn snapshot(database: &Path, copy: &Path) -> Result<(), StoreError> {
-    match std::fs::remove_file(copy) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(copy)(error)),
-        _ => {}
-    }
+    files::remove(copy)?;
     let options = SqliteConnectOptions::new().filename(database).busy_timeout(BUSY_TIMEOUT);
     let mut connection = SqliteConnection::connect_with(&options).await?;
     sqlx::query("VACUUM INTO ?").bind(copy.to_string_lossy().as_ref()).execute(&mut connection).await?;
@@ -179,10 +177,6 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     sync_directory(directory)
 }
 
-fn sync_directory(directory: &Path) -> Result<(), StoreError> {
-    std::fs::File::open(directory).and_then(|file| file.sync_all()).map_err(failed(directory))
-}
-
 /// Refuses a directory that holds anything.
 fn empty(directory: &Path) -> Result<(), StoreError> {
     match std::fs::read_dir(directory).map(|mut entries| entries.next().is_none()) {
@@ -194,11 +188,6 @@ fn empty(directory: &Path) -> Result<(), StoreError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(error) => Err(failed(directory)(error)),
     }
-}
-
-fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> StoreError + use<> {
-    let path: PathBuf = path.to_owned();
-    move |source| StoreError::DataDir { path, source }
 }
 
 fn damaged(path: &Path, what: String) -> StoreError {

@@ -12,6 +12,7 @@ use super::{entries_after, last_change, layout, path_in, rewrite, schema};
 use crate::storage::objects::off_thread;
 use crate::storage::store::DATABASE;
 use crate::storage::{StoreError, error::Acknowledged};
+use crate::telemetry::names;
 
 /// Names of changes and rows in a message.
 const NAMED: usize = 10;
@@ -111,7 +112,7 @@ async fn behind(
         named.push(format!("and {} more", lacking.len() - NAMED));
     }
     StoreError::Behind(Box::new(Acknowledged {
-        path: data_dir.join("rigcast.db"),
+        path: data_dir.join(DATABASE),
         data_dir: data_dir.to_owned(),
         changes: contents.last + contents.damaged_at_end - last,
         rows: named.join(", "),
@@ -119,8 +120,11 @@ async fn behind(
 }
 
 /// Writes rows again that differ from their last line in the journal. Rows that have changed since that line was
-/// written are passed over.
-async fn mend(connection: &mut SqliteConnection, contents: &Contents) -> Result<(), StoreError> {
+/// written are passed over. Returns the number of mended rows.
+pub(super) async fn mend(
+    connection: &mut SqliteConnection,
+    contents: &Contents,
+) -> Result<usize, StoreError> {
     let newer = entries_after(connection, contents.last).await?;
     let newer: BTreeSet<RowName> = newer.into_iter().map(|entry| entry.name).collect();
     let mut found = BTreeSet::new();
@@ -145,17 +149,18 @@ async fn mend(connection: &mut SqliteConnection, contents: &Contents) -> Result<
     }
     differing.retain(|(_, name, _)| !newer.contains(name));
     if differing.is_empty() {
-        return Ok(());
+        return Ok(0);
     }
     let mut tx = connection.begin().await?;
     let triggers = without_triggers(&mut tx).await?;
-    for (table, name, kept) in differing {
+    for (table, name, kept) in &differing {
         tracing::warn!(row = %name, "a row was not as it was written; it was mended from the journal");
+        metrics::counter!(names::ROWS_MENDED).increment(1);
         table.put(&mut tx, kept).await?;
     }
     with_triggers(&mut tx, triggers).await?;
     tx.commit().await?;
-    Ok(())
+    Ok(differing.len())
 }
 
 /// Drops all triggers and returns their definitions.

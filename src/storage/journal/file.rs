@@ -7,6 +7,7 @@ use std::path::Path;
 
 use super::entry::{Entry, Header, Image, RowName, checked, line};
 use crate::storage::StoreError;
+use crate::storage::files::{failed, sync_directory};
 
 /// Version of the form that is written.
 pub(super) const FORM: u32 = 1;
@@ -149,13 +150,8 @@ pub(super) fn replace(path: &Path, header: &Header, entries: &[Entry]) -> Result
             file.write_all(line(entry).as_bytes())?;
         }
         file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
-        std::fs::rename(&new, path)?;
-        File::open(path.parent().unwrap_or(Path::new(".")))?.sync_all()
+        std::fs::rename(&new, path)
     };
-    write().map_err(failed(path))
-}
-
-pub(super) fn failed(path: &Path) -> impl FnOnce(io::Error) -> StoreError + use<> {
-    let path = path.to_owned();
-    move |source| StoreError::DataDir { path, source }
+    write().map_err(failed(path))?;
+    sync_directory(path.parent().unwrap_or(Path::new(".")))
 }

@@ -3,7 +3,8 @@
 //! SQLite drops the end of its write-ahead log at the first damaged frame, and starts without the log if it is gone;
 //! either way without a word. Each commit therefore also appends the rows that it changed to the journal, synced
 //! before a client is told. At a start the two are compared: a database that lacks acknowledged changes is refused,
-//! a row that is not as it was written is mended, and `rigcast recover` makes the database anew.
+//! a row that is not as it was written is mended, and `rigcast recover` makes the database anew. Rows are compared
+//! again while the service runs.
 //!
 //! The database comes first and the journal second. After a crash the database may thus be ahead of the journal,
 //! never behind it.
@@ -12,6 +13,7 @@ mod check;
 mod entry;
 mod file;
 mod recover;
+mod scrub;
 mod tables;
 #[cfg(test)]
 mod tests;
@@ -20,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use sqlx::SqliteConnection;
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Notify};
 
 use super::objects::{off_thread, to_the_end};
 use super::{Digest, Store, StoreError};
@@ -36,7 +38,11 @@ const TRIMMED_EVERY: i64 = 1000;
 
 /// The journal of an open store.
 #[derive(Debug, Clone)]
-pub(super) struct Journal(Arc<Mutex<State>>);
+pub(super) struct Journal {
+    state: Arc<Mutex<State>>,
+    /// Told when a row of the database could not be read.
+    doubt: Arc<Notify>,
+}
 
 #[derive(Debug)]
 struct State {
@@ -49,9 +55,12 @@ struct State {
     trimmed: i64,
 }
 
+/// Name of the journal in a data directory.
+pub(super) const FILE: &str = "rigcast.journal";
+
 /// Where the journal of a data directory is.
 pub(super) fn path_in(data_dir: &Path) -> PathBuf {
-    data_dir.join("rigcast.journal")
+    data_dir.join(FILE)
 }
 
 impl Journal {
@@ -59,7 +68,8 @@ impl Journal {
     pub(super) fn open(data_dir: &Path, last: i64) -> Result<Self, StoreError> {
         let path = path_in(data_dir);
         let file = Some(JournalFile::append_to(&path)?);
-        Ok(Self(Arc::new(Mutex::new(State { file, path, last, trimmed: last }))))
+        let state = Arc::new(Mutex::new(State { file, path, last, trimmed: last }));
+        Ok(Self { state, doubt: Arc::default() })
     }
 
     /// Whether changes can be acknowledged.
@@ -67,7 +77,7 @@ impl Journal {
     /// # Errors
     /// [`StoreError::JournalStopped`] after a failed sync.
     pub(super) async fn check(&self) -> Result<(), StoreError> {
-        let state = self.0.lock().await;
+        let state = self.state.lock().await;
         match state.file {
             Some(_) => Ok(()),
             None => Err(StoreError::JournalStopped { path: state.path.clone() }),
@@ -85,7 +95,7 @@ impl Store {
         let Some(journal) = self.journal() else { return Ok(()) };
         let (store, journal) = (self.clone(), journal.clone());
         to_the_end(async move {
-            let mut state = journal.0.lock().await;
+            let mut state = journal.state.lock().await;
             let entries = entries_after(&mut *store.reader().acquire().await?, state.last).await?;
             let Some(newest) = entries.last().map(|entry| entry.seq) else { return Ok(()) };
             let path = state.path.clone();

@@ -9,15 +9,13 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 use super::check::{with_triggers, without_triggers};
 use super::entry::{Cell, Image, RowName};
-use super::file::{self, Contents, failed};
+use super::file::{self, Contents};
 use super::tables::{TABLES, Table};
-use super::{entries_after, last_change, path_in, rewrite, schema};
-use crate::storage::objects::{Objects, REFERENCED, off_thread};
-use crate::storage::store::{DATABASE, check_integrity, lock};
+use super::{FILE, entries_after, last_change, path_in, rewrite, schema};
+use crate::storage::files::{self, failed, sync_directory};
+use crate::storage::objects::{Objects, REFERENCED, all_below, off_thread};
+use crate::storage::store::{DATABASE, DATABASE_FILES, check_integrity, lock};
 use crate::storage::{StoreError, migrations, quarantine};
-
-/// The old database with its write-ahead log, and the index of that log.
-const OLD: [&str; 3] = ["rigcast.db", "rigcast.db-wal", "rigcast.db-shm"];
 
 /// What a recovery did.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -125,7 +123,7 @@ pub async fn recover(data_dir: &Path, now: Timestamp) -> Result<Recovered, Store
 fn set_aside(data_dir: &Path, now: Timestamp) -> Result<PathBuf, StoreError> {
     let kept_in = data_dir.join(format!("before-recover-{}", now.as_millisecond()));
     std::fs::create_dir(&kept_in).map_err(failed(&kept_in))?;
-    for name in OLD.into_iter().chain(["rigcast.journal"]) {
+    for name in DATABASE_FILES.into_iter().chain([FILE]) {
         let from = data_dir.join(name);
         match std::fs::copy(&from, kept_in.join(name)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(&from)(error)),
@@ -208,10 +206,7 @@ fn merge(contents: &Contents, old: &Old) -> (Rows, Vec<String>) {
 
 /// Makes a database of these rows. Returns the rows that belong to nothing any more, which it does not have.
 async fn build(path: &Path, schema: i64, rows: &Rows, next: i64) -> Result<Vec<Lost>, StoreError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(path)(error)),
-        _ => {}
-    }
+    files::remove(path)?;
     let options = SqliteConnectOptions::new().filename(path).create_if_missing(true).foreign_keys(false);
     let mut connection = SqliteConnection::connect_with(&options).await?;
     migrations::up_to(schema).run(&mut connection).await?;
@@ -275,18 +270,14 @@ async fn put_in_place(data_dir: &Path, new: &Path) -> Result<(), StoreError> {
     let options = SqliteConnectOptions::new().filename(new);
     let mut connection = SqliteConnection::connect_with(&options).await?;
     // The database goes first: if this is cut short, a journal without a database is what `recover` starts from.
-    for name in OLD {
-        let path = data_dir.join(name);
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(&path)(error)),
-            _ => {}
-        }
+    for name in DATABASE_FILES {
+        files::remove(&data_dir.join(name))?;
     }
     rewrite(data_dir, &mut connection).await?;
     connection.close().await?;
     let place = data_dir.join(DATABASE);
     std::fs::rename(new, &place).map_err(failed(&place))?;
-    std::fs::File::open(data_dir).and_then(|directory| directory.sync_all()).map_err(failed(data_dir))
+    sync_directory(data_dir)
 }
 
 /// Looks for every object that the new database names, in the quarantine too.
@@ -313,7 +304,8 @@ async fn check_objects(data_dir: &Path) -> Result<Vec<Lost>, StoreError> {
         }
     }
     connection.close().await?;
-    let there = quarantine::names_in(&data_dir.join("objects"))?;
-    lost.extend(there.into_iter().filter(|name| !wanted.contains(name)).map(Lost::Unknown));
+    let there = all_below(&data_dir.join("objects"))?;
+    let names = there.iter().filter_map(|file| file.file_name()?.to_str());
+    lost.extend(names.filter(|name| !wanted.contains(*name)).map(|name| Lost::Unknown(name.to_owned())));
     Ok(lost)
 }

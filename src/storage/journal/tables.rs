@@ -5,6 +5,7 @@ use sqlx::{AssertSqlSafe, Column, Row, SqliteConnection, TypeInfo, ValueRef};
 
 use super::entry::{Cell, Image, RowName};
 use crate::storage::StoreError;
+use crate::storage::objects::hex;
 
 /// A journaled table.
 #[derive(Debug, Clone, Copy)]
@@ -158,14 +159,6 @@ fn bind(query: Query<'_>, cell: Cell) -> Query<'_> {
         Cell::Text(text) => query.bind(text),
         Cell::Blob { blob } => query.bind(bytes(&blob)),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    use std::fmt::Write;
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut hex, byte| {
-        write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
-        hex
-    })
 }
 
 /// Bytes from hex digits. Lines are read only if their checksum holds, so the digits are ours.

@@ -301,6 +301,32 @@ async fn a_row_that_is_not_as_it_was_written_is_mended() {
 }
 
 #[tokio::test]
+async fn rows_are_mended_while_the_service_runs_and_writes() {
+    let service = service().await;
+    let wanted = rows(&service).await;
+    assert_eq!(service.mend_rows().await.unwrap(), 0);
+    let options = SqliteConnectOptions::new().filename(service.data_dir().join("rigcast.db"));
+    let mut other = options.disable_statement_logging().connect().await.unwrap();
+    let triggers = check::without_triggers(&mut other).await.unwrap();
+    for damage in [
+        "UPDATE runs SET duration_s = duration_s + 1e-9 WHERE rowid = 3",
+        "UPDATE runs SET quality = 'nothing' WHERE rowid = 4",
+        "UPDATE rigs SET name = 'another' WHERE id = 'bench'",
+    ] {
+        sqlx::query(damage).execute(&mut other).await.unwrap();
+    }
+    check::with_triggers(&mut other, triggers).await.unwrap();
+    let meanwhile = draft("meanwhile");
+    let write = service.insert_rig(&meanwhile, None, now());
+    let (mended, written) = tokio::join!(service.mend_rows(), write);
+    written.unwrap().unwrap();
+    assert_eq!(mended.unwrap(), 3);
+    let after = rows(&service).await;
+    assert!(wanted.iter().all(|(name, row)| after.get(name) == Some(row)), "{after:?}");
+    assert_eq!(service.mend_rows().await.unwrap(), 0);
+}
+
+#[tokio::test]
 async fn a_commit_that_a_crash_kept_from_the_journal_is_taken_over_at_the_start() {
     let service = service().await;
     let journal = std::fs::read(path_in(service.data_dir())).unwrap();

@@ -11,8 +11,9 @@ mod sentence;
 #[cfg(test)]
 mod tests;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
+use super::document::document;
 use crate::engine::diagnosis::{Report, VerdictKind, Views};
 
 pub use names::name_runs;
@@ -53,32 +54,18 @@ pub enum Simulation {
 /// The page as self-contained HTML: no scripts, no other files.
 pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
     let title = format!("Diagnosis of {}", of.rig_name);
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(include_str!("style.css"))) }
-            }
-            body {
-                main {
-                    (header(of, report))
-                    (location::section(report, views))
-                    (candidates::section(report))
-                    (closure::section(report, views))
-                    (force::section(report, views))
-                    (remaining::remaining(report))
-                    (remaining::next(report))
-                    (adopt(of, report))
-                    (remaining::method(of, report, views))
-                }
-            }
-        }
-    }
-    .into_string()
+    let main = html! {
+        (header(of, report))
+        (location::section(report, views))
+        (candidates::section(report))
+        (closure::section(report, views))
+        (force::section(report, views))
+        (remaining::remaining(report))
+        (remaining::next(report))
+        (adopt(of, report))
+        (remaining::method(of, report, views))
+    };
+    document(&title, include_str!("style.css"), &main)
 }
 
 fn header(of: &Heading, report: &Report) -> Markup {

@@ -1,6 +1,8 @@
 //! The page that a browser gets at the service's root: what is there, and where to go on.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
+
+use super::document::document;
 
 /// Style of the page; the only thing beside its text.
 pub const STYLE: &str = include_str!("style.css");
@@ -44,42 +46,28 @@ const LINKS: [(&str, &str, &str); 4] = [
 
 /// The page as HTML, complete in itself: no scripts, no other files.
 pub fn page(of: &Start) -> String {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { "Rigcast" }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                main {
-                    h1 { "Rigcast" }
-                    p.soft { "Prediction service for fatigue test rigs" }
-                    h2 { "Rigs" }
-                    @match &of.rigs {
-                        Some(rigs) => (table(rigs)),
-                        None => p {
-                            "This request may not see the rigs. The service wants a token in the header "
-                            code { "Authorization: Bearer …" }
-                            "; as long as no token was ever made, it answers to this machine alone."
-                        },
-                    }
-                    h2 { "More" }
-                    dl {
-                        @for (path, name, what) in LINKS {
-                            dt { a href=(path) { (name) } }
-                            dd { (what) }
-                        }
-                    }
-                    @if of.rigs.is_some() { p.soft { "Version " (of.version) } }
-                }
+    let main = html! {
+        h1 { "Rigcast" }
+        p.soft { "Prediction service for fatigue test rigs" }
+        h2 { "Rigs" }
+        @match &of.rigs {
+            Some(rigs) => (table(rigs)),
+            None => p {
+                "This request may not see the rigs. The service wants a token in the header "
+                code { "Authorization: Bearer …" }
+                "; as long as no token was ever made, it answers to this machine alone."
+            },
+        }
+        h2 { "More" }
+        dl {
+            @for (path, name, what) in LINKS {
+                dt { a href=(path) { (name) } }
+                dd { (what) }
             }
         }
-    }
-    .into_string()
+        @if of.rigs.is_some() { p.soft { "Version " (of.version) } }
+    };
+    document("Rigcast", STYLE, &main)
 }
 
 fn table(rigs: &Rigs) -> Markup {

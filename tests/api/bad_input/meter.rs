@@ -61,7 +61,7 @@ impl Meter {
         meter.send(&Case::json("POST", "/v1/rigs/bench/predict", drive)).await;
         let refused = Case::file("POST", "/v1/rigs/bench/runs", "text/csv", "u,y\n0,x\n");
         meter.send(&refused).await;
-        let idle = meter.resident("VmRSS");
+        let idle = meter.program.memory("VmRSS");
         Self { idle, ..meter }
     }
 
@@ -81,9 +81,9 @@ impl Meter {
 
     /// Sends a request, and checks its answer and its memory.
     pub async fn measure(&self, case: &Case) -> Measured {
-        std::fs::write(format!("/proc/{}/clear_refs", self.program.id()), "5").expect("Linux");
+        self.program.count_peak();
         let reply = self.send(case).await;
-        let peak = self.resident("VmHWM").saturating_sub(self.idle);
+        let peak = self.program.memory("VmHWM").saturating_sub(self.idle);
         assert!(
             reply.status < 500,
             "{}: {} {}",
@@ -111,20 +111,12 @@ impl Meter {
 
     /// Growth of resident memory since the start.
     pub fn growth(&self) -> u64 {
-        self.resident("VmRSS").saturating_sub(self.idle)
+        self.program.memory("VmRSS").saturating_sub(self.idle)
     }
 
     /// The program's address, for requests as bytes.
     pub fn address(&self) -> std::net::SocketAddr {
         self.program.base().strip_prefix("http://").and_then(|at| at.parse().ok()).expect("an address")
-    }
-
-    fn resident(&self, what: &str) -> u64 {
-        let status =
-            std::fs::read_to_string(format!("/proc/{}/status", self.program.id())).expect("it lives");
-        let line = status.lines().find(|line| line.starts_with(what)).expect("Linux says it");
-        let kib: u64 = line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).expect("a number");
-        kib << 10
     }
 }
 

@@ -132,6 +132,20 @@ impl Program {
         &self.base
     }
 
+    /// A figure of its memory, such as `VmRSS` or `VmHWM`, bytes.
+    pub fn memory(&self, what: &str) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).expect("it lives");
+        let line = status.lines().find(|line| line.starts_with(what)).expect("Linux says it");
+        let kib: u64 = line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).expect("a number");
+        kib << 10
+    }
+
+    /// Counts the peak `VmHWM` from now on; returns its resident memory.
+    pub fn count_peak(&self) -> u64 {
+        std::fs::write(format!("/proc/{}/clear_refs", self.id()), "5").expect("Linux");
+        self.memory("VmRSS")
+    }
+
     /// Sends `-TERM`, say.
     pub fn signal(&self, name: &str) {
         signal(name, self.id());

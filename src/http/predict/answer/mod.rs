@@ -6,7 +6,6 @@ mod npy;
 
 use std::sync::Arc;
 
-use super::NPY;
 use super::inputs::{Drive, Target};
 use super::memory::Share;
 use super::request::Include;
@@ -19,6 +18,7 @@ use crate::engine::{EngineError, Signal, rounded};
 use crate::formats;
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
+use crate::http::negotiate::NPY;
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{codes, errors};
 use crate::models::LoadedModel;
