@@ -167,7 +167,10 @@ fn print(name: &str, recording: &Recording) -> Option<Screening> {
         .foremost()
         .iter()
         .take(3)
-        .map(|s| format!("x{:.3} {} {:?}", s.ratio, s.effect.name(), s.place))
+        .map(|s| {
+            let free = s.free.as_ref().map_or(String::new(), |f| format!(" free x{:.3}", f.ratio));
+            format!("x{:.3}{free} {} {:?}", s.ratio, s.effect.name(), s.place)
+        })
         .collect();
     println!("{name}; {}; {}; {:.1} s", means.join(" "), families.join(", "), began.elapsed().as_secs_f64());
     Some(found)

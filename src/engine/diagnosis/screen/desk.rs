@@ -8,8 +8,11 @@ use super::correlate::Correlator;
 use super::groups::{Grouping, Stretch};
 use super::input::Recording;
 use super::judge::Base;
-use super::linear_part::{LEAD, choose, longest, with_modes};
+use super::linear_part::{LEAD, Setting, choose, longest, with_modes};
+use super::modes;
 use super::moments::{Lags, Moments};
+use super::motion::Limits;
+use super::place::limits;
 use super::regressors::Regressors;
 use super::track::{Segment, Track, delayed, deviation};
 
@@ -24,6 +27,8 @@ const MOST_WEIGHT: f64 = 30.0;
 pub(super) struct Desk<'a> {
     pub recording: &'a Recording,
     pub band: Band,
+    /// Limits of what is integrated and differentiated.
+    pub limits: Limits,
     pub thinner: Thinner,
     /// Samples of each record that are looked at, at the recording's own rate.
     pub used: Vec<usize>,
@@ -38,6 +43,7 @@ impl<'a> Desk<'a> {
     pub fn new(recording: &'a Recording, grouping: &Grouping) -> Self {
         let band = Band::of(recording);
         let step = band.step;
+        let limits = limits(recording, band);
         let thinner = Thinner::new(step);
         let rows: usize = grouping.stretches.iter().map(|s| s.samples.len() / step).sum();
         let share = (MOST_ROWS as f64 / rows.max(1) as f64).min(1.0);
@@ -68,7 +74,7 @@ impl<'a> Desk<'a> {
         let mut responses = tracks(false, recording.responses.len());
         responses.iter_mut().for_each(still);
         let mut desk =
-            Self { recording, band, thinner, used, segments, drives, responses, clocks: clocks(recording) };
+            Self { recording, band, limits, thinner, used, segments, drives, responses, clocks: clocks(recording) };
         desk.leave_out_the_start();
         desk.weigh();
         desk
@@ -131,10 +137,7 @@ impl<'a> Desk<'a> {
         let all = Lags { lead: LEAD, span: memory + LEAD };
         let moments = Moments::of(&self.drives, &self.responses, &self.segments, all);
         let (error, setting) = choose(&moments, &self.segments, all);
-        let centred = || -> Vec<Vec<Vec<f64>>> {
-            let of = |s: &Segment| self.responses.iter().map(|y| delayed(&y[s.record], s, 0)).collect();
-            self.segments.iter().map(of).collect()
-        };
+        let centred = || centred(&self.responses, &self.segments);
         let mut bases = Vec::new();
         let modes = with_modes(&self.drives, &self.responses, &self.segments, setting.lags.lead);
         let by_modes = modes.as_ref().map_or(f64::INFINITY, |m| m.error);
@@ -150,10 +153,36 @@ impl<'a> Desk<'a> {
         bases
     }
 
+    /// A linear part set alike, with further signals among the responses; `None` where it is singular to rounding.
+    pub fn rebased(&self, setting: &Setting, further: &[Track]) -> Option<Base<'_>> {
+        let responses: Vec<Track> = self.responses.iter().chain(further).cloned().collect();
+        let (moments, regressors) = match &setting.poles {
+            Some(poles) => {
+                let Lags { lead, span } = setting.lags;
+                let columns = modes::columns(&self.drives, &self.segments, poles, lead, span);
+                let moments = Moments::of_columns(&columns, &responses, &self.segments);
+                (moments, Regressors::Columns(columns))
+            }
+            None => {
+                let moments = Moments::of(&self.drives, &responses, &self.segments, setting.lags);
+                let lags = Correlator::new(&self.drives, &self.segments, setting.lags);
+                (moments, Regressors::Lags(lags))
+            }
+        };
+        let centred = centred(&responses, &self.segments);
+        Base::new(&moments, &self.segments, centred, regressors, setting.clone())
+    }
+
     /// A signal at the rate of the analysis.
     pub fn thinned(&self, signal: &[Vec<f64>]) -> Track {
         signal.iter().map(|x| self.thinner.thin(x)).collect()
     }
+}
+
+/// Responses of every segment, centred and weighted, `[segment][response]`.
+fn centred(responses: &[Track], segments: &[Segment]) -> Vec<Vec<Vec<f64>>> {
+    let of = |s: &Segment| responses.iter().map(|y| delayed(&y[s.record], s, 0)).collect();
+    segments.iter().map(of).collect()
 }
 
 /// Clears a track that moves by no more than rounding, such as a constant after thinning.

@@ -1,7 +1,10 @@
 //! How a law's signal enters a response: through the linear part's own impulse responses, as a force that acts
 //! where a drive does, and over drives also directly.
 
+use std::ops::Range;
+
 use super::correlate::Filter;
+use super::forward::Kernel;
 use super::judge::Base;
 use super::place::Place;
 use super::track::{Segment, Track, delayed};
@@ -18,6 +21,8 @@ const AFTER: usize = 12;
 /// The ways into one response.
 pub(super) struct Entry {
     lead: usize,
+    /// Impulse responses from the lead on, by drive.
+    impulses: Vec<Vec<f64>>,
     /// Impulse responses from the lead on, `[drive][record]`.
     whole: Vec<Vec<Filter>>,
     /// From lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
@@ -66,14 +71,67 @@ impl Entry {
                 (0..drives[0][record].len()).map(|t| parts.iter().map(|p| p[record][t]).sum()).collect()
             })
             .collect();
-        Self {
-            lead,
-            whole,
-            causal: filters(&|h| h[lead..].to_vec()),
-            delayed: filters(&|h| std::iter::once(0.0).chain(h[lead + 1..].iter().copied()).collect()),
-            order,
-            output,
+        let (causal, delayed) = (filters(&|h| h[lead..].to_vec()), filters(&|h| late(&h[lead..])));
+        Self { lead, impulses, whole, causal, delayed, order, output }
+    }
+
+    /// What the columns of `signals` signals at a place do together, with these coefficients: of each signal the
+    /// lag at which it begins, and its impulse response from there on.
+    pub fn kernels(
+        &self,
+        place: Place,
+        own: bool,
+        load: bool,
+        signals: usize,
+        coefficients: &[f64],
+    ) -> Vec<Kernel> {
+        let direct = DIRECT[usize::from(signals > 2)];
+        let mut rest = coefficients.iter().copied();
+        let mut kernels = Vec::with_capacity(signals);
+        for _ in 0..signals {
+            let mut kernel = Kernel::default();
+            let mut add = |impulse: &[f64], lags: Range<isize>| {
+                for lag in lags {
+                    kernel.add(impulse, lag, rest.next().unwrap_or(0.0));
+                }
+            };
+            match place {
+                Place::Drive(d) if load => add(&late(&self.impulses[d][self.lead..]), behind()),
+                Place::Drive(d) => {
+                    let before = -(self.lead.min(direct / 2) as isize);
+                    add(&[1.0], before..before + direct as isize);
+                    let lead = self.lead as isize;
+                    add(&self.impulses[d], -lead..BEHIND as isize - lead);
+                }
+                Place::Output(_) => add(&[1.0], 0..if signals > 2 { AFTER as isize } else { 1 }),
+                Place::Response(_) | Place::Between(..) => {
+                    for d in self.through(signals) {
+                        let h = &self.impulses[d][self.lead..];
+                        if own { add(&late(h), behind()) } else { add(h, behind()) }
+                    }
+                }
+            }
+            kernels.push(kernel);
         }
+        kernels
+    }
+
+    /// Number of columns of so many signals at a place.
+    pub fn width(&self, place: Place, load: bool, signals: usize) -> usize {
+        let of_one = match place {
+            Place::Drive(_) if load => BEHIND,
+            Place::Drive(_) => DIRECT[usize::from(signals > 2)] + BEHIND,
+            Place::Output(_) => {
+                if signals > 2 { AFTER } else { 1 }
+            }
+            Place::Response(_) | Place::Between(..) => self.through(signals).count() * BEHIND,
+        };
+        signals * of_one
+    }
+
+    /// Drives through whose impulse responses a response's signals enter.
+    fn through(&self, signals: usize) -> impl Iterator<Item = usize> + '_ {
+        self.order.iter().copied().take(if signals > 2 { 1 } else { THROUGH })
     }
 
     /// Columns of signals at a place, `[segment][column][row]`. `own`: the place is this response itself.
@@ -87,7 +145,7 @@ impl Entry {
         segments: &[Segment],
     ) -> Vec<Vec<Vec<f64>>> {
         let direct = DIRECT[usize::from(signals.len() > 2)];
-        let mut tracks: Vec<(Track, Vec<isize>)> = Vec::new();
+        let mut tracks: Vec<(Track, Range<isize>)> = Vec::new();
         for signal in signals {
             match place {
                 Place::Drive(d) if load => {
@@ -96,17 +154,16 @@ impl Entry {
                 }
                 Place::Drive(d) => {
                     let before = -(self.lead.min(direct / 2) as isize);
-                    tracks.push((signal.clone(), (0..direct as isize).map(|k| before + k).collect()));
+                    tracks.push((signal.clone(), before..before + direct as isize));
                     tracks.push((ahead(signal, &self.whole[d], self.lead), behind()));
                 }
                 Place::Output(_) => {
                     let lags = if signals.len() > 2 { AFTER as isize } else { 1 };
-                    tracks.push((signal.clone(), (0..lags).collect()));
+                    tracks.push((signal.clone(), 0..lags));
                 }
                 Place::Response(_) | Place::Between(..) => {
                     let filters = if own { &self.delayed } else { &self.causal };
-                    let most = if signals.len() > 2 { 1 } else { THROUGH };
-                    for &d in self.order.iter().take(most) {
+                    for d in self.through(signals.len()) {
                         let through = signal.iter().zip(&filters[d]).map(|(x, h)| h.apply(x)).collect();
                         tracks.push((through, behind()));
                     }
@@ -116,8 +173,8 @@ impl Entry {
         segments
             .iter()
             .map(|segment| {
-                let of = |(track, lags): &(Track, Vec<isize>)| -> Vec<Vec<f64>> {
-                    lags.iter().map(|&lag| delayed(&track[segment.record], segment, lag)).collect()
+                let of = |(track, lags): &(Track, Range<isize>)| -> Vec<Vec<f64>> {
+                    lags.clone().map(|lag| delayed(&track[segment.record], segment, lag)).collect()
                 };
                 tracks.iter().flat_map(of).collect()
             })
@@ -125,8 +182,13 @@ impl Entry {
     }
 }
 
-fn behind() -> Vec<isize> {
-    (0..BEHIND as isize).collect()
+fn behind() -> Range<isize> {
+    0..BEHIND as isize
+}
+
+/// The impulse response without what comes at once: what a response does to itself takes a sample.
+fn late(h: &[f64]) -> Vec<f64> {
+    std::iter::once(0.0).chain(h.iter().skip(1).copied()).collect()
 }
 
 /// The output of filters that begin `lead` samples ahead; signals are held at their ends.

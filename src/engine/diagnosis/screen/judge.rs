@@ -52,6 +52,17 @@ pub(super) struct Block {
     gram: Vec<Mat<f64>>,
     /// Columns with the response.
     target: Vec<Mat<f64>>,
+    /// What each column was scaled by.
+    norms: Vec<f64>,
+}
+
+/// Coefficients of the linear part beside a block, and of the block's columns as they came.
+#[derive(Debug, Clone)]
+pub(super) struct Coefficients {
+    /// Impulse response of each drive, from the lag `-lead` on.
+    pub impulses: Vec<Vec<f64>>,
+    /// One a column.
+    pub columns: Vec<f64>,
 }
 
 /// A candidate's held-out errors relative to the response, by group.
@@ -156,7 +167,7 @@ impl<'a> Base<'a> {
         }
         let total = sum(&cross);
         let solved = self.folds.iter().zip(&cross).map(|(f, b)| f.factor.solve(&total - b)).collect();
-        Block { columns: scaled, cross, solved, gram, target }
+        Block { columns: scaled, cross, solved, gram, target, norms }
     }
 
     /// Held-out errors of the linear part with a block.
@@ -201,6 +212,42 @@ impl<'a> Base<'a> {
         let solved = self.whole.factor.solve(&cross);
         let others = Others { gram: sum(&block.gram), target: sum(&block.target), cross };
         gamma(&others, &solved, &self.whole.theta, response)
+    }
+
+    /// Coefficients fitted to all groups but `held_out`; impulse responses of at most `most` samples.
+    pub fn coefficients(
+        &self,
+        block: &Block,
+        response: usize,
+        held_out: Option<usize>,
+        most: usize,
+    ) -> Coefficients {
+        let (fold, gamma, solved) = match held_out {
+            None => {
+                let solved = self.whole.factor.solve(&sum(&block.cross));
+                (&self.whole, self.fitted(block, response), solved)
+            }
+            Some(g) => {
+                let others = Others {
+                    gram: sum(&block.gram) - &block.gram[g],
+                    target: sum(&block.target) - &block.target[g],
+                    cross: sum(&block.cross) - &block.cross[g],
+                };
+                let gamma = gamma(&others, &block.solved[g], &self.folds[g].theta, response);
+                (&self.folds[g], gamma, block.solved[g].clone())
+            }
+        };
+        let taken = solved * &gamma;
+        let width = self.setting.width();
+        let drives = taken.nrows() / width.max(1);
+        let of_drive = |d: usize| -> Vec<f64> {
+            let theta = (d * width..(d + 1) * width).map(|k| fold.theta[(k, response)] - taken[(k, 0)]);
+            self.setting.impulse(&theta.collect::<Vec<f64>>(), most)
+        };
+        Coefficients {
+            impulses: (0..drives).map(of_drive).collect(),
+            columns: block.norms.iter().enumerate().map(|(k, norm)| gamma[(k, 0)] * norm).collect(),
+        }
     }
 
     /// Gain of a law, whose columns come first in the block: that of its part beside the unbent signal let in by
@@ -278,6 +325,7 @@ impl Block {
             solved: pair(&self.solved, &other.solved),
             gram,
             target: self.target.iter().zip(&other.target).map(|(a, b)| stack(a, b)).collect(),
+            norms: self.norms.iter().chain(&other.norms).copied().collect(),
         }
     }
 

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::memory::{bouc_wen, slew, slider};
+use super::memory::{Memory, slide, yielding};
 use super::motion::Motion;
 
 /// A law with its numbers.
@@ -86,8 +86,21 @@ pub enum Law {
     Sandwich,
 }
 
+/// What a law sees at one instant.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Instant {
+    /// Displacement about its centre, in deviations.
+    pub d: f64,
+    /// Velocity in deviations.
+    pub v: f64,
+    /// The other place's displacement, of a law of two.
+    pub x: f64,
+    /// Time of the programme, from 0 to 1.
+    pub t: f64,
+}
+
 /// Deviations and centre of an argument over all groups.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Scale {
     pub centre: f64,
     pub d: f64,
@@ -100,6 +113,51 @@ const KINKS: [f64; 5] = [-1.5, -0.6, 0.0, 0.6, 1.5];
 const LIMITS: [f64; 4] = [0.1, 0.35, 1.0, 2.5];
 
 impl Law {
+    /// Number of its signals.
+    pub(super) fn count(self) -> usize {
+        match self {
+            Self::FreeStiffness | Self::FreeDamping => KINKS.len(),
+            Self::FreeHysteresis => LIMITS.len(),
+            Self::Sandwich => 3,
+            Self::Polynomial | Self::Stribeck { .. } | Self::ValveFlow | Self::CrossAxisKinematic => 2,
+            _ => 1,
+        }
+    }
+
+    /// Its signals at one instant.
+    pub(super) fn at(self, now: Instant, memory: &mut Memory, out: &mut [f64]) {
+        let Instant { d, v, x, t } = now;
+        let step = memory.step(d);
+        match self {
+            Self::Cubic => out[0] = d * d * d,
+            Self::Quadratic => out[0] = d * d,
+            Self::Polynomial => out.copy_from_slice(&[d * d, d * d * d]),
+            Self::Kink { at } => out[0] = d.clamp(-at, at),
+            Self::OneSided { at } => out[0] = (d - at).max(0.0),
+            Self::FreeStiffness => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (d - at).max(0.0)),
+            Self::Coulomb { smooth } => out[0] = (v / smooth).tanh(),
+            Self::Stribeck { smooth, decay } => {
+                out[0] = (v / smooth).tanh();
+                out[1] = out[0] * (-v.abs() / decay).exp();
+            }
+            Self::Slider { limit } => out[0] = slide(&mut memory.z[0], step, limit),
+            Self::FreeHysteresis => {
+                let stops = memory.z.iter_mut().zip(LIMITS);
+                out.iter_mut().zip(stops).for_each(|(out, (z, limit))| *out = slide(z, step, limit));
+            }
+            Self::BoucWen { limit } => out[0] = yielding(&mut memory.z[0], step, limit),
+            Self::QuadraticDamping => out[0] = v * v.abs(),
+            Self::OneSidedDamping { at } => out[0] = (v - at).max(0.0),
+            Self::KinkedDamping { at } => out[0] = v.clamp(-at, at),
+            Self::FreeDamping => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (v - at).max(0.0)),
+            Self::RateLimit { limit } => out[0] = memory.follow(d, limit),
+            Self::ValveFlow => out.copy_from_slice(&[d.abs() * x, d * x * x]),
+            Self::CrossAxisKinematic => out.copy_from_slice(&[x * x, d * x]),
+            Self::StiffnessDrift => out[0] = t * d,
+            Self::Sandwich => out.copy_from_slice(&[d * d, d.max(0.0), d.clamp(-1.0, 1.0)]),
+        }
+    }
+
     /// Signals over one record. `clock` goes from the first of all samples, 0, to the last, 1; `other` is the
     /// other place's displacement of a law of two, in its own deviations.
     pub(super) fn signals(
@@ -110,44 +168,22 @@ impl Law {
         clock: [f64; 2],
         other: Option<&[f64]>,
     ) -> Vec<Vec<f64>> {
-        let d: Vec<f64> = motion.d.iter().map(|d| (d - scale.centre) / scale.d).collect();
-        let v = || motion.v.iter().map(|v| v / scale.v);
-        let of_d = |f: &dyn Fn(f64) -> f64| vec![d.iter().map(|d| f(*d)).collect::<Vec<f64>>()];
-        let of_v = |f: &dyn Fn(f64) -> f64| vec![v().map(f).collect::<Vec<f64>>()];
-        let beside = other.unwrap_or(&[]);
-        let product = |f: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
-            d.iter().zip(beside).map(|(d, x)| f(*d, *x)).collect()
-        };
-        match self {
-            Self::Cubic => of_d(&|d| d * d * d),
-            Self::Quadratic => of_d(&|d| d * d),
-            Self::Polynomial => [of_d(&|d| d * d), of_d(&|d| d * d * d)].concat(),
-            Self::Kink { at } => of_d(&|d| d.clamp(-at, at)),
-            Self::OneSided { at } => of_d(&|d| (d - at).max(0.0)),
-            Self::FreeStiffness => KINKS.iter().flat_map(|at| of_d(&|d| (d - at).max(0.0))).collect(),
-            Self::Coulomb { smooth } => of_v(&|v| (v / smooth).tanh()),
-            Self::Stribeck { smooth, decay } => {
-                let falling = |v: f64| (v / smooth).tanh() * (-v.abs() / decay).exp();
-                [of_v(&|v| (v / smooth).tanh()), of_v(&falling)].concat()
-            }
-            Self::Slider { limit } => vec![slider(&d, limit)],
-            Self::FreeHysteresis => LIMITS.iter().map(|limit| slider(&d, *limit)).collect(),
-            Self::BoucWen { limit } => vec![bouc_wen(&d, limit)],
-            Self::QuadraticDamping => of_v(&|v| v * v.abs()),
-            Self::OneSidedDamping { at } => of_v(&|v| (v - at).max(0.0)),
-            Self::KinkedDamping { at } => of_v(&|v| v.clamp(-at, at)),
-            Self::FreeDamping => KINKS.iter().flat_map(|at| of_v(&|v| (v - at).max(0.0))).collect(),
-            Self::RateLimit { limit } => vec![slew(&d, limit * scale.v / (scale.d * rate_hz))],
-            Self::ValveFlow => vec![product(&|u, y| u.abs() * y), product(&|u, y| u * y * y)],
-            Self::CrossAxisKinematic => vec![product(&|_, x| x * x), product(&|y, x| y * x)],
-            Self::StiffnessDrift => {
-                let step = (clock[1] - clock[0]) / d.len().max(1) as f64;
-                vec![d.iter().enumerate().map(|(k, d)| d * (clock[0] + step * k as f64)).collect()]
-            }
-            Self::Sandwich => {
-                [of_d(&|d| d * d), of_d(&|d| d.max(0.0)), of_d(&|d| d.clamp(-1.0, 1.0))].concat()
-            }
+        let n = motion.d.len();
+        let pace = (clock[1] - clock[0]) / n.max(1) as f64;
+        let mut memory = Memory::new(scale, rate_hz);
+        let mut out = vec![vec![0.0; n]; self.count()];
+        let mut now = vec![0.0; self.count()];
+        for k in 0..n {
+            let instant = Instant {
+                d: (motion.d[k] - scale.centre) / scale.d,
+                v: motion.v[k] / scale.v,
+                x: other.map_or(0.0, |x| x[k]),
+                t: clock[0] + pace * k as f64,
+            };
+            self.at(instant, &mut memory, &mut now);
+            out.iter_mut().zip(&now).for_each(|(out, now)| out[k] = *now);
         }
+        out
     }
 
     /// The law with its number `factor` times as large; `None` of a law without one.

@@ -1,71 +1,98 @@
-//! Operators with memory: a spring and dry friction in series, a rate limit, a smooth hysteresis.
+//! What a law remembers: a spring and dry friction in series, a smooth hysteresis, a rate limit.
 
-/// The force of a spring of stiffness 1 in series with dry friction that slips at `limit` (Jenkins' element,
-/// the stop operator): it follows the displacement `d` until it slips.
-pub(super) fn slider(d: &[f64], limit: f64) -> Vec<f64> {
-    let mut last = d.first().copied().unwrap_or(0.0);
-    let step = |z: &mut f64, &x: &f64| {
-        *z = (*z + x - last).clamp(-limit, limit);
-        last = x;
-        Some(*z)
-    };
-    d.iter().scan(0.0, step).collect()
+use super::law::Scale;
+
+/// The hidden states of a law over one record.
+#[derive(Debug, Clone)]
+pub(super) struct Memory {
+    /// Forces of the elements.
+    pub z: [f64; 4],
+    /// The displacement before; `None` at the first sample.
+    last: Option<f64>,
+    /// What follows at a limited rate.
+    followed: f64,
+    /// A deviation of the rate as a change a sample, in deviations of the displacement.
+    rate: f64,
 }
 
-/// Follows `d` by no more than `limit` a sample.
-pub(super) fn slew(d: &[f64], limit: f64) -> Vec<f64> {
-    let step = |z: &mut f64, &x: &f64| {
-        *z += (x - *z).clamp(-limit, limit);
-        Some(*z)
-    };
-    d.iter().scan(d.first().copied().unwrap_or(0.0), step).collect()
+impl Memory {
+    /// Of a law over an argument of this scale at so many samples a second.
+    pub fn new(scale: Scale, rate_hz: f64) -> Self {
+        Self { z: [0.0; 4], last: None, followed: 0.0, rate: scale.v / (scale.d * rate_hz) }
+    }
+
+    /// The change since the sample before; 0 at the first.
+    pub fn step(&mut self, d: f64) -> f64 {
+        if self.last.is_none() {
+            self.followed = d;
+        }
+        d - self.last.replace(d).unwrap_or(d)
+    }
+
+    /// Follows `d` at `limit` deviations of the rate at most.
+    pub fn follow(&mut self, d: f64, limit: f64) -> f64 {
+        let most = limit * self.rate;
+        self.followed += (d - self.followed).clamp(-most, most);
+        self.followed
+    }
+}
+
+/// The force of a spring of stiffness 1 in series with dry friction that slips at `limit` (Jenkins' element,
+/// the stop operator): it follows the displacement until it slips.
+pub(super) fn slide(z: &mut f64, step: f64, limit: f64) -> f64 {
+    *z = (*z + step).clamp(-limit, limit);
+    *z
 }
 
 /// The hysteretic displacement of Bouc and Wen with exponent 1, `dz = dy (1 - |z| / limit)` while `dy` and `z`
-/// have one sign, else `dz = dy`; exact for any step of `d`.
-pub(super) fn bouc_wen(d: &[f64], limit: f64) -> Vec<f64> {
-    let mut last = d.first().copied().unwrap_or(0.0);
-    let step = |z: &mut f64, &x: &f64| {
-        let side = (x - last).signum();
-        let mut way = (x - last).abs();
-        last = x;
-        let mut along = *z * side;
-        if along < 0.0 {
-            let straight = way.min(-along);
-            along += straight;
-            way -= straight;
-        }
-        along = limit - (limit - along) * (-way / limit).exp();
-        *z = along * side;
-        Some(*z)
-    };
-    d.iter().scan(0.0, step).collect()
+/// have one sign, else `dz = dy`; exact for any step.
+pub(super) fn yielding(z: &mut f64, step: f64, limit: f64) -> f64 {
+    let (side, mut way) = (step.signum(), step.abs());
+    let mut along = *z * side;
+    if along < 0.0 {
+        let straight = way.min(-along);
+        along += straight;
+        way -= straight;
+    }
+    along = limit - (limit - along) * (-way / limit).exp();
+    *z = along * side;
+    *z
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn over(d: &[f64], mut element: impl FnMut(&mut Memory, f64, f64) -> f64) -> Vec<f64> {
+        let mut memory = Memory::new(Scale { centre: 0.0, d: 1.0, v: 1.0 }, 1.0);
+        let each = |d: &f64| {
+            let step = memory.step(*d);
+            element(&mut memory, *d, step)
+        };
+        d.iter().map(each).collect()
+    }
+
     #[test]
     fn a_slider_follows_to_its_limit_and_returns_at_once() {
-        let d = [0.0, 0.5, 2.0, 1.5, 0.5, -0.5, -1.0];
-        assert_eq!(slider(&d, 1.0), [0.0, 0.5, 1.0, 0.5, -0.5, -1.0, -1.0]);
+        let found = over(&[0.0, 0.5, 2.0, 1.5, 0.5, -0.5, -1.0], |m, _, step| slide(&mut m.z[0], step, 1.0));
+        assert_eq!(found, [0.0, 0.5, 1.0, 0.5, -0.5, -1.0, -1.0]);
     }
 
     #[test]
     fn a_rate_limit_follows_slowly_and_arrives() {
-        assert_eq!(slew(&[0.0, 1.0, 1.0, 0.9], 0.5), [0.0, 0.5, 1.0, 0.9]);
+        assert_eq!(over(&[0.0, 1.0, 1.0, 0.9], |m, d, _| m.follow(d, 0.5)), [0.0, 0.5, 1.0, 0.9]);
     }
 
     #[test]
     fn a_smooth_hysteresis_does_not_depend_on_the_steps_and_stays_inside_its_limit() {
-        let coarse: Vec<f64> = [0.0, 3.0, -2.0, 1.0].to_vec();
+        let coarse = [0.0, 3.0, -2.0, 1.0];
         let fine: Vec<f64> = coarse
             .windows(2)
             .flat_map(|w| (0..100).map(move |k| w[0] + (w[1] - w[0]) * f64::from(k) / 100.0))
             .chain([1.0])
             .collect();
-        let (a, b) = (bouc_wen(&coarse, 0.7), bouc_wen(&fine, 0.7));
+        let of = |d: &[f64]| over(d, |m, _, step| yielding(&mut m.z[0], step, 0.7));
+        let (a, b) = (of(&coarse), of(&fine));
         assert!((a[3] - b[300]).abs() < 1e-12 && (a[2] - b[200]).abs() < 1e-12, "{a:?}");
         assert!(b.iter().all(|z| z.abs() < 0.7));
     }

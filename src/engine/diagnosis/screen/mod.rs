@@ -17,6 +17,8 @@ mod candidates;
 mod correlate;
 mod desk;
 mod entry;
+mod forward;
+mod free_run;
 mod groups;
 mod input;
 mod judge;
@@ -36,6 +38,8 @@ mod run;
 mod tests;
 mod track;
 
+pub use forward::Forward;
+pub use free_run::FreeRun;
 pub use groups::{Grouping, Stretch, Transfer, group};
 pub use input::{Channel, Record, Recording};
 pub use law::Law;

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use serde::{Deserialize, Serialize};
 
 use crate::engine::Quantity;
 
@@ -17,7 +18,7 @@ pub(super) struct Motion {
 }
 
 /// Limits of what is integrated and differentiated, Hz.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Limits {
     /// Nothing below it is integrated: there lies drift.
     pub low_hz: f64,

@@ -31,12 +31,17 @@ pub(super) struct Argument {
     pub scale: Scale,
 }
 
-/// All places but the outputs.
-pub(super) fn arguments(recording: &Recording, band: Band, used: &[usize]) -> Vec<Argument> {
+/// Limits of what is integrated and differentiated.
+pub(super) fn limits(recording: &Recording, band: Band) -> Limits {
     let rate = recording.sample_rate_hz();
     let shortest = recording.records.iter().map(|r| r.drive.n_samples()).min().unwrap_or(1);
     let low_hz = (0.5 * band.low_hz).max(2.0 * rate / shortest as f64);
-    let limits = Limits { low_hz, high_hz: (rate / band.step as f64).max(band.high_hz) };
+    Limits { low_hz, high_hz: (rate / band.step as f64).max(band.high_hz) }
+}
+
+/// All places but the outputs.
+pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -> Vec<Argument> {
+    let rate = recording.sample_rate_hz();
     let moving = |c: &Channel| {
         matches!(c.quantity, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration)
     };

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::free_run::FreeRun;
 use super::groups::Transfer;
 use super::law::Law;
 use super::place::Place;
@@ -67,6 +68,8 @@ pub struct Standing {
     pub gain: f64,
     /// How much of the law each group alone asks for, 1 being the fit to all; for the foremost of each family.
     pub gains: Vec<Option<f64>>,
+    /// What it leaves when it is simulated forward, for the foremost of each family near the best.
+    pub free: Option<FreeRun>,
 }
 
 impl Screening {

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::candidates;
 use super::desk::Desk;
 use super::entry::Entry;
+use super::free_run::FreeRun;
 use super::groups::Grouping;
 use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
@@ -15,10 +16,16 @@ use super::naming;
 use super::place::{Argument, Place, argument, arguments};
 use super::report::{LinearPart, Screening, Standing};
 use super::track::Track;
+use crate::engine::diagnosis::Family;
 use crate::engine::{EngineError, Quantity};
 
 /// Fewest samples in all: with fewer no linear part can be told from a law.
 const FEWEST: usize = 300;
+/// A family is run freely where it leaves no more than so many times what the best leaves, and less than this of
+/// the linear part's error; at most so many are.
+const BEHIND: f64 = 2.0;
+const NOTHING: f64 = 0.97;
+const CONFIRMED: usize = 6;
 /// Factors by which the numbers of laws are moved between the grid's.
 const FINER: [f64; 3] = [1.18, 1.09, 1.04];
 
@@ -41,56 +48,48 @@ pub fn screen(recording: &Recording, grouping: &Grouping) -> Result<Screening, E
     if groups < 2 {
         return Err(EngineError::TooShort { what: "groups of runs of the screen", needed: 2, found: groups });
     }
-    let arguments = arguments(recording, desk.band, &desk.used);
-    let screenings =
-        desk.bases().iter().map(|base| over_base(&desk, base, grouping, &arguments)).collect::<Vec<_>>();
+    let arguments = arguments(recording, desk.limits, &desk.used);
+    let bases = desk.bases();
+    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base)).collect();
+    let benches = bases.iter().zip(&ways).map(|(base, ways)| Bench {
+        desk: &desk,
+        base,
+        entries: &ways.entries,
+        linear: &ways.linear,
+    });
+    let screened = benches.map(|bench| (bench.screening(grouping, &arguments), bench));
     // The linear part is the one beside which some law leaves least.
     let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
-    screenings.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).ok_or(EngineError::NonFiniteResult {
+    let best = screened.min_by(|a, b| left(&a.0).total_cmp(&left(&b.0)));
+    let (mut screening, bench) = best.ok_or(EngineError::NonFiniteResult {
         what: "linear part of the screen",
         channel: 0,
         sample: 0,
-    })
+    })?;
+    bench.run_free(&arguments, &mut screening.standings);
+    Ok(screening)
 }
 
-/// The screen beside one linear part.
-fn over_base(desk: &Desk<'_>, base: &Base<'_>, grouping: &Grouping, arguments: &[Argument]) -> Screening {
-    let n_responses = desk.responses.len();
-    let entries: Vec<Entry> = (0..n_responses).map(|r| Entry::new(base, r, &desk.drives)).collect();
-    let linear: Vec<HeldOut> = (0..n_responses).map(|r| base.linear(r)).collect();
-    let bench = Bench { desk, base, entries: &entries, linear: &linear };
-    let mut standings: Vec<Standing> =
-        (0..arguments.len()).flat_map(|at| bench.over(arguments, at)).collect();
-    for response in 0..n_responses {
-        standings.extend(bench.over_output(response));
-    }
-    standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
-    bench.refine(arguments, &mut standings);
-    bench.confirm(arguments, &mut standings);
-    let setting = base.setting();
-    let rate = desk.rate_hz();
-    let longest = desk.lengths().into_iter().max().unwrap_or(1);
-    Screening {
-        transfer: grouping.transfer,
-        groups: base.n_groups(),
-        linear: LinearPart {
-            sample_rate_hz: rate,
-            modes: setting.poles.as_ref().map(Poles::states),
-            memory_s: setting.memory(longest) as f64 / rate,
-            lead_s: setting.lags.lead as f64 / rate,
-            ridge: setting.ridge,
-            errors: linear.into_iter().map(|l| l.errors).collect(),
-        },
-        standings,
+/// How signals enter beside a linear part, and what that leaves alone.
+struct Ways {
+    entries: Vec<Entry>,
+    linear: Vec<HeldOut>,
+}
+
+impl Ways {
+    fn new(desk: &Desk<'_>, base: &Base<'_>) -> Self {
+        let responses = 0..desk.responses.len();
+        let entries = responses.clone().map(|r| Entry::new(base, r, &desk.drives)).collect();
+        Self { entries, linear: responses.map(|r| base.linear(r)).collect() }
     }
 }
 
-/// All that judges a candidate.
-struct Bench<'a> {
-    desk: &'a Desk<'a>,
-    base: &'a Base<'a>,
-    entries: &'a [Entry],
-    linear: &'a [HeldOut],
+/// All that judges a candidate beside one linear part.
+pub(super) struct Bench<'a> {
+    pub desk: &'a Desk<'a>,
+    pub base: &'a Base<'a>,
+    pub entries: &'a [Entry],
+    pub linear: &'a [HeldOut],
 }
 
 /// What a law leaves at one response.
@@ -103,6 +102,53 @@ struct AtResponse {
 }
 
 impl Bench<'_> {
+    /// All laws at all places beside this linear part.
+    fn screening(&self, grouping: &Grouping, arguments: &[Argument]) -> Screening {
+        let mut standings: Vec<Standing> =
+            (0..arguments.len()).flat_map(|at| self.over(arguments, at)).collect();
+        for response in 0..self.entries.len() {
+            standings.extend(self.over_output(response));
+        }
+        standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+        self.refine(arguments, &mut standings);
+        self.confirm(arguments, &mut standings);
+        let setting = self.base.setting();
+        let rate = self.desk.rate_hz();
+        let longest = self.desk.lengths().into_iter().max().unwrap_or(1);
+        Screening {
+            transfer: grouping.transfer,
+            groups: self.base.n_groups(),
+            linear: LinearPart {
+                sample_rate_hz: rate,
+                modes: setting.poles.as_ref().map(Poles::states),
+                memory_s: setting.memory(longest) as f64 / rate,
+                lead_s: setting.lags.lead as f64 / rate,
+                ridge: setting.ridge,
+                errors: self.linear.iter().map(|l| l.errors.clone()).collect(),
+            },
+            standings,
+        }
+    }
+
+    /// Runs the foremost of each family freely, as far as they may be the right one.
+    fn run_free(&self, arguments: &[Argument], standings: &mut [Standing]) {
+        let best = standings.first().map_or(1.0, |s| s.ratio);
+        let mut families: Vec<Family> = Vec::new();
+        let mut foremost: Vec<usize> = Vec::new();
+        for (at, standing) in standings.iter().enumerate() {
+            if standing.ratio < (BEHIND * best).min(NOTHING) && !families.contains(&standing.family) {
+                families.push(standing.family);
+                foremost.push(at);
+            }
+        }
+        foremost.truncate(CONFIRMED);
+        let found: Vec<(usize, Option<FreeRun>)> =
+            foremost.into_par_iter().map(|at| (at, self.free_run(arguments, &standings[at]))).collect();
+        for (at, free) in found {
+            standings[at].free = free;
+        }
+    }
+
     /// Standings of all laws over one argument, at all responses.
     fn over(&self, arguments: &[Argument], at: usize) -> Vec<Standing> {
         let argument = &arguments[at];
@@ -138,7 +184,7 @@ impl Bench<'_> {
     }
 
     /// The linear part's prediction as an argument, at the rate of the analysis.
-    fn output(&self, response: usize) -> Option<Argument> {
+    pub(super) fn output(&self, response: usize) -> Option<Argument> {
         let moving = |d: &Vec<f64>| Motion {
             v: std::iter::once(0.0).chain(d.windows(2).map(|w| w[1] - w[0])).collect(),
             d: d.clone(),
@@ -148,7 +194,7 @@ impl Bench<'_> {
     }
 
     /// The signals of a law at the rate of the analysis.
-    fn signals(&self, law: Law, argument: &Argument, other: Option<&Argument>) -> Vec<Track> {
+    pub(super) fn signals(&self, law: Law, argument: &Argument, other: Option<&Argument>) -> Vec<Track> {
         let rate = self.desk.recording.sample_rate_hz();
         let mut signals: Vec<Track> = Vec::new();
         for (record, motion) in argument.motion.iter().enumerate() {
@@ -270,6 +316,7 @@ impl Bench<'_> {
             errors,
             gain,
             gains: Vec::new(),
+            free: None,
         }
     }
 
@@ -325,7 +372,7 @@ impl Bench<'_> {
     }
 
     /// The linear signal at a place at the rate of the analysis.
-    fn unbent(&self, argument: &Argument) -> Track {
+    pub(super) fn unbent(&self, argument: &Argument) -> Track {
         let d: Vec<Vec<f64>> = argument.motion.iter().map(|m| m.d.clone()).collect();
         if matches!(argument.place, Place::Output(_)) { d } else { self.desk.thinned(&d) }
     }
@@ -369,7 +416,7 @@ fn mean_square(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64
 }
 
-fn geometric_mean(ratios: &[f64]) -> f64 {
+pub(super) fn geometric_mean(ratios: &[f64]) -> f64 {
     if ratios.is_empty() {
         return 1.0;
     }

@@ -1,0 +1,330 @@
+//! A law at a place on top of a linear part, simulated forward: a free run that never sees a measured response.
+//!
+//! Every output is a sum of impulse responses: of the drives, and of the law's signals. Where the law's argument is
+//! a response, or the difference of two, its value follows from the drives and from what the law did before, sample
+//! by sample; where it is a drive, nothing is fed back.
+
+use serde::{Deserialize, Serialize};
+
+use super::super::linear::dot;
+use super::band::Thinner;
+use super::correlate::Filter;
+use super::law::{Instant, Law, Scale};
+use super::memory::Memory;
+use super::motion::{Limits, Motion, motion};
+use super::place::Place;
+use crate::engine::Quantity;
+
+/// Beyond this many deviations of its argument a run has diverged.
+const RUNAWAY: f64 = 300.0;
+/// Taps at the end of an impulse response below this share of its largest are left out.
+const TAIL: f64 = 1e-5;
+
+/// An impulse response that begins at a lag, which is negative where it reaches ahead.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Kernel {
+    pub from: isize,
+    pub taps: Vec<f64>,
+}
+
+impl Kernel {
+    pub fn new(from: isize, taps: &[f64]) -> Self {
+        let mut kernel = Self::default();
+        kernel.add(taps, from, 1.0);
+        kernel
+    }
+
+    /// Adds an impulse response that begins at a lag, times a factor.
+    pub fn add(&mut self, impulse: &[f64], from: isize, factor: f64) {
+        let end = (from + impulse.len() as isize).max(self.from + self.taps.len() as isize);
+        let start = if self.taps.is_empty() { from } else { from.min(self.from) };
+        if start < self.from || self.taps.is_empty() {
+            let before = if self.taps.is_empty() { 0 } else { (self.from - start) as usize };
+            self.taps.splice(0..0, std::iter::repeat_n(0.0, before));
+            self.from = start;
+        }
+        self.taps.resize((end - start) as usize, 0.0);
+        let at = (from - start) as usize;
+        self.taps[at..at + impulse.len()].iter_mut().zip(impulse).for_each(|(t, h)| *t += factor * h);
+    }
+
+    fn trim(&mut self) {
+        let most = self.taps.iter().fold(0.0_f64, |m, h| m.max(h.abs()));
+        let last = self.taps.iter().rposition(|h| h.abs() > TAIL * most).map_or(0, |at| at + 1);
+        self.taps.truncate(last);
+    }
+
+    fn sum(&self) -> f64 {
+        self.taps.iter().sum()
+    }
+
+    /// What it makes of a signal that was zero before its first sample and is held after its last.
+    fn apply(&self, x: &[f64]) -> Vec<f64> {
+        if self.taps.is_empty() {
+            return vec![0.0; x.len()];
+        }
+        let (lead, held) = ((-self.from).max(0) as usize, x.last().copied().unwrap_or(0.0));
+        let longer: Vec<f64> =
+            std::iter::once(0.0).chain(x.iter().copied()).chain(std::iter::repeat_n(held, lead)).collect();
+        let y = Filter::new(&self.taps, longer.len()).apply(&longer);
+        let at = |t: usize| usize::try_from(t as isize + 1 - self.from).map_or(0.0, |k| y[k]);
+        (0..x.len()).map(at).collect()
+    }
+
+    /// What it makes of a drive that was at its first sample for ever, about `mean`.
+    fn apply_held(&self, x: &[f64], mean: f64) -> Vec<f64> {
+        let first = x.first().copied().unwrap_or(mean);
+        let moved: Vec<f64> = x.iter().map(|x| x - first).collect();
+        let level = (first - mean) * self.sum();
+        let mut y = self.apply(&moved);
+        y.iter_mut().for_each(|y| *y += level);
+        y
+    }
+
+    /// Taps of the past, the oldest first: from its last lag to lag 1.
+    fn past(&self) -> Vec<f64> {
+        let at = |lag: isize| usize::try_from(lag - self.from).ok().and_then(|k| self.taps.get(k)).copied();
+        let last = self.from + self.taps.len() as isize;
+        (1..last).rev().map(|lag| at(lag).unwrap_or(0.0)).collect()
+    }
+}
+
+/// Where an argument comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Source {
+    /// A drive, as it is commanded.
+    Drive { channel: usize, quantity: Quantity },
+    /// What the linear part alone says of a response.
+    Linear(usize),
+    /// An output of the free run itself.
+    Output(usize),
+}
+
+/// A signal that the free run makes: a response, or an argument that is none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Output {
+    pub offset: f64,
+    /// Of each drive, beside the law.
+    pub linear: Vec<Kernel>,
+    /// Of each drive, of the linear part alone.
+    pub before: Vec<Kernel>,
+    /// Of each signal: the law's, then the unbent arguments.
+    pub kernels: Vec<Kernel>,
+}
+
+/// A law at a place on top of a linear part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Forward {
+    pub(super) law: Law,
+    pub(super) place: Place,
+    pub(super) other: Option<Place>,
+    pub(super) argument: (Source, Scale),
+    pub(super) second: Option<(Source, Scale)>,
+    /// Samples a second of the recording, and how many of them make one of the analysis.
+    pub(super) rate_hz: f64,
+    pub(super) step: usize,
+    pub(super) limits: Limits,
+    pub(super) drive_mean: Vec<f64>,
+    /// Number of responses; further outputs are arguments.
+    pub(super) responses: usize,
+    pub(super) outputs: Vec<Output>,
+}
+
+/// Drives of one record.
+pub(super) struct Course<'a> {
+    /// At the recording's own rate.
+    pub whole: Vec<&'a [f64]>,
+    /// At the rate of the analysis.
+    pub thin: Vec<&'a [f64]>,
+    /// The programme's time of its first and last sample.
+    pub clock: [f64; 2],
+}
+
+/// A free run at the rate of the analysis.
+pub(super) struct Run {
+    /// `[output][sample]`.
+    pub outputs: Vec<Vec<f64>>,
+    /// `[signal][sample]`.
+    pub signals: Vec<Vec<f64>>,
+}
+
+/// An argument that is fed back: its linear part, and the taps by which the law's past reaches it.
+struct Fed {
+    linear: Vec<f64>,
+    past: Vec<Vec<f64>>,
+}
+
+impl Fed {
+    fn at(&self, t: usize, signals: &[Vec<f64>]) -> f64 {
+        let reached = self.past.iter().zip(signals).map(|(past, signal)| {
+            let n = past.len().min(t);
+            dot(&past[past.len() - n..], &signal[t - n..t])
+        });
+        self.linear[t] + reached.sum::<f64>()
+    }
+}
+
+/// One sample after the other of an argument.
+enum Feed {
+    Known(Vec<f64>),
+    Fed(Fed),
+}
+
+impl Feed {
+    fn at(&self, t: usize, signals: &[Vec<f64>]) -> f64 {
+        match self {
+            Self::Known(x) => x[t],
+            Self::Fed(fed) => fed.at(t, signals),
+        }
+    }
+}
+
+impl Forward {
+    /// Leaves out what no impulse response needs.
+    pub(super) fn trimmed(mut self) -> Self {
+        for output in &mut self.outputs {
+            let lists = [&mut output.linear, &mut output.before, &mut output.kernels];
+            lists.into_iter().flatten().for_each(Kernel::trim);
+        }
+        self
+    }
+
+    /// Number of signals: the law's, and an unbent one of each argument.
+    pub(super) fn signals(&self) -> usize {
+        self.law.count() + 1 + usize::from(self.second.is_some())
+    }
+
+    /// Whether the law's argument depends on what the law does.
+    pub(super) fn feeds_back(&self) -> bool {
+        let fed = |source: Source| matches!(source, Source::Output(_));
+        fed(self.argument.0) || self.second.is_some_and(|s| fed(s.0))
+    }
+
+    /// Free run of a record; `None` where it diverges.
+    pub(super) fn run(&self, course: &Course<'_>) -> Option<Run> {
+        let signals = if self.feeds_back() { self.in_loop(course)? } else { self.open(course) };
+        let outputs = self.outputs_of(course, &signals);
+        outputs.iter().flatten().all(|y| y.is_finite()).then_some(Run { outputs, signals })
+    }
+
+    /// Outputs that follow from drives and signals, at the rate of the analysis.
+    pub(super) fn outputs_of(&self, course: &Course<'_>, signals: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let output = |output: &Output| {
+            let mut y = self.linear(&output.linear, course);
+            for (kernel, signal) in output.kernels.iter().zip(signals) {
+                y.iter_mut().zip(kernel.apply(signal)).for_each(|(y, more)| *y += more);
+            }
+            y.iter_mut().for_each(|y| *y += output.offset);
+            y
+        };
+        self.outputs.iter().map(output).collect()
+    }
+
+    /// What the drives alone do.
+    pub(super) fn linear(&self, kernels: &[Kernel], course: &Course<'_>) -> Vec<f64> {
+        let n = course.thin.first().map_or(0, |u| u.len());
+        let mut y = vec![0.0; n];
+        for ((kernel, u), mean) in kernels.iter().zip(&course.thin).zip(&self.drive_mean) {
+            y.iter_mut().zip(kernel.apply_held(u, *mean)).for_each(|(y, more)| *y += more);
+        }
+        y
+    }
+
+    /// The motion of an argument that is known beforehand, at the recording's rate or, of the linear part's
+    /// output, at that of the analysis.
+    fn known(&self, source: Source, course: &Course<'_>) -> Motion {
+        match source {
+            Source::Drive { channel, quantity } => {
+                motion(course.whole[channel], quantity, self.rate_hz, self.limits)
+            }
+            Source::Linear(response) | Source::Output(response) => {
+                let level: f64 = self.outputs[response]
+                    .before
+                    .iter()
+                    .zip(&course.thin)
+                    .zip(&self.drive_mean)
+                    .map(|((h, u), mean)| (u.first().copied().unwrap_or(*mean) - mean) * h.sum())
+                    .sum();
+                let mut d = self.linear(&self.outputs[response].before, course);
+                d.iter_mut().for_each(|d| *d -= level);
+                let v = std::iter::once(0.0).chain(d.windows(2).map(|w| w[1] - w[0])).collect();
+                Motion { d, v }
+            }
+        }
+    }
+
+    /// Signals of a law that nothing is fed back to.
+    fn open(&self, course: &Course<'_>) -> Vec<Vec<f64>> {
+        let thinner = Thinner::new(self.step);
+        let thin = |source: Source, x: &[f64]| {
+            if matches!(source, Source::Drive { .. }) { thinner.thin(x) } else { x.to_vec() }
+        };
+        let (source, scale) = self.argument;
+        let argument = self.known(source, course);
+        let second = self.second.map(|(source, scale)| (source, scale, self.known(source, course)));
+        let beside: Option<Vec<f64>> = second
+            .as_ref()
+            .map(|(_, scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
+        let signals = self.law.signals(&argument, scale, self.rate_hz, course.clock, beside.as_deref());
+        let mut out: Vec<Vec<f64>> = signals.iter().map(|x| thin(source, x)).collect();
+        out.push(thin(source, &argument.d));
+        out.extend(second.map(|(source, _, m)| thin(source, &m.d)));
+        out
+    }
+
+    fn feed(&self, source: Source, course: &Course<'_>) -> Feed {
+        let Source::Output(output) = source else {
+            let known = self.known(source, course).d;
+            let drive = matches!(source, Source::Drive { .. });
+            return Feed::Known(if drive { Thinner::new(self.step).thin(&known) } else { known });
+        };
+        let output = &self.outputs[output];
+        let mut linear = self.linear(&output.linear, course);
+        linear.iter_mut().for_each(|y| *y += output.offset);
+        Feed::Fed(Fed { linear, past: output.kernels.iter().map(Kernel::past).collect() })
+    }
+
+    /// Signals of a law whose argument depends on them.
+    fn in_loop(&self, course: &Course<'_>) -> Option<Vec<Vec<f64>>> {
+        let n = course.thin.first().map_or(0, |u| u.len());
+        let rate = self.rate_hz / self.step as f64;
+        let scale = self.argument.1;
+        let argument = self.feed(self.argument.0, course);
+        let second = self.second.map(|(source, scale)| (self.feed(source, course), scale));
+        let law_signals = self.law.count();
+        let mut signals: Vec<Vec<f64>> = vec![vec![0.0; n]; self.signals()];
+        let mut now = vec![0.0; law_signals];
+        let mut memory = Memory::new(scale, rate);
+        let pace = (course.clock[1] - course.clock[0]) / n.max(1) as f64;
+        let mut past: [Option<f64>; 2] = [None, None];
+        for t in 0..n {
+            let d = argument.at(t, &signals);
+            let x = second.as_ref().map(|(feed, scale)| (feed.at(t, &signals), *scale));
+            let far = |x: f64, scale: Scale| (x - scale.centre).abs() > RUNAWAY * scale.d || x.is_nan();
+            if far(d, scale) || x.is_some_and(|(x, scale)| far(x, scale)) {
+                return None;
+            }
+            // Backward differences of second order.
+            let v = match past {
+                [Some(before), Some(earlier)] => 1.5 * d - 2.0 * before + 0.5 * earlier,
+                [Some(before), None] => d - before,
+                _ => 0.0,
+            };
+            past = [Some(d), past[0]];
+            let instant = Instant {
+                d: (d - scale.centre) / scale.d,
+                v: v * rate / scale.v,
+                x: x.map_or(0.0, |(x, scale)| (x - scale.centre) / scale.d),
+                t: course.clock[0] + pace * t as f64,
+            };
+            self.law.at(instant, &mut memory, &mut now);
+            signals.iter_mut().zip(&now).for_each(|(signal, now)| signal[t] = *now);
+            signals[law_signals][t] = d;
+            if let Some((x, _)) = x {
+                signals[law_signals + 1][t] = x;
+            }
+        }
+        Some(signals)
+    }
+}

@@ -1,0 +1,313 @@
+//! The foremost laws confirmed by free runs: fitted to what they do when they never see a measured response.
+//!
+//! The screen's regression takes a law's argument as it was measured, noise and all that other laws do included. Here
+//! the argument is simulated. The coefficients are fitted to the signals of a free run, the next free run follows
+//! from them, until nothing changes; then every group is simulated with coefficients fitted to the others.
+
+use serde::{Deserialize, Serialize};
+
+use super::entry::Entry;
+use super::forward::{Course, Forward, Kernel, Output, Run, Source};
+use super::judge::{Base, Block, Coefficients};
+use super::place::{Argument, Place};
+use super::report::Standing;
+use super::run::{Bench, geometric_mean};
+use super::track::{Segment, Track, delayed};
+
+/// Rounds of simulation and fit.
+const ROUNDS: usize = 6;
+/// Relative gain of a round below which the next is not run.
+const STILL: f64 = 1e-3;
+/// Shares of the law that are tried where the whole runs away.
+const SHARES: [f64; 4] = [1.0, 0.7, 0.4, 0.1];
+
+/// What a law leaves when it is simulated forward.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FreeRun {
+    /// Held-out error relative to that of the linear part: the geometric mean over groups at the response that it
+    /// helps most.
+    pub ratio: f64,
+    /// The largest such ratio of a group.
+    pub worst: f64,
+    /// Held-out error relative to the response, `[response][group]`.
+    pub errors: Vec<Vec<f64>>,
+    /// Fitted to all groups.
+    pub forward: Forward,
+}
+
+/// Columns that enter together, `[signals]` of them at one place.
+struct Part {
+    place: Place,
+    load: bool,
+    signals: std::ops::Range<usize>,
+}
+
+/// One candidate on its linear part with the arguments among the outputs.
+struct Fit<'a, 'd> {
+    bench: &'a Bench<'d>,
+    base: &'a Base<'d>,
+    entries: &'a [Entry],
+    /// Place of each output that is an argument.
+    fed: Vec<Place>,
+    parts: Vec<Part>,
+    /// Measured outputs.
+    measured: Vec<&'a Track>,
+    bare: Forward,
+    most: usize,
+}
+
+impl Bench<'_> {
+    /// The free run of a standing; `None` where it runs away or its place is none of these records.
+    pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<FreeRun> {
+        let own;
+        let argument = match standing.place {
+            Place::Output(response) => {
+                own = self.output(response)?;
+                &own
+            }
+            place => arguments.iter().find(|a| a.place == place)?,
+        };
+        let other = match standing.other {
+            Some(place) => Some(arguments.iter().find(|a| a.place == place)?),
+            None => None,
+        };
+        let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(|a| self.unbent(a)).collect();
+        let fed_back = |place: Place| matches!(place, Place::Response(_) | Place::Between(..));
+        let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
+        let fed: Vec<usize> = (0..places.len()).filter(|&i| fed_back(places[i])).collect();
+        let extra: Vec<Track> = fed.iter().map(|&i| unbent[i].clone()).collect();
+        let rebased;
+        let (base, more): (&Base<'_>, Vec<Entry>) = if extra.is_empty() {
+            (self.base, Vec::new())
+        } else {
+            rebased = self.desk.rebased(self.base.setting(), &extra)?;
+            let of = |r: usize| Entry::new(&rebased, r, &self.desk.drives);
+            let more = (0..self.entries.len() + extra.len()).map(of).collect();
+            (&rebased, more)
+        };
+        let entries: &[Entry] = if extra.is_empty() { self.entries } else { &more };
+        let source = |i: usize| match (places[i], fed.iter().position(|&f| f == i)) {
+            (_, Some(at)) => Source::Output(self.entries.len() + at),
+            (Place::Drive(channel), _) => {
+                let quantity = if i == 0 { argument.quantity } else { other.map_or(argument.quantity, |o| o.quantity) };
+                Source::Drive { channel, quantity }
+            }
+            (Place::Output(r) | Place::Response(r) | Place::Between(r, _), _) => Source::Linear(r),
+        };
+        let law = standing.law;
+        let count = law.count();
+        let mut parts = vec![
+            Part { place: argument.place, load: law.loaded(), signals: 0..count },
+            Part { place: argument.place, load: false, signals: count..count + 1 },
+        ];
+        if let Some(other) = other {
+            parts.push(Part { place: other.place, load: false, signals: count + 1..count + 2 });
+        }
+        let desk = self.desk;
+        let bare = Forward {
+            law,
+            place: argument.place,
+            other: other.map(|o| o.place),
+            argument: (source(0), argument.scale),
+            second: other.map(|o| (source(1), o.scale)),
+            rate_hz: desk.recording.sample_rate_hz(),
+            step: desk.band.step,
+            limits: desk.limits,
+            drive_mean: desk.drives.iter().map(mean).collect(),
+            responses: self.entries.len(),
+            outputs: Vec::new(),
+        };
+        let fit = Fit {
+            bench: self,
+            base,
+            entries,
+            fed: fed.iter().map(|&i| places[i]).collect(),
+            parts,
+            measured: desk.responses.iter().chain(&extra).collect(),
+            bare,
+            most: desk.lengths().into_iter().max().unwrap_or(1),
+        };
+        let signals = self.signals(law, argument, other).into_iter().chain(unbent).collect();
+        fit.found(signals)
+    }
+}
+
+fn mean(track: &Track) -> f64 {
+    let n = track.iter().map(Vec::len).sum::<usize>().max(1);
+    track.iter().flatten().sum::<f64>() / n as f64
+}
+
+impl Fit<'_, '_> {
+    /// Fits and simulates in turn, from the signals of the measured arguments on.
+    fn found(&self, mut signals: Vec<Track>) -> Option<FreeRun> {
+        let records: Vec<usize> = (0..self.bench.desk.recording.records.len()).collect();
+        let mut best: Option<(f64, Forward, Vec<Track>)> = None;
+        for _ in 0..ROUNDS {
+            let blocks = self.blocks(&signals);
+            let (forward, runs) = self.run(&blocks, &signals, None, &records)?;
+            let error = self.error(&runs);
+            let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.0);
+            let next: Vec<Track> = (0..forward.signals())
+                .map(|i| runs.iter().map(|run| run.signals[i].clone()).collect())
+                .collect();
+            if error < so_far {
+                best = Some((error, forward.clone(), signals));
+            }
+            if !forward.feeds_back() || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
+                break;
+            }
+            signals = next;
+        }
+        let (_, forward, signals) = best?;
+        let blocks = self.blocks(&signals);
+        let groups = self.base.n_groups();
+        let errors: Vec<Vec<f64>> = {
+            let of_groups: Vec<Vec<f64>> =
+                (0..groups).map(|g| self.held_out(&blocks, &signals, g)).collect::<Option<_>>()?;
+            (0..forward.responses).map(|r| of_groups.iter().map(|errors| errors[r]).collect()).collect()
+        };
+        let ratios = |r: usize| -> Vec<f64> {
+            let moving = (0..groups).filter(|&g| self.base.moves(r, g));
+            moving.map(|g| errors[r][g] / self.bench.linear[r].errors[g].max(f64::MIN_POSITIVE)).collect()
+        };
+        let all: Vec<Vec<f64>> = (0..forward.responses).map(ratios).collect();
+        let best = all.iter().min_by(|a, b| geometric_mean(a).total_cmp(&geometric_mean(b)))?;
+        let (ratio, worst) = (geometric_mean(best), best.iter().copied().fold(0.0, f64::max));
+        Some(FreeRun { ratio, worst, errors, forward: forward.trimmed() })
+    }
+
+    /// Columns of the signals at every output.
+    fn blocks(&self, signals: &[Track]) -> Vec<Block> {
+        (0..self.measured.len())
+            .map(|output| {
+                let of = |part: &Part| {
+                    let own = self.own(part.place, output);
+                    let tracks = &signals[part.signals.clone()];
+                    let segments = &self.bench.desk.segments;
+                    let columns = self.entries[output].columns(part.place, own, part.load, tracks, segments);
+                    self.base.block(columns, output)
+                };
+                let first = of(&self.parts[0]);
+                self.parts[1..].iter().fold(first, |all, part| all.beside(&of(part), self.base.segments))
+            })
+            .collect()
+    }
+
+    /// Whether a place is an output itself.
+    fn own(&self, place: Place, output: usize) -> bool {
+        let responses = self.bare.responses;
+        place == Place::Response(output) || (output >= responses && self.fed[output - responses] == place)
+    }
+
+    /// The forward model of coefficients fitted to all groups but one.
+    fn forward(&self, blocks: &[Block], held_out: Option<usize>, share: f64) -> Forward {
+        let lead = self.base.setting().lags.lead as isize;
+        let outputs = (0..blocks.len()).map(|output| {
+            let Coefficients { impulses, columns } =
+                self.base.coefficients(&blocks[output], output, held_out, self.most);
+            let mut at = 0;
+            let mut kernels = Vec::new();
+            for part in &self.parts {
+                let own = self.own(part.place, output);
+                let entry = &self.entries[output];
+                let width = entry.width(part.place, part.load, part.signals.len());
+                let scaled: Vec<f64> = columns[at..at + width].iter().map(|c| share * c).collect();
+                kernels.extend(entry.kernels(part.place, own, part.load, part.signals.len(), &scaled));
+                at += width;
+            }
+            let held = |h: &Vec<f64>| Kernel::new(-lead, h);
+            let before = (0..impulses.len()).map(|d| self.base.impulse(output, d, self.most));
+            Output {
+                offset: 0.0,
+                linear: impulses.iter().map(held).collect(),
+                before: before.map(|h| held(&h)).collect(),
+                kernels,
+            }
+        });
+        Forward { outputs: outputs.collect(), ..self.bare.clone() }
+    }
+
+    fn course(&self, record: usize) -> Course<'_> {
+        let desk = self.bench.desk;
+        let drive = &desk.recording.records[record].drive;
+        Course {
+            whole: drive.channels().iter().map(|u| &u[..desk.used[record]]).collect(),
+            thin: desk.drives.iter().map(|d| d[record].as_slice()).collect(),
+            clock: desk.clocks[record],
+        }
+    }
+
+    /// The forward model of all groups or all but one with its free runs of some records; with less of the law
+    /// where the whole runs away.
+    fn run(
+        &self,
+        blocks: &[Block],
+        signals: &[Track],
+        held_out: Option<usize>,
+        records: &[usize],
+    ) -> Option<(Forward, Vec<Run>)> {
+        SHARES.iter().find_map(|share| {
+            let mut forward = self.forward(blocks, held_out, *share);
+            self.level(&mut forward, signals, held_out);
+            let runs: Option<Vec<Run>> = records.iter().map(|&r| forward.run(&self.course(r))).collect();
+            runs.map(|runs| (forward, runs))
+        })
+    }
+
+    /// Sets the outputs' offsets: what is measured less what drives and signals do, on average.
+    fn level(&self, forward: &mut Forward, signals: &[Track], held_out: Option<usize>) {
+        let segments = self.bench.desk.segments.iter().filter(|s| Some(s.group) != held_out);
+        let segments: Vec<&Segment> = segments.collect();
+        let mut records: Vec<usize> = segments.iter().map(|s| s.record).collect();
+        records.sort_unstable();
+        records.dedup();
+        let mut sums = vec![(0.0, 0.0); forward.outputs.len()];
+        for record in records {
+            let course = self.course(record);
+            let of_record: Vec<Vec<f64>> = signals.iter().map(|s| s[record].clone()).collect();
+            let made = forward.outputs_of(&course, &of_record);
+            for segment in segments.iter().filter(|s| s.record == record) {
+                for (output, made) in made.iter().enumerate() {
+                    let measured = &self.measured[output][record][segment.rows.clone()];
+                    let left = measured.iter().zip(&made[segment.rows.clone()]).map(|(y, m)| y - m);
+                    sums[output].0 += left.sum::<f64>();
+                    sums[output].1 += segment.rows.len() as f64;
+                }
+            }
+        }
+        for (output, (sum, count)) in forward.outputs.iter_mut().zip(sums) {
+            output.offset = sum / f64::max(count, 1.0);
+        }
+    }
+
+    /// Sum over responses of the squares left, relative to the response, over all groups; each counts by its
+    /// weight.
+    fn error(&self, runs: &[Run]) -> f64 {
+        let segments: Vec<&Segment> = self.bench.desk.segments.iter().collect();
+        (0..self.measured.len()).map(|output| self.left(output, &segments, |r| Some(&runs[r]))).sum()
+    }
+
+    /// Squares left of an output in some segments, relative to its own.
+    fn left<'r>(&self, output: usize, segments: &[&Segment], run: impl Fn(usize) -> Option<&'r Run>) -> f64 {
+        let (mut left, mut all) = (0.0, 0.0);
+        for segment in segments {
+            let Some(run) = run(segment.record) else { continue };
+            let y = delayed(&self.measured[output][segment.record], segment, 0);
+            let made = delayed(&run.outputs[output], segment, 0);
+            left += y.iter().zip(&made).map(|(y, m)| (y - m).powi(2)).sum::<f64>();
+            all += y.iter().map(|y| y * y).sum::<f64>();
+        }
+        if all > 0.0 { left / all } else { 0.0 }
+    }
+
+    /// Error of each response in a group that the coefficients were not fitted to.
+    fn held_out(&self, blocks: &[Block], signals: &[Track], group: usize) -> Option<Vec<f64>> {
+        let segments: Vec<&Segment> =
+            self.bench.desk.segments.iter().filter(|s| s.group == group).collect();
+        let mut records: Vec<usize> = segments.iter().map(|s| s.record).collect();
+        records.dedup();
+        let (forward, runs) = self.run(blocks, signals, Some(group), &records)?;
+        let run = |record: usize| records.iter().position(|r| *r == record).map(|at| &runs[at]);
+        Some((0..forward.responses).map(|r| self.left(r, &segments, run).sqrt()).collect())
+    }
+}
