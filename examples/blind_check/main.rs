@@ -128,7 +128,9 @@ fn main() -> Result<ExitCode, AnyError> {
             let wish = Wish { kind: lab.kind, level_rel: lab.level, frequency_hz: lab.frequency_hz };
             std::fs::write(lab.out, generate::further_run(&lab.dir, &lab.case, &wish)?)?;
         }
-        Command::Real(args) => real::run(&args)?,
+        Command::Real(args) => {
+            return Ok(if real::run(&args)? { ExitCode::SUCCESS } else { ExitCode::FAILURE });
+        }
         Command::Screen(args) => screen::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)

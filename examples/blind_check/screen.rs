@@ -150,7 +150,7 @@ fn case(folder: &Path) -> Result<Recording, AnyError> {
 /// Screens a recording and prints a line.
 fn print(name: &str, recording: &Recording) -> Option<Screening> {
     let began = Instant::now();
-    let found = match screen(recording, &group(recording)) {
+    let found = match screen(recording, &group(recording, &[])) {
         Ok(found) => found,
         Err(e) => {
             println!("{name}: {e}");

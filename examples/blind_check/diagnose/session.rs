@@ -63,6 +63,17 @@ impl<'a> Session<'a> {
         Ok(model["version"].as_u64().ok_or(ClientError::Missing("version"))?)
     }
 
+    /// What a version makes of a drive file, `[response][sample]`.
+    pub async fn predict_file(
+        &self,
+        version: u64,
+        rate_hz: f64,
+        drive: Vec<u8>,
+    ) -> Result<Vec<Vec<f64>>, AnyError> {
+        let answer = self.client.predict_npy(&self.rig, &version.to_string(), rate_hz, drive).await?;
+        Ok(rigcast::formats::npy::read(&answer.npy)?.channels)
+    }
+
     /// The path of a diagnosis and its report.
     pub async fn diagnose(&self, request: &Value) -> Result<(String, Value), AnyError> {
         let job = self.client.post(&format!("/v1/rigs/{}/diagnoses", self.rig), request).await?;

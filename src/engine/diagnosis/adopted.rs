@@ -34,6 +34,10 @@ impl Augmented {
 
     fn checked(&self, drives: usize, responses: usize, sample_rate_hz: f64) -> Checked {
         numbers("time", &[self.time])?;
+        if let Some(added) = &self.added {
+            count("members", self.members.len(), 0)?;
+            return added.check(drives, responses, sample_rate_hz);
+        }
         let Some(host) = self.members.first() else { return Err("members: none".into()) };
         within("members", self.members.len(), responses + 1)?;
         let laws = host.candidate.parts.iter().map(|p| p.forces.len() + usize::from(p.sandwich)).sum();

@@ -12,6 +12,7 @@ use super::core::Core;
 use super::effect::Effect;
 use super::kernel::Clock;
 use super::problem::{Course, Plant};
+use super::transfer::Added;
 use crate::engine::{EngineError, Signal};
 
 /// Beyond this many times the core's own RMS an augmented free run is not bounded.
@@ -21,6 +22,9 @@ const BOUND: f64 = 20.0;
 /// what it does there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Augmented {
+    /// A law that was found by transfer between runs, in place of members.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) added: Option<Box<Added>>,
     /// The host first.
     pub(super) members: Vec<Member>,
     /// Time of the programme at which laws that drift are evaluated: that of the last run.
@@ -64,13 +68,37 @@ impl Member {
 }
 
 impl Augmented {
+    /// A law that was found by transfer between runs.
+    pub(super) fn of_transfer(added: Added) -> Self {
+        Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects: false }
+    }
+
+    /// Responses with the effect, `[response][sample]`; `None` where the free run diverges.
+    pub(super) fn predict(&self, drives: &[Vec<f64>], simulated: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+        if let Some(added) = &self.added {
+            return added.predict(drives, simulated);
+        }
+        let mut out = simulated.to_vec();
+        let found = self.run(drives.to_vec(), simulated.to_vec(), None, Member::predict)?;
+        for (member, predicted) in self.members.iter().zip(found) {
+            out[member.plant.response] = predicted;
+        }
+        Some(out)
+    }
+
     /// The effect.
     pub fn effect(&self) -> Effect {
+        if let Some(added) = &self.added {
+            return added.effect;
+        }
         self.members[0].candidate.parts[0].effect
     }
 
     /// Index of the response where it acts.
     pub fn response(&self) -> usize {
+        if let Some(added) = &self.added {
+            return added.response;
+        }
         self.members[0].plant.response
     }
 
@@ -91,6 +119,10 @@ impl Augmented {
         simulated: &Signal,
         before: Option<&Signal>,
     ) -> Result<Signal, EngineError> {
+        if let Some(added) = &self.added {
+            let found = added.predict(self.drives_of(drive, simulated)?, simulated.channels());
+            return Signal::new(drive.sample_rate_hz(), found.ok_or_else(|| self.runaway())?);
+        }
         let mut channels = simulated.channels().to_vec();
         for (response, predicted) in self.of_members(drive, simulated, before, Member::predict)? {
             channels[response] = predicted;
@@ -106,11 +138,42 @@ impl Augmented {
         simulated: &Signal,
         before: Option<&Signal>,
     ) -> Result<Signal, EngineError> {
+        if let Some(added) = &self.added {
+            let found = added.addition(self.drives_of(drive, simulated)?);
+            return Signal::new(drive.sample_rate_hz(), found.ok_or_else(|| self.runaway())?);
+        }
         let mut channels = vec![vec![0.0; simulated.n_samples()]; simulated.n_channels()];
         for (response, added) in self.of_members(drive, simulated, before, Member::addition)? {
             channels[response] = added;
         }
         Signal::new(drive.sample_rate_hz(), channels)
+    }
+
+    fn runaway(&self) -> EngineError {
+        EngineError::NonFiniteResult { what: "augmented response", channel: self.response(), sample: 0 }
+    }
+
+    /// The drives of a law that was found by transfer, checked beside the sim's responses.
+    fn drives_of<'a>(&self, drive: &'a Signal, simulated: &Signal) -> Result<&'a [Vec<f64>], EngineError> {
+        let Some(added) = &self.added else { return Ok(drive.channels()) };
+        let (drives, responses) = added.forward.channels();
+        for (what, signal, expected) in
+            [("drive", drive, drives), ("simulated response", simulated, responses)]
+        {
+            if signal.n_channels() != expected {
+                return Err(EngineError::ChannelCount { what, expected, found: signal.n_channels() });
+            }
+        }
+        if simulated.n_samples() != drive.n_samples() {
+            let (expected, found) = (drive.n_samples(), simulated.n_samples());
+            return Err(EngineError::UnequalLength {
+                what: "simulated response",
+                channel: 0,
+                expected,
+                found,
+            });
+        }
+        Ok(drive.channels())
     }
 
     /// One signal for each response that feels the effect.
@@ -139,12 +202,10 @@ impl Augmented {
                 return Err(EngineError::UnequalLength { what, channel: 0, expected, found });
             }
         }
-        let runaway =
-            EngineError::NonFiniteResult { what: "augmented response", channel: plant.response, sample: 0 };
         let before = before.map(Signal::channels);
         let found = self.run(drive.channels().to_vec(), simulated.channels().to_vec(), before, of);
         let responses = self.members.iter().map(|member| member.plant.response);
-        Ok(responses.zip(found.ok_or(runaway)?).collect())
+        Ok(responses.zip(found.ok_or_else(|| self.runaway())?).collect())
     }
 
     /// One signal for each member, in their order; `None` if the effect's free run diverges.

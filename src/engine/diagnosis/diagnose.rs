@@ -9,7 +9,7 @@ use super::effect::{Effect, Tier};
 use super::fingerprint;
 use super::held_out::Place;
 use super::hypothesis::{closes_most, hypothesis};
-use super::input::{Input, Role};
+use super::input::{Input, Mode, Role};
 use super::locate;
 use super::next::next_experiment;
 use super::overview::{Overview, gaps};
@@ -19,6 +19,7 @@ use super::report::{
     VerdictKind,
 };
 use super::second::second_effect;
+use super::transfer::{Found, by_transfer, sentence};
 use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
 use super::whereabouts::location;
@@ -51,6 +52,11 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     let prepared = prepare(input)?;
     let overview = Overview::new(input, &prepared);
     report(watch, "where", 0.1)?;
+    // Without repeats nothing tells noise from a gap but what is predicted on runs that were not seen.
+    if !prepared.from_repeats && input.mode == Mode::InSitu {
+        let found = by_transfer(input, &overview, watch)?;
+        return from_transfer(input, &prepared, &overview, found, watch);
+    }
     let (verdict, outcome) = match overview.without_candidates(input) {
         Some(verdict) => (verdict, None),
         None => {
@@ -58,7 +64,57 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             (judge(input, &prepared, &overview, &outcome), Some(outcome))
         }
     };
+    let unexplained = matches!(verdict.kind, VerdictKind::NoMaterialGap | VerdictKind::NoneOfCatalogue);
+    if !prepared.from_repeats && unexplained && overview.whole() >= input.material_gap {
+        let found = by_transfer(input, &overview, watch)?;
+        if verdict.kind == VerdictKind::NoMaterialGap || found.verdict.kind.blames() {
+            return from_transfer(input, &prepared, &overview, found, watch);
+        }
+    }
     finish(input, &prepared, &overview, verdict, outcome, watch)
+}
+
+/// The report of what follows from transfer between runs.
+fn from_transfer(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    found: Found,
+    watch: Watch<'_>,
+) -> Result<Diagnosis, EngineError> {
+    let rate = input.sample_rate_hz();
+    let names: Vec<String> = input.runs.iter().map(|run| run.name.clone()).collect();
+    let problem = &prepared.problems[overview.worst()];
+    let (hypotheses, augmented): (Vec<Hypothesis>, Vec<Augmented>) = found.hypotheses.into_iter().unzip();
+    // Repeats that were refused are repeats all the same here.
+    let used = prepared.warnings.iter().filter(|w| !w.starts_with("repeat_drive_differs"));
+    let warnings = used.cloned().chain(found.warnings).collect();
+    let left = hypotheses.first().map_or(1.0, |h| h.remaining_share);
+    let report_of_all = Report {
+        schema: "gap-diagnosis/1".into(),
+        mode: input.mode,
+        noise_floor_source: found.noise,
+        verdict: found.verdict,
+        remaining: Remaining {
+            chi2: left * found.gap.chi2_select,
+            ..remaining_after(input, prepared, overview, None, None)
+        },
+        gap: found.gap,
+        location: location(input, prepared, overview, &names, rate),
+        fingerprints: Fingerprints {
+            odd_share: fingerprint::odd_share(problem),
+            gap_level_exponent: fingerprint::level_exponent(problem),
+            linear_refit_closure: Some(found.linear_closure),
+            line_hz: overview.line.map(|(_, line)| line.frequency_hz),
+        },
+        hypotheses,
+        next_experiment: found.next,
+        data_split: data_split(prepared, &names, rate),
+        warnings,
+    };
+    report(watch, "report", 1.0)?;
+    let views = Views::new(input, prepared, (problem, None), None);
+    Ok(Diagnosis { report: report_of_all, views, augmented })
 }
 
 fn finish(
@@ -89,6 +145,7 @@ fn finish(
         listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, overview, ranked)).collect();
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
     let verdict = verdict.on_test(hypotheses.first());
+    let verdict = Verdict { in_words: sentence(&verdict, hypotheses.first()), ..verdict };
     report(watch, "next experiment", 0.95)?;
     let next_experiment = next_experiment(input, prepared, &ranked, &verdict);
     let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));
@@ -134,6 +191,8 @@ fn gap(overview: &Overview) -> Gap {
     let r = overview.worst();
     Gap {
         systematic_rms_rel: overview.systematic(r),
+        systematic_at_least: overview.systematic(r),
+        systematic_at_most: overview.systematic(r),
         noise_rms_rel: overview.noise(r),
         chi2_select: overview.chi2_select[r],
         chi2_test: overview.chi2_test[r],

@@ -3,6 +3,7 @@
 use super::augmented::{Augmented, Member};
 use super::candidate::Part;
 use super::decide::Ranked;
+use super::effect::Effect;
 use super::held_out::{Place, held_out_at};
 use super::input::Input;
 use super::linear::rms;
@@ -36,6 +37,12 @@ pub(super) fn axis(input: &Input, response: usize, part: &Part) -> Option<String
     } else {
         input.responses[response].axis.clone()
     }
+}
+
+/// Where an effect acts: at its drive, or at the response whose motion it takes.
+pub(super) fn place(input: &Input, response: usize, part: &Part) -> Option<String> {
+    let at = if part.effect.on_drive() { &input.drives[part.drive] } else { &input.responses[response] };
+    (part.effect != Effect::LinearChange).then(|| at.name.clone())
 }
 
 /// Whether the augmented core without the FRF that it stands for leaves less of the select stretches
@@ -86,6 +93,7 @@ pub(super) fn hypothesis(
         alone: input.core_stands(place.problem.response) && better_alone(input, place),
     };
     let augmented = Augmented {
+        added: None,
         members: places.iter().map(member).collect(),
         time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
         on_effects: input.runs.iter().any(|run| run.added.is_some()),
@@ -96,9 +104,14 @@ pub(super) fn hypothesis(
             effect,
             family: effect.family(),
             axis: axis(input, host.response, &fitted.candidate.parts[0]),
+            at: place(input, host.response, &fitted.candidate.parts[0]),
+            between: None,
             channel: responses[at].channel.clone(),
             probability: ranked.probability,
             remaining_share: ranked.scored.remaining,
+            strength: None,
+            shape: None,
+            transfer: Vec::new(),
             parameters: parameters::named(host, fitted, (&input.responses[host.response].unit, &units)),
             held_out: responses[at].held_out.clone(),
             responses,

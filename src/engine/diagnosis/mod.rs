@@ -58,6 +58,7 @@ mod tangent;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tolerance;
+mod transfer;
 mod twins;
 mod verdict;
 pub mod views;

@@ -116,6 +116,12 @@ impl Overview {
         (p.noise / p.response.max(f64::MIN_POSITIVE)).sqrt()
     }
 
+    /// The largest error of a response relative to it, noise included.
+    pub fn whole(&self) -> f64 {
+        let of = |p: &Power| p.rms_error / p.response.max(f64::MIN_POSITIVE).sqrt();
+        self.power.iter().map(of).fold(0.0, f64::max)
+    }
+
     pub fn worst(&self) -> usize {
         (0..self.power.len()).max_by(|&a, &b| self.systematic(a).total_cmp(&self.systematic(b))).unwrap_or(0)
     }
@@ -127,6 +133,9 @@ impl Overview {
             effect,
             family: effect.map(Effect::family),
             axis: input.responses[r].axis.clone(),
+            at: effect.map(|_| input.responses[r].name.clone()),
+            between: None,
+            in_words: String::new(),
             channel: Some(input.responses[r].name.clone()),
             probability: 0.95,
             equivalence_set: effect.into_iter().collect(),

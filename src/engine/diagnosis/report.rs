@@ -11,7 +11,11 @@ use super::input::Mode;
 pub enum NoiseSource {
     /// Runs with the same drive.
     Repeats,
-    /// What the core leaves of the baseline runs; the verdict is capped.
+    /// Runs or periods with the same drive that were found among the runs.
+    FoundRepeats,
+    /// No repeats: what the best predictor leaves of runs that it has not seen bounds the noise from above.
+    Bounded,
+    /// What the core leaves of the baseline runs, from before the change; the verdict is capped.
     Assumed,
 }
 
@@ -25,6 +29,7 @@ pub enum VerdictKind {
     FamilyOnly,
     NotDistinguishable,
     NoneOfCatalogue,
+    Undecided,
     NoiseOrUnmeasuredDisturbance,
     NoMaterialGap,
 }
@@ -47,8 +52,17 @@ pub struct Verdict {
     pub family: Option<Family>,
     /// Axis of the effect.
     pub axis: Option<String>,
+    /// Channel at which it acts.
+    #[serde(default)]
+    pub at: Option<String>,
+    /// Or the two channels between which it acts.
+    #[serde(default)]
+    pub between: Option<[String; 2]>,
     /// Response on which it closes most.
     pub channel: Option<String>,
+    /// The answer in one sentence; empty where it is made by the page alone.
+    #[serde(default)]
+    pub in_words: String,
     /// That this verdict is right, 0..1.
     pub probability: f64,
     /// Effects that these runs cannot tell apart, the blamed one first.
@@ -62,6 +76,12 @@ pub struct Verdict {
 pub struct Gap {
     /// Systematic RMS relative to the response's, in band, on the select runs; largest response.
     pub systematic_rms_rel: f64,
+    /// The same at least: what a predictor shows to be none of the noise.
+    #[serde(default)]
+    pub systematic_at_least: f64,
+    /// The same at most.
+    #[serde(default)]
+    pub systematic_at_most: f64,
     /// Noise RMS relative to the response's, in band; of the same response.
     pub noise_rms_rel: f64,
     /// Mean square of what the sim leaves of the select runs, in noise floors; largest response.
@@ -215,6 +235,54 @@ pub struct ChannelHeldOut {
     pub held_out: HeldOut,
 }
 
+/// How strong an effect is: the drive that would do as much.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Strength {
+    /// RMS over the loudest run.
+    pub rms: f64,
+    /// Largest magnitude there.
+    pub peak: f64,
+    /// The drive's unit.
+    pub unit: String,
+    /// The drive.
+    #[serde(rename = "as")]
+    pub as_drive: String,
+}
+
+/// A law as a curve.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shape {
+    /// What it is a function of.
+    pub argument: String,
+    /// Its unit.
+    pub unit: String,
+    /// Values of the argument.
+    pub x: Vec<f64>,
+    /// The law there, in the drive's unit.
+    pub force: Vec<f64>,
+    /// The least that any group alone asks for.
+    pub low: Vec<f64>,
+    /// And the most.
+    pub high: Vec<f64>,
+}
+
+/// What an effect leaves of runs that it was not fitted to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TransferRow {
+    /// What the runs have in common.
+    pub group: String,
+    /// The runs.
+    pub runs: Vec<String>,
+    /// RMS of what the linear part fitted to the others leaves, unit of the response.
+    pub rms_before: f64,
+    /// RMS of what linear part and effect leave.
+    pub rms_after: f64,
+    /// Always: the group is not fitted to.
+    pub fitted_on_others: bool,
+    /// How much of the effect this group alone asks for, 1 being as much as all together.
+    pub parameters_alone: Vec<f64>,
+}
+
 /// One effect with what it explains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hypothesis {
@@ -224,6 +292,12 @@ pub struct Hypothesis {
     pub family: Family,
     /// Axis of the effect.
     pub axis: Option<String>,
+    /// Channel at which it acts.
+    #[serde(default)]
+    pub at: Option<String>,
+    /// Or the two channels between which it acts.
+    #[serde(default)]
+    pub between: Option<[String; 2]>,
     /// Response on which it closes most.
     pub channel: String,
     /// That it is the one, 0..1.
@@ -232,6 +306,15 @@ pub struct Hypothesis {
     pub remaining_share: f64,
     /// Its numbers.
     pub parameters: Vec<Parameter>,
+    /// How strong it is in terms of a drive; none where that is not known.
+    #[serde(default)]
+    pub strength: Option<Strength>,
+    /// The law over its argument, where it is a curve.
+    #[serde(default)]
+    pub shape: Option<Shape>,
+    /// What it leaves of each group of runs when it is fitted to the others; empty where repeats decided.
+    #[serde(default)]
+    pub transfer: Vec<TransferRow>,
     /// On unseen runs, at that response.
     pub held_out: HeldOut,
     /// On unseen runs at every response at which it acts, the one whose motion it acts on first.

@@ -3,7 +3,7 @@
 use super::contest::Outcome;
 use super::decide::{NOISE_LEFT, Ranked, Ruling, rule};
 use super::effect::Effect;
-use super::hypothesis::{axis, closes_most};
+use super::hypothesis::{axis, closes_most, place};
 use super::input::{Input, Mode};
 use super::overview::Overview;
 use super::prepare::Prepared;
@@ -45,6 +45,9 @@ impl Verdict {
             effect: Some(effect),
             family: Some(effect.family()),
             axis: axis(input, first.scored.problem, &first.scored.fitted.candidate.parts[0]),
+            at: place(input, first.scored.problem, &first.scored.fitted.candidate.parts[0]),
+            between: None,
+            in_words: String::new(),
             channel: Some(input.responses[channel].name.clone()),
             probability: two.probability,
             equivalence_set: vec![effect],
@@ -144,6 +147,11 @@ pub(super) fn judge(
         axis: best
             .filter(|_| names_family)
             .and_then(|b| axis(input, b.scored.problem, &b.scored.fitted.candidate.parts[0])),
+        at: best
+            .filter(|_| names_family)
+            .and_then(|b| place(input, b.scored.problem, &b.scored.fitted.candidate.parts[0])),
+        between: None,
+        in_words: String::new(),
         channel: Some(input.responses[channel].name.clone()),
         probability: probability.clamp(0.0, 1.0),
         equivalence_set: set,

@@ -301,6 +301,7 @@ fn last_words(verdict: &VerdictSummary, mode: Mode) -> String {
         VerdictKind::FamilyOnly => "family only",
         VerdictKind::NotDistinguishable => "not distinguishable",
         VerdictKind::NoneOfCatalogue => "none of the catalogue",
+        VerdictKind::Undecided => "undecided",
         VerdictKind::NoiseOrUnmeasuredDisturbance => "noise or an unmeasured disturbance",
         VerdictKind::NoMaterialGap => "no material gap",
     };

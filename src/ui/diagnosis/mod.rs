@@ -91,7 +91,7 @@ fn header(of: &Heading, report: &Report) -> Markup {
         section class=(format!("verdict {tone}")) {
             p.label { (kind_in_words(kind)) }
             p.answer { (sentence::verdict(report)) }
-            @if matches!(kind, VerdictKind::FamilyOnly | VerdictKind::NotDistinguishable) {
+            @if matches!(kind, VerdictKind::FamilyOnly | VerdictKind::NotDistinguishable | VerdictKind::Undecided) {
                 @if let Some(next) = sentence::next(report) { p { (next) } }
             }
         }
@@ -105,6 +105,7 @@ fn kind_in_words(kind: VerdictKind) -> &'static str {
         VerdictKind::FamilyOnly => "Kind of effect known",
         VerdictKind::NotDistinguishable => "Several effects possible",
         VerdictKind::NoneOfCatalogue => "Cause not known",
+        VerdictKind::Undecided => "Cause or noise: not decided",
         VerdictKind::NoiseOrUnmeasuredDisturbance => "Noise or disturbance",
         VerdictKind::NoMaterialGap => "No gap that matters",
     }

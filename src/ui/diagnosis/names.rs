@@ -15,6 +15,7 @@ pub fn name_runs(report: &mut Report, views: &mut Views, names: &BTreeMap<String
     for hypothesis in &mut report.hypotheses {
         hypothesis.held_out.runs.iter_mut().for_each(rename);
         hypothesis.responses.iter_mut().flat_map(|r| &mut r.held_out.runs).for_each(rename);
+        hypothesis.transfer.iter_mut().flat_map(|row| &mut row.runs).for_each(rename);
     }
     let split = &mut report.data_split;
     let parts = split.fit.iter_mut().chain(&mut split.select).chain(&mut split.test);

@@ -139,6 +139,12 @@ fn noise(report: &Report) -> String {
         NoiseSource::Repeats => format!(
             "The noise floor ({share} of the response) comes from runs with the same drive: their difference is noise, and the error that they share is the gap."
         ),
+        NoiseSource::FoundRepeats => format!(
+            "The noise floor ({share} of the response) comes from runs, or periods inside a run, with the same drive, which were found among the runs."
+        ),
+        NoiseSource::Bounded => format!(
+            "There are no runs with the same drive. What the best law, or a linear part alone, predicts on runs that it was not fitted to is no noise; the rest ({share} of the response) is noise at most."
+        ),
         NoiseSource::Assumed => format!(
             "The noise floor ({share} of the response) is assumed to be the error of the linear core on the baseline runs."
         ),

@@ -51,6 +51,10 @@ pub fn verdict(report: &Report) -> String {
                 ),
             }
         }
+        (VerdictKind::Undecided, _) => format!(
+            "{sure}, these runs do not tell: the model leaves {} of the response, and nothing predicts enough of that on runs that it has not seen. It may be noise, or a cause that the next experiment would show.",
+            percent(report.gap.systematic_at_most)
+        ),
         _ => none(report, &sure),
     }
 }
@@ -75,10 +79,11 @@ fn has(v: &Verdict, effect: Effect) -> String {
 }
 
 fn place(v: &Verdict) -> String {
-    match (&v.axis, &v.channel) {
-        (Some(axis), _) => format!(" on axis {axis}"),
-        (None, Some(channel)) => format!(" at {channel}"),
-        (None, None) => String::new(),
+    match (&v.between, &v.axis, v.at.as_ref().or(v.channel.as_ref())) {
+        (Some([a, b]), ..) => format!(" between {a} and {b}"),
+        (None, Some(axis), _) => format!(" on axis {axis}"),
+        (None, None, Some(channel)) => format!(" at {channel}"),
+        (None, None, None) => String::new(),
     }
 }
 
@@ -129,6 +134,12 @@ fn certainty(probability: f64) -> String {
 /// The next experiment and the reason for it.
 pub fn next(report: &Report) -> Option<String> {
     let next = report.next_experiment.as_ref()?;
+    if report.verdict.kind == VerdictKind::Undecided {
+        return Some(match next.drive.kind.as_str() {
+            "same_drive_again" => "Run one of these drives again, the loudest first: what two runs with one drive share is no noise.".into(),
+            _ => format!("Run {}, with another realisation of the drive than these runs have: a law is believed where it holds on a drive that it was not fitted to.", drive(report)),
+        });
+    }
     let pair = listed(&names(&next.separates), "and");
     if next.inseparable_in_envelope {
         return Some(format!(
@@ -157,6 +168,7 @@ fn drive(report: &Report) -> String {
     let d = &next.drive;
     let at = d.frequency_hz.map_or_else(String::new, |f| format!(" at {} Hz", number(f)));
     let kind = match d.kind.as_str() {
+        "same_drive_again" => "the same drive again".to_owned(),
         "noise" => "noise over the same band".to_owned(),
         "slow_sine" => format!("a slow sine{at}"),
         "resonance_sine" => format!("a sine at the resonance{}", at.replace(" at ", ", ")),
@@ -176,6 +188,7 @@ pub fn warning(warning: &str) -> String {
     let (code, about) = warning.split_once(": ").unwrap_or((warning, ""));
     match code {
         "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed to be the error of the linear core on the baseline runs. A gap that looks systematic may be noise, and the reverse; the verdict is at most a partial one. Run one drive twice to measure the noise.".into(),
+        "one_drive" => "All runs share one drive. Whatever fits it cannot be checked on another, so no law is named.".into(),
         "acts_seldom" => "The gap occurs only in the runs that effects are fitted to, or only in those that they are chosen on: its cause acts only a few times. All of these runs were therefore used for both, and the verdict is at most a partial one. Longer runs, or runs at a higher level, would show more.".into(),
         "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs, which stands for the FRF while effects are sought and the gap is located: an FRF errs a little by its estimate, and that is no effect. In situ, what an effect closes is counted from the FRF itself; in external mode from the core."),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),

@@ -73,8 +73,17 @@ impl<'a> Desk<'a> {
         let drives = tracks(true, recording.drives.len());
         let mut responses = tracks(false, recording.responses.len());
         responses.iter_mut().for_each(still);
-        let mut desk =
-            Self { recording, band, limits, thinner, used, segments, drives, responses, clocks: clocks(recording) };
+        let mut desk = Self {
+            recording,
+            band,
+            limits,
+            thinner,
+            used,
+            segments,
+            drives,
+            responses,
+            clocks: clocks(recording),
+        };
         desk.leave_out_the_start();
         desk.weigh();
         desk

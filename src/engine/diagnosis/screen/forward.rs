@@ -13,7 +13,8 @@ use super::law::{Instant, Law, Scale};
 use super::memory::Memory;
 use super::motion::{Limits, Motion, motion};
 use super::place::Place;
-use crate::engine::Quantity;
+use crate::engine::resample::resample;
+use crate::engine::{Quantity, Signal};
 
 /// Beyond this many deviations of its argument a run has diverged.
 const RUNAWAY: f64 = 300.0;
@@ -81,12 +82,25 @@ impl Kernel {
         y
     }
 
+    /// Product with another over the lags that both have.
+    fn along(&self, other: &Self) -> f64 {
+        let from = self.from.max(other.from);
+        let part = |k: &Self| {
+            usize::try_from(from - k.from).ok().and_then(|at| k.taps.get(at..)).unwrap_or(&[]).to_vec()
+        };
+        self::product(&part(self), &part(other))
+    }
+
     /// Taps of the past, the oldest first: from its last lag to lag 1.
     fn past(&self) -> Vec<f64> {
         let at = |lag: isize| usize::try_from(lag - self.from).ok().and_then(|k| self.taps.get(k)).copied();
         let last = self.from + self.taps.len() as isize;
         (1..last).rev().map(|lag| at(lag).unwrap_or(0.0)).collect()
     }
+}
+
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Where an argument comes from.
@@ -105,6 +119,8 @@ pub(super) enum Source {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Output {
     pub offset: f64,
+    /// Offset of the linear part alone.
+    pub offset_before: f64,
     /// Of each drive, beside the law.
     pub linear: Vec<Kernel>,
     /// Of each drive, of the linear part alone.
@@ -165,6 +181,32 @@ impl Fed {
     }
 }
 
+/// What a forward model makes of drives, at the recording's rate.
+#[derive(Debug, Clone)]
+pub struct Simulated {
+    /// A response with the law.
+    pub augmented: Vec<f64>,
+    /// The same by the linear part alone.
+    pub linear: Vec<f64>,
+}
+
+/// A law in terms of a drive: what that drive would have to do instead.
+#[derive(Debug, Clone)]
+pub struct AsDrive {
+    /// The drive.
+    pub drive: usize,
+    /// Its samples at the rate of the analysis.
+    pub samples: Vec<f64>,
+    /// Factor of each of the law's signals.
+    factors: Vec<f64>,
+}
+
+/// Bounds on what is read from a file.
+const MOST_TAPS: usize = 1 << 20;
+const LARGEST: f64 = 1e15;
+/// How far a law's curve reaches, in deviations of its argument.
+const REACH: f64 = 3.0;
+
 /// One sample after the other of an argument.
 enum Feed {
     Known(Vec<f64>),
@@ -188,6 +230,11 @@ impl Forward {
             lists.into_iter().flatten().for_each(Kernel::trim);
         }
         self
+    }
+
+    /// Number of drives and of responses.
+    pub(in crate::engine::diagnosis) fn channels(&self) -> (usize, usize) {
+        (self.drive_mean.len(), self.responses)
     }
 
     /// Number of signals: the law's, and an unbent one of each argument.
@@ -263,9 +310,8 @@ impl Forward {
         let (source, scale) = self.argument;
         let argument = self.known(source, course);
         let second = self.second.map(|(source, scale)| (source, scale, self.known(source, course)));
-        let beside: Option<Vec<f64>> = second
-            .as_ref()
-            .map(|(_, scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
+        let beside: Option<Vec<f64>> =
+            second.as_ref().map(|(_, scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
         let signals = self.law.signals(&argument, scale, self.rate_hz, course.clock, beside.as_deref());
         let mut out: Vec<Vec<f64>> = signals.iter().map(|x| thin(source, x)).collect();
         out.push(thin(source, &argument.d));
@@ -326,5 +372,183 @@ impl Forward {
             }
         }
         Some(signals)
+    }
+
+    /// The responses to drives at the recording's rate, `[drive][sample]`, at the programme's end; `None` where the
+    /// free run diverges.
+    pub fn simulate(&self, drives: &[Vec<f64>]) -> Option<Vec<Simulated>> {
+        let thinner = Thinner::new(self.step);
+        let thin: Vec<Vec<f64>> = drives.iter().map(|u| thinner.thin(u)).collect();
+        let course = Course {
+            whole: drives.iter().map(Vec::as_slice).collect(),
+            thin: thin.iter().map(Vec::as_slice).collect(),
+            clock: [1.0, 1.0],
+        };
+        let run = self.run(&course)?;
+        let n = drives.first().map_or(0, Vec::len);
+        let responses = run.outputs.into_iter().zip(&self.outputs).take(self.responses);
+        responses
+            .map(|(augmented, output)| {
+                let mut linear = self.linear(&output.before, &course);
+                linear.iter_mut().for_each(|y| *y += output.offset_before);
+                Some(Simulated {
+                    augmented: self.at_full_rate(augmented, n)?,
+                    linear: self.at_full_rate(linear, n)?,
+                })
+            })
+            .collect()
+    }
+
+    /// A signal of the analysis at the recording's rate, `n` samples.
+    fn at_full_rate(&self, x: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+        if self.step == 1 {
+            return Some(x);
+        }
+        let signal = Signal::new(self.rate_hz / self.step as f64, vec![x]).ok()?;
+        let mut out = resample(&signal, self.rate_hz).ok()?.channel(0).to_vec();
+        let last = out.last().copied().unwrap_or(0.0);
+        out.resize(n, last);
+        Some(out)
+    }
+
+    /// What the law does in terms of the drive that moves a response most: its signals, each by the gain with which
+    /// it goes the drive's way. `None` where it diverges.
+    pub fn as_drive(&self, response: usize, drives: &[Vec<f64>]) -> Option<AsDrive> {
+        let thinner = Thinner::new(self.step);
+        let thin: Vec<Vec<f64>> = drives.iter().map(|u| thinner.thin(u)).collect();
+        let course = Course {
+            whole: drives.iter().map(Vec::as_slice).collect(),
+            thin: thin.iter().map(Vec::as_slice).collect(),
+            clock: [1.0, 1.0],
+        };
+        let output = &self.outputs[response];
+        let power = |h: &Kernel| dot(&h.taps, &h.taps);
+        let drive = match self.place {
+            Place::Drive(d) => d,
+            _ => (0..output.linear.len())
+                .max_by(|&a, &b| power(&output.linear[a]).total_cmp(&power(&output.linear[b])))?,
+        };
+        let way = &output.linear[drive];
+        let size = power(way).max(f64::MIN_POSITIVE);
+        let factors: Vec<f64> =
+            output.kernels[..self.law.count()].iter().map(|kernel| kernel.along(way) / size).collect();
+        let signals = self.run(&course)?.signals;
+        let n = signals.first().map_or(0, Vec::len);
+        let mut samples = vec![0.0; n];
+        for (signal, factor) in signals.iter().zip(&factors) {
+            let mean = signal.iter().sum::<f64>() / n.max(1) as f64;
+            samples.iter_mut().zip(signal).for_each(|(f, s)| *f += factor * (s - mean));
+        }
+        samples.iter().all(|f| f.is_finite()).then_some(AsDrive { drive, samples, factors })
+    }
+
+    /// The law over its argument in terms of a drive: whether the argument is a rate, its values in its unit, and the
+    /// law there. `None` of a law that remembers or that has two arguments.
+    pub fn curve(&self, force: &AsDrive, points: usize) -> Option<(bool, Vec<f64>, Vec<f64>)> {
+        let over_rate = match self.law {
+            Law::Cubic | Law::Quadratic | Law::Polynomial | Law::Kink { .. } => false,
+            Law::OneSided { .. } | Law::FreeStiffness => false,
+            Law::Coulomb { .. } | Law::Stribeck { .. } | Law::QuadraticDamping => true,
+            Law::OneSidedDamping { .. } | Law::KinkedDamping { .. } | Law::FreeDamping => true,
+            _ => return None,
+        };
+        let scale = self.argument.1;
+        let mut out = vec![0.0; self.law.count()];
+        let (x, y) = (0..points)
+            .map(|k| {
+                let at = REACH * (2.0 * k as f64 / (points.max(2) - 1) as f64 - 1.0);
+                let instant = Instant { d: at, v: at, x: 0.0, t: 1.0 };
+                self.law.at(instant, &mut Memory::new(scale, self.rate_hz), &mut out);
+                let value: f64 = out.iter().zip(&force.factors).map(|(o, f)| o * f).sum();
+                (if over_rate { at * scale.v } else { scale.centre + at * scale.d }, value)
+            })
+            .unzip();
+        Some((over_rate, x, y))
+    }
+
+    /// The law's numbers in the unit of its argument, and whether they are rates.
+    pub fn numbers(&self) -> Vec<(&'static str, f64, bool)> {
+        let Scale { centre, d, v } = self.argument.1;
+        match self.law {
+            Law::Kink { at } => vec![("kink", at * d, false)],
+            Law::OneSided { at } => vec![("kink", centre + at * d, false)],
+            Law::Coulomb { smooth } => vec![("sliding_velocity", smooth * v, true)],
+            Law::Stribeck { smooth, decay } => {
+                vec![("sliding_velocity", smooth * v, true), ("stribeck_velocity", decay * v, true)]
+            }
+            Law::Slider { limit } | Law::BoucWen { limit } => vec![("yield_displacement", limit * d, false)],
+            Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![("kink", at * v, true)],
+            Law::RateLimit { limit } => vec![("rate", limit * v, true)],
+            _ => Vec::new(),
+        }
+    }
+
+    /// Checks a model that came out of a file: that it can be simulated on so many drives and responses at this
+    /// rate, and that no number of it is out of bounds.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self, drives: usize, responses: usize, rate_hz: f64) -> Result<(), String> {
+        let counted = |what: &str, found: usize, expected: usize| {
+            if found == expected {
+                Ok(())
+            } else {
+                Err(format!("{what}: {found} entries, expected {expected}"))
+            }
+        };
+        if !Signal::same_rate(self.rate_hz, rate_hz) {
+            return Err(format!("it runs at {} Hz, the model at {rate_hz} Hz", self.rate_hz));
+        }
+        if !(1..=1000).contains(&self.step) {
+            return Err(format!("step: {}, 1 to 1000", self.step));
+        }
+        counted("responses", self.responses, responses)?;
+        counted("drive_mean", self.drive_mean.len(), drives)?;
+        if !(responses..=responses + 2).contains(&self.outputs.len()) {
+            return Err(format!("outputs: {}", self.outputs.len()));
+        }
+        let place = |place: Place| match place {
+            Place::Drive(d) => d < drives,
+            Place::Response(r) | Place::Output(r) => r < responses,
+            Place::Between(a, b) => a < responses && b < responses,
+        };
+        let source = |source: Source| match source {
+            Source::Drive { channel, .. } => channel < drives,
+            Source::Linear(r) | Source::Output(r) => r < self.outputs.len(),
+        };
+        let arguments = || std::iter::once(self.argument).chain(self.second);
+        let two = matches!(self.law, Law::ValveFlow | Law::CrossAxisKinematic);
+        let all =
+            std::iter::once(self.place).chain(self.other).all(place) && arguments().all(|a| source(a.0));
+        if !all || self.other.is_some() != two || self.second.is_some() != two {
+            return Err("place: channels of the model".into());
+        }
+        for output in &self.outputs {
+            counted("linear", output.linear.len(), drives)?;
+            counted("before", output.before.len(), drives)?;
+            counted("kernels", output.kernels.len(), self.signals())?;
+            let kernels = || output.linear.iter().chain(&output.before).chain(&output.kernels);
+            if kernels().any(|k| k.taps.len() > MOST_TAPS || k.from.unsigned_abs() > MOST_TAPS) {
+                return Err(format!("taps: at most {MOST_TAPS}"));
+            }
+            let numbers = kernels().flat_map(|k| &k.taps).chain([&output.offset, &output.offset_before]);
+            finite(numbers)?;
+        }
+        for (_, Scale { centre, d, v }) in arguments() {
+            finite([&centre, &d, &v])?;
+            if d <= 0.0 || v <= 0.0 {
+                return Err("scale: positive deviations".into());
+            }
+        }
+        finite(&self.drive_mean)?;
+        finite([&self.limits.low_hz, &self.limits.high_hz])?;
+        finite(&self.law.values())
+    }
+}
+
+fn finite<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> Result<(), String> {
+    match numbers.into_iter().find(|x| x.is_nan() || x.abs() > LARGEST) {
+        Some(x) => Err(format!("{x}: magnitudes up to {LARGEST:e} are read")),
+        None => Ok(()),
     }
 }

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::entry::Entry;
 use super::forward::{Course, Forward, Kernel, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
+use super::modes::Poles;
 use super::place::{Argument, Place};
 use super::report::Standing;
 use super::run::{Bench, geometric_mean};
@@ -18,6 +19,8 @@ use super::track::{Segment, Track, delayed};
 const ROUNDS: usize = 6;
 /// Relative gain of a round below which the next is not run.
 const STILL: f64 = 1e-3;
+/// Rows for each coefficient of a law that enters every mode by a factor of its own.
+const ROWS: usize = 40;
 /// Shares of the law that are tried where the whole runs away.
 const SHARES: [f64; 4] = [1.0, 0.7, 0.4, 0.1];
 
@@ -54,6 +57,8 @@ struct Fit<'a, 'd> {
     measured: Vec<&'a Track>,
     bare: Forward,
     most: usize,
+    /// Whether signals of responses enter every mode by a factor of its own, instead of as a drive does.
+    modal: bool,
 }
 
 impl Bench<'_> {
@@ -89,7 +94,8 @@ impl Bench<'_> {
         let source = |i: usize| match (places[i], fed.iter().position(|&f| f == i)) {
             (_, Some(at)) => Source::Output(self.entries.len() + at),
             (Place::Drive(channel), _) => {
-                let quantity = if i == 0 { argument.quantity } else { other.map_or(argument.quantity, |o| o.quantity) };
+                let quantity =
+                    if i == 0 { argument.quantity } else { other.map_or(argument.quantity, |o| o.quantity) };
                 Source::Drive { channel, quantity }
             }
             (Place::Output(r) | Place::Response(r) | Place::Between(r, _), _) => Source::Linear(r),
@@ -117,7 +123,10 @@ impl Bench<'_> {
             responses: self.entries.len(),
             outputs: Vec::new(),
         };
-        let fit = Fit {
+        let rows: usize = desk.segments.iter().map(|s| s.rows.len()).sum();
+        let states = self.base.setting().poles.as_ref().map_or(0, Poles::states);
+        let modal = !fed.is_empty() && states > 0 && ROWS * states * (count + fed.len()) <= rows;
+        let mut fit = Fit {
             bench: self,
             base,
             entries,
@@ -126,9 +135,14 @@ impl Bench<'_> {
             measured: desk.responses.iter().chain(&extra).collect(),
             bare,
             most: desk.lengths().into_iter().max().unwrap_or(1),
+            modal: false,
         };
-        let signals = self.signals(law, argument, other).into_iter().chain(unbent).collect();
-        fit.found(signals)
+        let signals: Vec<Track> = self.signals(law, argument, other).into_iter().chain(unbent).collect();
+        let as_drive = fit.found(signals.clone());
+        fit.modal = modal;
+        let by_mode = if modal { fit.found(signals) } else { None };
+        let both = as_drive.into_iter().chain(by_mode);
+        both.min_by(|a, b| a.ratio.total_cmp(&b.ratio))
     }
 }
 
@@ -184,13 +198,23 @@ impl Fit<'_, '_> {
                     let own = self.own(part.place, output);
                     let tracks = &signals[part.signals.clone()];
                     let segments = &self.bench.desk.segments;
-                    let columns = self.entries[output].columns(part.place, own, part.load, tracks, segments);
+                    let entry = &self.entries[output];
+                    let columns = if self.by_mode(part) {
+                        entry.modal_columns(own, tracks, segments)
+                    } else {
+                        entry.columns(part.place, own, part.load, tracks, segments)
+                    };
                     self.base.block(columns, output)
                 };
                 let first = of(&self.parts[0]);
                 self.parts[1..].iter().fold(first, |all, part| all.beside(&of(part), self.base.segments))
             })
             .collect()
+    }
+
+    /// Whether a part enters every mode by a factor of its own.
+    fn by_mode(&self, part: &Part) -> bool {
+        self.modal && matches!(part.place, Place::Response(_) | Place::Between(..))
     }
 
     /// Whether a place is an output itself.
@@ -210,15 +234,26 @@ impl Fit<'_, '_> {
             for part in &self.parts {
                 let own = self.own(part.place, output);
                 let entry = &self.entries[output];
-                let width = entry.width(part.place, part.load, part.signals.len());
+                let count = part.signals.len();
+                let by_mode = self.by_mode(part);
+                let width = if by_mode {
+                    entry.modal_width(own, count)
+                } else {
+                    entry.width(part.place, part.load, count)
+                };
                 let scaled: Vec<f64> = columns[at..at + width].iter().map(|c| share * c).collect();
-                kernels.extend(entry.kernels(part.place, own, part.load, part.signals.len(), &scaled));
+                kernels.extend(if by_mode {
+                    entry.modal_kernels(own, count, &scaled, self.most)
+                } else {
+                    entry.kernels(part.place, own, part.load, count, &scaled)
+                });
                 at += width;
             }
             let held = |h: &Vec<f64>| Kernel::new(-lead, h);
             let before = (0..impulses.len()).map(|d| self.base.impulse(output, d, self.most));
             Output {
                 offset: 0.0,
+                offset_before: 0.0,
                 linear: impulses.iter().map(held).collect(),
                 before: before.map(|h| held(&h)).collect(),
                 kernels,
@@ -261,22 +296,27 @@ impl Fit<'_, '_> {
         let mut records: Vec<usize> = segments.iter().map(|s| s.record).collect();
         records.sort_unstable();
         records.dedup();
-        let mut sums = vec![(0.0, 0.0); forward.outputs.len()];
+        let mut sums = vec![[0.0; 3]; forward.outputs.len()];
         for record in records {
             let course = self.course(record);
             let of_record: Vec<Vec<f64>> = signals.iter().map(|s| s[record].clone()).collect();
             let made = forward.outputs_of(&course, &of_record);
+            let before: Vec<Vec<f64>> =
+                forward.outputs.iter().map(|o| forward.linear(&o.before, &course)).collect();
             for segment in segments.iter().filter(|s| s.record == record) {
-                for (output, made) in made.iter().enumerate() {
+                for (output, sums) in sums.iter_mut().enumerate() {
                     let measured = &self.measured[output][record][segment.rows.clone()];
-                    let left = measured.iter().zip(&made[segment.rows.clone()]).map(|(y, m)| y - m);
-                    sums[output].0 += left.sum::<f64>();
-                    sums[output].1 += segment.rows.len() as f64;
+                    for (sum, made) in sums.iter_mut().zip([&made[output], &before[output]]) {
+                        *sum +=
+                            measured.iter().zip(&made[segment.rows.clone()]).map(|(y, m)| y - m).sum::<f64>();
+                    }
+                    sums[2] += segment.rows.len() as f64;
                 }
             }
         }
-        for (output, (sum, count)) in forward.outputs.iter_mut().zip(sums) {
+        for (output, [sum, before, count]) in forward.outputs.iter_mut().zip(sums) {
             output.offset = sum / f64::max(count, 1.0);
+            output.offset_before = before / f64::max(count, 1.0);
         }
     }
 
@@ -302,8 +342,7 @@ impl Fit<'_, '_> {
 
     /// Error of each response in a group that the coefficients were not fitted to.
     fn held_out(&self, blocks: &[Block], signals: &[Track], group: usize) -> Option<Vec<f64>> {
-        let segments: Vec<&Segment> =
-            self.bench.desk.segments.iter().filter(|s| s.group == group).collect();
+        let segments: Vec<&Segment> = self.bench.desk.segments.iter().filter(|s| s.group == group).collect();
         let mut records: Vec<usize> = segments.iter().map(|s| s.record).collect();
         records.dedup();
         let (forward, runs) = self.run(blocks, signals, Some(group), &records)?;

@@ -71,10 +71,10 @@ const LEVEL: f64 = 0.16;
 const OFFSET: f64 = 0.5;
 const SPECTRUM: f64 = 0.35;
 
-/// The parts of a recording that can be held out.
-pub fn group(recording: &Recording) -> Grouping {
+/// The parts of a recording that can be held out. `given` are records of one drive, whatever differs between them.
+pub fn group(recording: &Recording, given: &[Vec<usize>]) -> Grouping {
     let periods: Vec<Option<usize>> = recording.records.iter().map(|r| period(r.drive.channels())).collect();
-    let identity = identities(recording);
+    let identity = identities(recording, given);
     let drives = identity.iter().max().map_or(0, |last| last + 1);
     let cuts = match drives {
         0 | 1 => 5,
@@ -202,11 +202,15 @@ fn pieces_of(n: usize, period: Option<usize>, cuts: usize) -> Vec<(usize, Range<
 }
 
 /// Number of each record's drive; repeats share one.
-fn identities(recording: &Recording) -> Vec<usize> {
+fn identities(recording: &Recording, given: &[Vec<usize>]) -> Vec<usize> {
     let mut of: Vec<usize> = Vec::new();
     let mut firsts: Vec<usize> = Vec::new();
     for (r, record) in recording.records.iter().enumerate() {
+        let told = |f: usize| given.iter().any(|same| same.contains(&f) && same.contains(&r));
         let same = firsts.iter().position(|&f| {
+            if told(f) {
+                return true;
+            }
             let first = &recording.records[f].drive;
             let n = first.n_samples().min(record.drive.n_samples());
             let longest = first.n_samples().max(record.drive.n_samples());

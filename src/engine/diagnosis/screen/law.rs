@@ -202,6 +202,18 @@ impl Law {
         })
     }
 
+    /// Its numbers, in deviations.
+    pub(super) fn values(self) -> Vec<f64> {
+        match self {
+            Self::Kink { at } | Self::OneSided { at } => vec![at],
+            Self::OneSidedDamping { at } | Self::KinkedDamping { at } => vec![at],
+            Self::Coulomb { smooth } => vec![smooth],
+            Self::Stribeck { smooth, decay } => vec![smooth, decay],
+            Self::Slider { limit } | Self::BoucWen { limit } | Self::RateLimit { limit } => vec![limit],
+            _ => Vec::new(),
+        }
+    }
+
     /// Whether its signals hold a response beside the drive that it acts on.
     pub(super) fn loaded(self) -> bool {
         self == Self::ValveFlow

@@ -38,7 +38,7 @@ mod run;
 mod tests;
 mod track;
 
-pub use forward::Forward;
+pub use forward::{AsDrive, Forward, Simulated};
 pub use free_run::FreeRun;
 pub use groups::{Grouping, Stretch, Transfer, group};
 pub use input::{Channel, Record, Recording};

@@ -4,7 +4,7 @@ use crate::engine::diagnosis::screen::{Grouping, Transfer, group};
 
 fn grouped(drives: Vec<Vec<f64>>) -> Grouping {
     let runs = drives.into_iter().map(|u| (vec![u.clone()], vec![u])).collect();
-    group(&recording(&[Quantity::Force], &[Quantity::Displacement], runs))
+    group(&recording(&[Quantity::Force], &[Quantity::Displacement], runs), &[])
 }
 
 fn scaled(x: &[f64], by: f64) -> Vec<f64> {

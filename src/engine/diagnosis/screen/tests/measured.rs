@@ -37,7 +37,7 @@ fn one(folder: &Path, file: &str, rate_hz: f64, samples: usize) -> Screening {
     let mut run = csv::read(&std::fs::read(folder.join(file)).unwrap()).unwrap().channels;
     run.iter_mut().for_each(|c| c.truncate(samples));
     let recording = recording(rate_hz, vec![run], &[Quantity::Other; 2]);
-    screen(&recording, &group(&recording)).unwrap()
+    screen(&recording, &group(&recording, &[])).unwrap()
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn the_bolted_joint_of_an_aircraft_is_found_between_the_sensors_at_either_side_o
     let [force, acceleration] = [Quantity::Force, Quantity::Acceleration];
     let quantities = [force, acceleration, acceleration, acceleration];
     let recording = recording(400.0, levels.map(run).to_vec(), &quantities);
-    let grouping = group(&recording);
+    let grouping = group(&recording, &[]);
     assert_eq!(grouping.periods, [Some(8192); 3]);
     let screening = screen(&recording, &grouping).unwrap();
     let foremost = screening.foremost();

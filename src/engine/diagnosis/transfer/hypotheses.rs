@@ -1,0 +1,304 @@
+//! The laws that ran freely, as hypotheses of the report.
+
+use rayon::prelude::*;
+
+use super::added::Added;
+use super::decide::Ranked;
+use super::evidence::root_mean_square;
+use super::words;
+use crate::engine::diagnosis::augmented::Augmented;
+use crate::engine::diagnosis::input::{Input, Run};
+use crate::engine::diagnosis::linear::{mean, rms};
+use crate::engine::diagnosis::overview::Overview;
+use crate::engine::diagnosis::report::{
+    ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
+};
+use crate::engine::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening, group};
+
+/// Normal deviation that 90 % of all lie within.
+const WITHIN: f64 = 1.645;
+/// Points of a law's curve.
+const CURVE: usize = 41;
+
+/// A hypothesis with the sim that has its law.
+pub(super) struct Listed {
+    pub hypothesis: Hypothesis,
+    pub augmented: Augmented,
+    /// Held-out errors of its free run relative to the response, `[response][group]`.
+    pub errors: Vec<Vec<f64>>,
+}
+
+/// Hypotheses of all laws that ran freely, in the order of their rank.
+pub(super) fn all(
+    input: &Input,
+    overview: &Overview,
+    recording: &Recording,
+    screening: &Screening,
+    ranked: &[Ranked<'_>],
+    noise: &Option<Vec<f64>>,
+) -> Vec<Listed> {
+    let grouping = group(recording, &input.repeats);
+    ranked
+        .par_iter()
+        .filter_map(|r| {
+            let free = r.standing.free.as_ref()?;
+            let of =
+                Of { input, overview, recording, screening, grouping: &grouping, ranked: r, free, noise };
+            of.listed()
+        })
+        .collect()
+}
+
+/// All that a hypothesis is made of.
+struct Of<'a> {
+    input: &'a Input,
+    overview: &'a Overview,
+    recording: &'a Recording,
+    screening: &'a Screening,
+    grouping: &'a Grouping,
+    ranked: &'a Ranked<'a>,
+    free: &'a FreeRun,
+    noise: &'a Option<Vec<f64>>,
+}
+
+impl Of<'_> {
+    fn listed(&self) -> Option<Listed> {
+        let standing = self.ranked.standing;
+        let added = self.added();
+        let loudest = self.input.runs.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
+        let drives = loudest.drive.channels();
+        let peaks: Vec<f64> = (0..self.input.drives.len())
+            .map(|d| {
+                let all = self.input.runs.iter().flat_map(|run| run.drive.channel(d));
+                all.fold(0.0_f64, |m, u| m.max(u.abs())).max(f64::MIN_POSITIVE)
+            })
+            .collect();
+        let stable_over_envelope = added.bounded(drives, &self.input.limits(&peaks));
+        let responses: Option<Vec<ChannelHeldOut>> = (0..self.input.responses.len())
+            .map(|r| {
+                let channel = self.input.responses[r].name.clone();
+                Some(ChannelHeldOut { channel, held_out: self.held_out(r, &added)? })
+            })
+            .collect();
+        let mut responses = responses?;
+        let held_out = responses[standing.response].held_out.clone();
+        responses.swap(0, standing.response);
+        let (at, between) = words::place(self.input, standing.place);
+        let (strength, shape) = self.strength(drives);
+        let left = (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
+        Some(Listed {
+            hypothesis: Hypothesis {
+                effect: standing.effect,
+                family: standing.family,
+                axis: words::axis(self.input, standing),
+                at,
+                between,
+                channel: self.input.responses[standing.response].name.clone(),
+                probability: self.ranked.share * super::decide::any(self.ranked.left),
+                remaining_share: left,
+                parameters: self.parameters(),
+                strength,
+                shape,
+                transfer: self.transfer(),
+                held_out,
+                responses,
+                stable_over_envelope,
+            },
+            augmented: Augmented::of_transfer(added),
+            errors: self.free.errors.clone(),
+        })
+    }
+
+    /// The law on top of the sim; where the linear part stands for the sim, without it if that is better.
+    fn added(&self) -> Added {
+        let responses = self.input.responses.len();
+        let standing = self.ranked.standing;
+        let bare = Added {
+            effect: standing.effect,
+            response: standing.response,
+            forward: self.free.forward.clone(),
+            alone: vec![false; responses],
+        };
+        let whole = Added { alone: vec![true; responses], ..bare.clone() };
+        let left = |added: &Added, r: usize| self.left(added, r).unwrap_or(f64::INFINITY);
+        let alone =
+            (0..responses).map(|r| self.input.core_stands(r) && left(&whole, r) <= left(&bare, r)).collect();
+        Added { alone, ..bare }
+    }
+
+    /// RMS of what a sim with the law leaves of a response over all runs, after their first sixth; `None` where
+    /// the sim is not known or the free run diverges.
+    fn left(&self, added: &Added, r: usize) -> Option<f64> {
+        let mut left = Vec::new();
+        for run in &self.input.runs {
+            let simulated = run.simulated.as_ref()?.channels();
+            let made = added.predict(run.drive.channels(), simulated)?;
+            left.extend(errors(run, r, &made[r]));
+        }
+        Some(rms(&left))
+    }
+
+    /// How far the gap of a response closes in groups that the law was not fitted to.
+    fn held_out(&self, r: usize, added: &Added) -> Option<HeldOut> {
+        let power = &self.overview.power[r];
+        let level = power.response.max(f64::MIN_POSITIVE).sqrt();
+        let stands = self.input.core_stands(r) || self.input.runs.iter().any(|run| run.simulated.is_none());
+        let (rms_before, rms_after) = if stands {
+            (power.rms_error, level * root_mean_square(&self.free.errors[r]))
+        } else {
+            // A sim that bends by itself: the law has to help on top of it.
+            let of_sim: Vec<f64> = self
+                .input
+                .runs
+                .iter()
+                .flat_map(|run| run.simulated.as_ref().map_or(Vec::new(), |s| errors(run, r, s.channel(r))))
+                .collect();
+            (rms(&of_sim), self.left(added, r)?)
+        };
+        let noise_rms = self.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
+        let above = |rms: f64| (rms * rms - noise_rms * noise_rms).max(0.0);
+        let closed = |before: f64, after: f64| {
+            let gap = above(before);
+            if gap > 0.0 { 1.0 - above(after) / gap } else { 0.0 }
+        };
+        let closure = closed(rms_before, rms_after);
+        // How far groups differ tells how far the next may.
+        let linear = &self.screening.linear.errors[r];
+        let by_group: Vec<f64> = linear
+            .iter()
+            .zip(&self.free.errors[r])
+            .filter(|(before, _)| **before > 0.0)
+            .map(|(before, after)| 1.0 - (after / before).powi(2))
+            .collect();
+        let centre = mean(&by_group);
+        let spread = rms(&by_group.iter().map(|c| c - centre).collect::<Vec<f64>>());
+        let width = (WITHIN * spread).max(0.03 * (1.0 - closure).abs());
+        let floor = if noise_rms > 0.0 { noise_rms } else { rms_after }.max(f64::MIN_POSITIVE);
+        let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
+        Some(HeldOut {
+            runs: self.input.runs.iter().map(|run| run.name.clone()).collect(),
+            rms_before,
+            rms_after,
+            noise_rms,
+            chi2_before: floors(rms_before),
+            chi2_after: floors(rms_after),
+            closure,
+            closure_ci90: [closure - width, (closure + width).min(1.0)],
+            closure_rms: closure,
+            damage_ratio_before: None,
+            damage_ratio_after: None,
+        })
+    }
+
+    /// The law's number in the unit of its argument.
+    fn parameters(&self) -> Vec<Parameter> {
+        let (unit, rate) = self.unit();
+        let named = self.free.forward.numbers();
+        let parameter = |(name, value, of_rate): (&str, f64, bool)| Parameter {
+            name: name.into(),
+            value,
+            se: None,
+            unit: if of_rate { rate.clone() } else { unit.clone() },
+        };
+        named.into_iter().map(parameter).collect()
+    }
+
+    /// Units of the law's displacement and of its rate.
+    fn unit(&self) -> (String, String) {
+        use crate::engine::Quantity::{Acceleration, Velocity};
+        let channel = match self.ranked.standing.place {
+            Place::Drive(d) => &self.input.drives[d],
+            Place::Response(r) | Place::Output(r) | Place::Between(r, _) => &self.input.responses[r],
+        };
+        let unit = &channel.unit;
+        match channel.quantity {
+            Acceleration => (format!("{unit}*s^2"), format!("{unit}*s")),
+            Velocity => (format!("{unit}*s"), unit.clone()),
+            _ => (unit.clone(), format!("{unit}/s")),
+        }
+    }
+
+    /// How strong the law is in terms of a drive, and its curve.
+    fn strength(&self, drives: &[Vec<f64>]) -> (Option<Strength>, Option<Shape>) {
+        let standing = self.ranked.standing;
+        let Some(force) = self.free.forward.as_drive(standing.response, drives) else { return (None, None) };
+        let drive = &self.input.drives[force.drive];
+        let strength = Strength {
+            rms: rms(&force.samples),
+            peak: force.samples.iter().fold(0.0_f64, |m, f| m.max(f.abs())),
+            unit: drive.unit.clone(),
+            as_drive: drive.name.clone(),
+        };
+        let gains: Vec<f64> = standing.gains.iter().flatten().copied().filter(|g| g.is_finite()).collect();
+        let (least, most) =
+            gains.iter().fold((1.0_f64, 1.0_f64), |(low, high), g| (low.min(*g), high.max(*g)));
+        let (unit, rate) = self.unit();
+        let shape = self.free.forward.curve(&force, CURVE).map(|(over_rate, x, curve)| {
+            let (a, b): (Vec<f64>, Vec<f64>) = curve.iter().map(|f| (f * least, f * most)).unzip();
+            let (at, between) = words::place(self.input, standing.place);
+            Shape {
+                argument: at.or(between.map(|[a, b]| format!("{a} - {b}"))).unwrap_or_default(),
+                unit: if over_rate { rate } else { unit },
+                low: a.iter().zip(&b).map(|(a, b)| a.min(*b)).collect(),
+                high: a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect(),
+                x,
+                force: curve,
+            }
+        });
+        (Some(strength), shape)
+    }
+
+    /// What is left in each group by the law fitted to the others.
+    fn transfer(&self) -> Vec<TransferRow> {
+        let r = self.ranked.standing.response;
+        let named = |record: usize| {
+            let runs = self.input.runs.iter();
+            // In situ the baseline follows.
+            let again = |b: &&Run| self.input.runs.iter().all(|run| run.name != b.name);
+            runs.chain(self.input.baseline.iter().filter(again)).nth(record).map(|run| run.name.clone())
+        };
+        let linear = &self.screening.linear.errors[r];
+        let of_group = |g: usize| {
+            let stretches = self.grouping.stretches.iter().filter(|s| s.group == g);
+            let (mut runs, mut samples) = (Vec::new(), Vec::new());
+            let (mut drive, mut count) = (0.0, 0);
+            for s in stretches {
+                let record = &self.recording.records[s.record];
+                let y = &record.response.channel(r)[s.samples.clone()];
+                let centre = mean(y);
+                samples.extend(y.iter().map(|y| y - centre));
+                for u in record.drive.channels() {
+                    let u = &u[s.samples.clone()];
+                    let centre = mean(u);
+                    drive += u.iter().map(|u| (u - centre).powi(2)).sum::<f64>();
+                }
+                count += s.samples.len();
+                runs.extend(named(s.record));
+            }
+            runs.dedup();
+            let level = rms(&samples);
+            TransferRow {
+                group: format!("drive RMS {:.3e}", f64::sqrt(drive / f64::from(count.max(1) as u32))),
+                runs,
+                rms_before: level * linear[g],
+                rms_after: level * self.free.errors[r][g],
+                fitted_on_others: true,
+                parameters_alone: self.ranked.standing.gains.get(g).copied().flatten().into_iter().collect(),
+            }
+        };
+        (0..linear.len().min(self.grouping.groups)).map(of_group).collect()
+    }
+}
+
+fn level(run: &Run) -> f64 {
+    run.drive.channels().iter().map(|d| rms(d)).sum()
+}
+
+/// What a prediction leaves of a run's response about its mean, after the first sixth.
+fn errors(run: &Run, r: usize, made: &[f64]) -> Vec<f64> {
+    let from = made.len() / 6;
+    let left: Vec<f64> =
+        run.response.channel(r)[from..].iter().zip(&made[from..]).map(|(y, m)| y - m).collect();
+    let centre = mean(&left);
+    left.iter().map(|l| l - centre).collect()
+}

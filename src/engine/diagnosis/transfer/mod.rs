@@ -1,0 +1,80 @@
+//! A diagnosis without given repeats: what anything predicts on runs that it has not seen is not noise.
+//!
+//! The noise is found in repeats that the runs hold anyway, or bounded from above by what the best predictor leaves of
+//! groups that it was not fitted to. The laws that the screen puts first run freely; the verdict follows from what they
+//! leave elsewhere than where they were fitted, and is `undecided` where nothing is left to carry a law to, or where
+//! nothing carries over.
+
+mod added;
+mod decide;
+mod evidence;
+mod hypotheses;
+mod next;
+mod recording;
+mod words;
+
+pub(super) use added::Added;
+pub(super) use words::sentence;
+
+use super::augmented::Augmented;
+use super::effect::Effect;
+use super::input::Input;
+use super::overview::Overview;
+use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
+use super::screen::{group, screen};
+use crate::engine::EngineError;
+use crate::engine::progress::{Watch, report};
+
+/// What follows from transfer between runs.
+pub(super) struct Found {
+    pub verdict: Verdict,
+    pub gap: Gap,
+    pub noise: NoiseSource,
+    pub hypotheses: Vec<(Hypothesis, Augmented)>,
+    pub next: Option<NextExperiment>,
+    /// Share of the gap that a linear part fitted to these runs closes.
+    pub linear_closure: f64,
+    pub warnings: Vec<String>,
+}
+
+/// Screens the runs, lets the foremost laws run freely and decides.
+///
+/// # Errors
+/// Too few samples to hold any of them out; [`EngineError::Cancelled`].
+pub(super) fn by_transfer(
+    input: &Input,
+    overview: &Overview,
+    watch: Watch<'_>,
+) -> Result<Found, EngineError> {
+    report(watch, "laws by transfer", 0.2)?;
+    let recording = recording::of(input);
+    let grouping = group(&recording, &input.repeats);
+    let mut screening = screen(&recording, &grouping)?;
+    screening.standings.retain(|standing| input.catalogue.contains(&standing.effect));
+    report(watch, "decision", 0.7)?;
+    let noise = recording::noise(&recording, &grouping);
+    let ranked = decide::ranked(&screening);
+    let listed = hypotheses::all(input, overview, &recording, &screening, &ranked, &noise);
+    let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed);
+    let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
+    report(watch, "next experiment", 0.9)?;
+    let next = next::experiment(input, &recording, &screening, &ranked, &listed, &verdict);
+    let mut warnings = Vec::new();
+    if screening.transfer == super::screen::Transfer::OneDrive {
+        warnings.push("one_drive".to_owned());
+    }
+    Ok(Found {
+        verdict,
+        gap: evidence.gap(),
+        noise: if noise.is_some() { NoiseSource::FoundRepeats } else { NoiseSource::Bounded },
+        linear_closure: evidence.linear_closure(),
+        next,
+        hypotheses: listed.into_iter().map(|l| (l.hypothesis, l.augmented)).collect(),
+        warnings,
+    })
+}
+
+/// Whether an effect is one of the linear part.
+fn linear(effect: Effect) -> bool {
+    effect.tier() <= super::effect::Tier::Linear
+}

@@ -1,0 +1,57 @@
+//! The runs of a request as the screen reads them, and the noise that their repeats tell.
+
+use crate::engine::diagnosis::input::{Input, Mode, Run};
+use crate::engine::diagnosis::linear::mean;
+use crate::engine::diagnosis::screen::{Channel, Grouping, Record, Recording};
+
+/// The runs to explain; in situ also the baseline, which the rig drove with the effect in it.
+pub(super) fn of(input: &Input) -> Recording {
+    let channel =
+        |c: &crate::engine::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
+    let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
+    let baseline = input.baseline.iter().filter(|run| input.mode == Mode::InSitu && !again(run));
+    let record = |run: &Run| Record {
+        drive: run.drive.clone(),
+        response: run.response.clone(),
+        started_s: run.started_s,
+    };
+    Recording {
+        drives: input.drives.iter().map(channel).collect(),
+        responses: input.responses.iter().map(channel).collect(),
+        records: input.runs.iter().chain(baseline).map(record).collect(),
+    }
+}
+
+/// RMS of the noise of each response as its repeats tell it: half of the mean square by which they differ, what a
+/// difference of their drives does included. `None` without repeats.
+pub(super) fn noise(recording: &Recording, grouping: &Grouping) -> Option<Vec<f64>> {
+    let responses = recording.responses.len();
+    let mut sums = vec![(0.0, 0.0); responses];
+    let mut add = |a: &[f64], b: &[f64], r: usize| {
+        let difference: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+        let centre = mean(&difference);
+        sums[r].0 += 0.5 * difference.iter().map(|d| (d - centre) * (d - centre)).sum::<f64>();
+        sums[r].1 += difference.len() as f64;
+    };
+    for (record, period) in grouping.periods.iter().enumerate() {
+        let Some(period) = *period else { continue };
+        for r in 0..responses {
+            let y = recording.records[record].response.channel(r);
+            // The rig settles in the first periods.
+            let settled = (y.len() / 8).div_ceil(period).max(1) * period;
+            if settled + 2 * period <= y.len() {
+                add(&y[settled..y.len() - period], &y[settled + period..], r);
+            }
+        }
+    }
+    for same in &grouping.repeats {
+        for pair in same.windows(2) {
+            for r in 0..responses {
+                let [a, b] = [pair[0], pair[1]].map(|run| recording.records[run].response.channel(r));
+                let n = a.len().min(b.len());
+                add(&a[n / 6..n], &b[n / 6..n], r);
+            }
+        }
+    }
+    sums.iter().all(|s| s.1 > 0.0).then(|| sums.iter().map(|(sum, n)| (sum / n).sqrt()).collect())
+}

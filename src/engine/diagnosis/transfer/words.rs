@@ -1,0 +1,124 @@
+//! Sentences of a verdict.
+
+use super::decide::Ranked;
+use super::evidence::Evidence;
+use crate::engine::diagnosis::effect::Effect;
+use crate::engine::diagnosis::input::Input;
+use crate::engine::diagnosis::report::{Hypothesis, Verdict, VerdictKind};
+use crate::engine::diagnosis::screen::{Place, Standing};
+
+/// Where a law acts, as the report has it: at a channel, or between two.
+pub(super) fn place(input: &Input, place: Place) -> (Option<String>, Option<[String; 2]>) {
+    let response = |r: usize| input.responses[r].name.clone();
+    match place {
+        Place::Drive(d) => (Some(input.drives[d].name.clone()), None),
+        Place::Response(r) | Place::Output(r) => (Some(response(r)), None),
+        Place::Between(a, b) => {
+            let (a, b) = if a < b { (a, b) } else { (b, a) };
+            (None, Some([response(a), response(b)]))
+        }
+    }
+}
+
+/// The axis of a law: its place's.
+pub(super) fn axis(input: &Input, standing: &Standing) -> Option<String> {
+    match standing.place {
+        Place::Drive(d) => input.drives[d].axis.clone(),
+        Place::Response(r) | Place::Output(r) => input.responses[r].axis.clone(),
+        Place::Between(a, b) => {
+            let (a, b) = (&input.responses[a].axis, &input.responses[b].axis);
+            if a == b { a.clone() } else { None }
+        }
+    }
+}
+
+/// How large the gap is.
+pub(super) fn size(input: &Input, evidence: &Evidence) -> String {
+    let r = evidence.worst();
+    let noise = if evidence.repeats() {
+        format!("noise of {:.2} % by repeats that the runs hold", 100.0 * evidence.noise(r))
+    } else {
+        format!("noise of at most {:.2} %, by what the best predictor leaves", 100.0 * evidence.noise(r))
+    };
+    format!(
+        "the model leaves {:.2} % of {}: {:.2} to {:.2} % of it systematic, {noise}",
+        100.0 * evidence.whole(r),
+        input.responses[r].name,
+        100.0 * evidence.at_least(r),
+        100.0 * evidence.at_most(r),
+    )
+}
+
+fn named_place((at, between): (Option<String>, Option<[String; 2]>)) -> String {
+    match (at, between) {
+        (Some(at), _) => format!("at {at}"),
+        (None, Some([a, b])) => format!("between {a} and {b}"),
+        (None, None) => String::new(),
+    }
+}
+
+/// What a law leaves.
+pub(super) fn left(input: &Input, ranked: &Ranked<'_>) -> String {
+    let standing = ranked.standing;
+    let free = match &standing.free {
+        Some(free) => format!("{:.0} % when simulated forward", 100.0 * free.ratio),
+        None => "not simulated forward".into(),
+    };
+    format!(
+        "{} {} leaves {:.0} % of the linear part's error on runs that it was not fitted to ({free})",
+        standing.effect.name(),
+        named_place(place(input, standing.place)),
+        100.0 * standing.ratio
+    )
+}
+
+/// An effect's name as it is spoken.
+fn words(effect: Effect) -> String {
+    effect.name().replace('_', " ")
+}
+
+/// The verdict in an engineer's words.
+pub(in crate::engine::diagnosis) fn sentence(verdict: &Verdict, first: Option<&Hypothesis>) -> String {
+    let place = named_place((verdict.at.clone(), verdict.between.clone()));
+    let strength = first.and_then(|h| h.strength.as_ref());
+    let strength = strength
+        .map_or(String::new(), |s| format!(", about {} {} in terms of {}", short(s.rms), s.unit, s.as_drive));
+    let explains = first.map_or(String::new(), |h| {
+        let closed = 100.0 * h.held_out.closure_rms.clamp(0.0, 1.0);
+        format!("; it explains {closed:.0} % of the gap on runs not used before")
+    });
+    let effect = |v: &Verdict| v.effect.map_or_else(|| "an effect".into(), words);
+    let text = match verdict.kind {
+        VerdictKind::Identified => format!("{} {place}{strength}{explains}.", effect(verdict)),
+        VerdictKind::Partial => format!("In part {} {place}{strength}{explains}.", effect(verdict)),
+        VerdictKind::FamilyOnly | VerdictKind::NotDistinguishable => {
+            let all: Vec<String> = verdict.equivalence_set.iter().map(|e| words(*e)).collect();
+            format!("One of these {place}, which the runs do not tell apart: {}{explains}.", all.join(", "))
+        }
+        VerdictKind::Undecided => {
+            "The runs do not tell whether what the model leaves has a cause or is noise; the next experiment would."
+                .into()
+        }
+        VerdictKind::NoneOfCatalogue => "No effect of the catalogue: the model itself errs on these runs.".into(),
+        VerdictKind::NoMaterialGap => "The model follows the rig within the material gap.".into(),
+        VerdictKind::NoiseOrUnmeasuredDisturbance => "Noise, or a disturbance that no drive explains.".into(),
+    };
+    let text = text
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
+        .replace(" ,", ",")
+        .replace(" ;", ";")
+        .replace(" .", ".");
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// Three digits.
+fn short(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return "0".into();
+    }
+    let digits = (2 - x.abs().log10().floor() as i32).max(0) as usize;
+    format!("{x:.digits$}")
+}
