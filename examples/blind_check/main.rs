@@ -86,6 +86,9 @@ struct Cases {
     /// Fit an FRF to the baseline runs instead of importing the sim that comes with a case.
     #[arg(long)]
     fit_sims: bool,
+    /// Ask by default requests: one run of each drive, and the FRF that the service fits to these.
+    #[arg(long)]
+    plain: bool,
     /// Log of the final runs.
     #[arg(long, default_value = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/blind_check/final_runs.jsonl"))]
     log: PathBuf,
@@ -175,6 +178,7 @@ fn diagnose(cases: &Cases, dir: &Path) -> Result<(), AnyError> {
         token: cases.token.clone(),
         in_flight: cases.in_flight,
         fit_sims: cases.fit_sims,
+        plain: cases.plain,
     })?;
     took(dir, "diagnose_s", began)
 }

@@ -239,6 +239,7 @@ async fn diagnose(client: &Client, data: &Path, case: &Case) -> Result<(Value, V
             let mut left = [0.0; 2];
             for (left, version) in left.iter_mut().zip([model, adopted]) {
                 let made = session.predict_file(version, rate_hz, drive.clone()).await?;
+                let made = npy::read(&made)?.channels;
                 *left = rms(&responses[0], &made[0]);
             }
             unseen.push(Unseen { name, frf: left[0], adopted: left[1] });

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use rigcast::engine::diagnosis::screen::{Channel, Record, Recording, Screening, group, screen};
+use rigcast::engine::progress::unwatched;
 use rigcast::engine::{Quantity, Signal};
 use rigcast::formats::{csv, npy};
 use serde_json::Value;
@@ -150,7 +151,7 @@ fn case(folder: &Path) -> Result<Recording, AnyError> {
 /// Screens a recording and prints a line.
 fn print(name: &str, recording: &Recording) -> Option<Screening> {
     let began = Instant::now();
-    let found = match screen(recording, &group(recording, &[])) {
+    let found = match screen(recording, &group(recording, &[]), &unwatched) {
         Ok(found) => found,
         Err(e) => {
             println!("{name}: {e}");

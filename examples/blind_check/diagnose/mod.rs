@@ -28,6 +28,8 @@ pub struct How {
     pub in_flight: usize,
     /// Fit an FRF to the baseline runs instead of importing the sim.
     pub fit_sims: bool,
+    /// Ask by default requests: of each drive one run, and the FRF that the service fits to these.
+    pub plain: bool,
 }
 
 /// Writes `reports/<id>.json` for every case that has none yet.
@@ -115,6 +117,9 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
         let runs = about["runs"].as_array().into_iter().flatten();
         runs.filter(|r| r["baseline"] == baseline).filter_map(|r| r["name"].as_str()).collect()
     };
+    if how.plain {
+        return asked_plainly(&session, about).await;
+    }
     let model = match about["sim"].as_str() {
         Some(file) if !how.fit_sims => session.import(fs::read(folder.join(file))?).await?,
         _ => session.fit(&json!({"kind": "frf"}), &names(true)).await?,
@@ -147,6 +152,27 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
         }
     }
     Ok(answer)
+}
+
+/// A default request: a model that the service fits to the runs, and the runs, of each drive one.
+async fn asked_plainly(session: &Session<'_>, about: &Value) -> Result<Value, AnyError> {
+    let groups = about["repeats"].as_array();
+    let again = |name: &str| {
+        let later = |group: &Value| group.as_array().is_some_and(|g| g.iter().skip(1).any(|n| n == name));
+        groups.is_some_and(|groups| groups.iter().any(later))
+    };
+    let runs: Vec<&str> = about["runs"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|run| run["baseline"] == false)
+        .filter_map(|run| run["name"].as_str())
+        .filter(|name| !again(name))
+        .collect();
+    let model = session.fit(&json!({"kind": "frf"}), &runs).await?;
+    let request = json!({"model": model, "runs": session.ids(&runs)?});
+    let (_, report) = session.diagnose(&request).await?;
+    Ok(json!({"report": report}))
 }
 
 /// The predictions of the sim, and of the sim with the blamed effect adopted, for fresh drives.

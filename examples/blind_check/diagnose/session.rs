@@ -63,15 +63,15 @@ impl<'a> Session<'a> {
         Ok(model["version"].as_u64().ok_or(ClientError::Missing("version"))?)
     }
 
-    /// What a version makes of a drive file, `[response][sample]`.
+    /// What a version makes of an NPY file of drives, as such a file.
     pub async fn predict_file(
         &self,
         version: u64,
         rate_hz: f64,
         drive: Vec<u8>,
-    ) -> Result<Vec<Vec<f64>>, AnyError> {
+    ) -> Result<Vec<u8>, AnyError> {
         let answer = self.client.predict_npy(&self.rig, &version.to_string(), rate_hz, drive).await?;
-        Ok(rigcast::formats::npy::read(&answer.npy)?.channels)
+        Ok(answer.npy)
     }
 
     /// The path of a diagnosis and its report.

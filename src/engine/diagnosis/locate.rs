@@ -14,6 +14,8 @@ use super::report::{BandShare, RangeShare, SegmentChi2};
 
 /// Ranges of amplitude and of velocity.
 const RANGES: usize = 5;
+/// Level of what is not there, dB.
+const LOWEST_DB: f64 = -120.0;
 /// Bands per response, even in the logarithm of frequency.
 const BANDS: usize = 8;
 
@@ -124,7 +126,8 @@ pub(super) fn bands(
         }
     }
     let total: f64 = systematic.iter().map(|s| s.max(0.0)).sum();
-    let db = |power: f64, of: f64| 10.0 * (power.max(1e-12 * of) / of.max(f64::MIN_POSITIVE)).log10();
+    // A band without spectral lines, or without a response, has neither gap nor noise.
+    let db = |power: f64, of: f64| if of > 0.0 { 10.0 * (power / of).max(1e-12).log10() } else { LOWEST_DB };
     (0..BANDS)
         .map(|k| {
             let width = edges[k + 1] - edges[k];

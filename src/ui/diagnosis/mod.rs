@@ -10,6 +10,7 @@ mod remaining;
 mod sentence;
 #[cfg(test)]
 mod tests;
+mod transfer;
 
 use maud::{Markup, html};
 
@@ -58,6 +59,7 @@ pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
         (header(of, report))
         (location::section(report, views))
         (candidates::section(report))
+        (transfer::section(report, unit_of(report, views)))
         (closure::section(report, views))
         (force::section(report, views))
         (remaining::remaining(report))
@@ -66,6 +68,12 @@ pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
         (remaining::method(of, report, views))
     };
     document(&title, include_str!("style.css"), &main)
+}
+
+/// Unit of the response that the best hypothesis helps most.
+fn unit_of<'a>(report: &Report, views: &'a Views) -> &'a str {
+    let channel = report.hypotheses.first().map(|h| h.channel.as_str());
+    views.spectra.iter().find(|s| Some(s.channel.as_str()) == channel).map_or("", |s| s.unit.as_str())
 }
 
 fn header(of: &Heading, report: &Report) -> Markup {

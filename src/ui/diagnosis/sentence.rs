@@ -52,7 +52,7 @@ pub fn verdict(report: &Report) -> String {
             }
         }
         (VerdictKind::Undecided, _) => format!(
-            "{sure}, these runs do not tell: the model leaves {} of the response, and nothing predicts enough of that on runs that it has not seen. It may be noise, or a cause that the next experiment would show.",
+            "{sure}, these runs do not tell: the model leaves {} of the response, and nothing predicts enough of that on runs that it has not seen; it may be noise, or a cause that the next experiment would show.",
             percent(report.gap.systematic_at_most)
         ),
         _ => none(report, &sure),

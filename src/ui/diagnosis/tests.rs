@@ -2,7 +2,7 @@
 
 use super::{Heading, Simulation, page, sentence};
 use crate::engine::diagnosis::tests::rig::{few, hardening, none, request};
-use crate::engine::diagnosis::{Diagnosis, Effect, Family, Input, VerdictKind, diagnose};
+use crate::engine::diagnosis::{Diagnosis, Effect, Family, Input, Mode, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
 fn heading() -> Heading {
@@ -82,6 +82,19 @@ fn a_rig_like_its_model_gets_a_short_page_that_says_so() {
 }
 
 #[test]
+fn a_page_of_runs_without_repeats_shows_what_the_law_leaves_of_each_group() {
+    let plain = request(hardening, 0.01);
+    let runs = plain.runs[..2].to_vec();
+    let input = Input { baseline: runs.clone(), runs, repeats: Vec::new(), mode: Mode::InSitu, ..plain };
+    let found = diagnose(&input, &unwatched).unwrap();
+    let html = page(&heading(), &found.report, &found.views);
+    tags(&html);
+    assert!(html.contains("<h2 id=\"transfer\"") && html.contains("In terms of drive_x"), "{html}");
+    assert!(html.contains("What the best law, or a linear part alone, predicts"));
+    assert!(!html.contains("NaN"));
+}
+
+#[test]
 fn every_kind_of_verdict_has_a_sentence_of_its_own() {
     let found = hostile();
     let mut seen = std::collections::BTreeSet::new();
@@ -93,6 +106,7 @@ fn every_kind_of_verdict_has_a_sentence_of_its_own() {
         (VerdictKind::FamilyOnly, None),
         (VerdictKind::NotDistinguishable, None),
         (VerdictKind::NoneOfCatalogue, None),
+        (VerdictKind::Undecided, None),
         (VerdictKind::NoiseOrUnmeasuredDisturbance, Some(Effect::PeriodicDisturbance)),
         (VerdictKind::NoiseOrUnmeasuredDisturbance, Some(Effect::RaisedNoise)),
         (VerdictKind::NoMaterialGap, None),

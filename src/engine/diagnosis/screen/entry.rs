@@ -6,7 +6,6 @@ use std::ops::Range;
 use super::correlate::Filter;
 use super::forward::Kernel;
 use super::judge::Base;
-use super::modes::Poles;
 use super::place::Place;
 use super::track::{Segment, Track, delayed};
 
@@ -29,8 +28,6 @@ pub(super) struct Entry {
     /// From lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
     causal: Vec<Vec<Filter>>,
     delayed: Vec<Vec<Filter>>,
-    /// The modes of the linear part, if it has any.
-    poles: Option<Poles>,
     /// Drives by what they contribute, most first.
     order: Vec<usize>,
     /// The linear part's prediction.
@@ -39,9 +36,13 @@ pub(super) struct Entry {
 
 impl Entry {
     pub fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
-        let lead = base.setting().lags.lead;
         let longest = drives[0].iter().map(Vec::len).max().unwrap_or(1);
-        let impulses: Vec<Vec<f64>> = (0..drives.len()).map(|d| base.impulse(response, d, longest)).collect();
+        let impulses = (0..drives.len()).map(|d| base.impulse(response, d, longest)).collect();
+        Self::of(impulses, base.setting().lags.lead, drives)
+    }
+
+    /// By impulse responses of the drives, from the lag `-lead` on.
+    pub fn of(impulses: Vec<Vec<f64>>, lead: usize, drives: &[Track]) -> Self {
         let filters = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<Vec<Filter>> {
             let one = |(d, h): (&Track, &Vec<f64>)| {
                 let impulse = of(h);
@@ -75,8 +76,7 @@ impl Entry {
             })
             .collect();
         let (causal, delayed) = (filters(&|h| h[lead..].to_vec()), filters(&|h| late(&h[lead..])));
-        let poles = base.setting().poles.clone();
-        Self { lead, impulses, whole, causal, delayed, poles, order, output }
+        Self { lead, impulses, whole, causal, delayed, order, output }
     }
 
     /// What the columns of `signals` signals at a place do together, with these coefficients: of each signal the
@@ -118,40 +118,6 @@ impl Entry {
             kernels.push(kernel);
         }
         kernels
-    }
-
-    /// Columns of signals that enter every mode by a factor of its own, and at once unless they are a response's own.
-    pub fn modal_columns(&self, own: bool, signals: &[Track], segments: &[Segment]) -> Vec<Vec<Vec<f64>>> {
-        let mut tracks: Vec<Track> = Vec::new();
-        for signal in signals {
-            tracks.extend(self.poles.iter().flat_map(|poles| poles.filter(signal)));
-            if !own {
-                tracks.push(signal.clone());
-            }
-        }
-        let of = |segment: &Segment| tracks.iter().map(|t| delayed(&t[segment.record], segment, 0)).collect();
-        segments.iter().map(of).collect()
-    }
-
-    /// Number of such columns.
-    pub fn modal_width(&self, own: bool, signals: usize) -> usize {
-        signals * (self.poles.as_ref().map_or(0, Poles::states) + usize::from(!own))
-    }
-
-    /// What such columns do together; impulse responses of at most `most` samples.
-    pub fn modal_kernels(&self, own: bool, signals: usize, coefficients: &[f64], most: usize) -> Vec<Kernel> {
-        let width = self.modal_width(own, 1).max(1);
-        let kernel = |of_signal: &[f64]| {
-            let mut kernel = Kernel::default();
-            if let Some(poles) = &self.poles {
-                kernel.add(&poles.impulse(of_signal, poles.memory(most)), 0, 1.0);
-            }
-            if !own {
-                kernel.add(&[1.0], 0, of_signal[width - 1]);
-            }
-            kernel
-        };
-        coefficients.chunks(width).take(signals).map(kernel).collect()
     }
 
     /// Number of columns of so many signals at a place.

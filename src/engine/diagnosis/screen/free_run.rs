@@ -9,18 +9,15 @@ use serde::{Deserialize, Serialize};
 use super::entry::Entry;
 use super::forward::{Course, Forward, Kernel, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
-use super::modes::Poles;
 use super::place::{Argument, Place};
 use super::report::Standing;
 use super::run::{Bench, geometric_mean};
 use super::track::{Segment, Track, delayed};
 
 /// Rounds of simulation and fit.
-const ROUNDS: usize = 6;
+const ROUNDS: usize = 8;
 /// Relative gain of a round below which the next is not run.
 const STILL: f64 = 1e-3;
-/// Rows for each coefficient of a law that enters every mode by a factor of its own.
-const ROWS: usize = 40;
 /// Shares of the law that are tried where the whole runs away.
 const SHARES: [f64; 4] = [1.0, 0.7, 0.4, 0.1];
 
@@ -45,6 +42,15 @@ struct Part {
     signals: std::ops::Range<usize>,
 }
 
+/// The best round so far.
+struct Round {
+    error: f64,
+    forward: Forward,
+    signals: Vec<Track>,
+    /// Those of the linear part beside the law; `None`: those of the linear part alone.
+    entries: Option<Vec<Entry>>,
+}
+
 /// One candidate on its linear part with the arguments among the outputs.
 struct Fit<'a, 'd> {
     bench: &'a Bench<'d>,
@@ -57,8 +63,6 @@ struct Fit<'a, 'd> {
     measured: Vec<&'a Track>,
     bare: Forward,
     most: usize,
-    /// Whether signals of responses enter every mode by a factor of its own, instead of as a drive does.
-    modal: bool,
 }
 
 impl Bench<'_> {
@@ -123,10 +127,7 @@ impl Bench<'_> {
             responses: self.entries.len(),
             outputs: Vec::new(),
         };
-        let rows: usize = desk.segments.iter().map(|s| s.rows.len()).sum();
-        let states = self.base.setting().poles.as_ref().map_or(0, Poles::states);
-        let modal = !fed.is_empty() && states > 0 && ROWS * states * (count + fed.len()) <= rows;
-        let mut fit = Fit {
+        let fit = Fit {
             bench: self,
             base,
             entries,
@@ -135,14 +136,8 @@ impl Bench<'_> {
             measured: desk.responses.iter().chain(&extra).collect(),
             bare,
             most: desk.lengths().into_iter().max().unwrap_or(1),
-            modal: false,
         };
-        let signals: Vec<Track> = self.signals(law, argument, other).into_iter().chain(unbent).collect();
-        let as_drive = fit.found(signals.clone());
-        fit.modal = modal;
-        let by_mode = if modal { fit.found(signals) } else { None };
-        let both = as_drive.into_iter().chain(by_mode);
-        both.min_by(|a, b| a.ratio.total_cmp(&b.ratio))
+        fit.found(self.signals(law, argument, other).into_iter().chain(unbent).collect())
     }
 }
 
@@ -152,32 +147,38 @@ fn mean(track: &Track) -> f64 {
 }
 
 impl Fit<'_, '_> {
-    /// Fits and simulates in turn, from the signals of the measured arguments on.
+    /// Fits and simulates in turn, from the signals of the measured arguments on. A law that is strong has disturbed
+    /// the linear part: with each round its signals enter through that which was fitted beside them.
     fn found(&self, mut signals: Vec<Track>) -> Option<FreeRun> {
         let records: Vec<usize> = (0..self.bench.desk.recording.records.len()).collect();
-        let mut best: Option<(f64, Forward, Vec<Track>)> = None;
+        let mut best: Option<Round> = None;
+        let mut own: Option<Vec<Entry>> = None;
         for _ in 0..ROUNDS {
-            let blocks = self.blocks(&signals);
-            let (forward, runs) = self.run(&blocks, &signals, None, &records)?;
+            let entries = own.as_deref().unwrap_or(self.entries);
+            let blocks = self.blocks(entries, &signals);
+            let Some((forward, runs)) = self.run(entries, &blocks, &signals, None, &records) else { break };
             let error = self.error(&runs);
-            let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.0);
+            let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.error);
+            let feeds_back = forward.feeds_back();
             let next: Vec<Track> = (0..forward.signals())
                 .map(|i| runs.iter().map(|run| run.signals[i].clone()).collect())
                 .collect();
+            let through = self.through(&forward);
             if error < so_far {
-                best = Some((error, forward.clone(), signals));
+                best = Some(Round { error, forward, signals, entries: own });
             }
-            if !forward.feeds_back() || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
+            if !feeds_back || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
                 break;
             }
-            signals = next;
+            (signals, own) = (next, Some(through));
         }
-        let (_, forward, signals) = best?;
-        let blocks = self.blocks(&signals);
+        let Round { forward, signals, entries, .. } = best?;
+        let entries = entries.as_deref().unwrap_or(self.entries);
+        let blocks = self.blocks(entries, &signals);
         let groups = self.base.n_groups();
         let errors: Vec<Vec<f64>> = {
             let of_groups: Vec<Vec<f64>> =
-                (0..groups).map(|g| self.held_out(&blocks, &signals, g)).collect::<Option<_>>()?;
+                (0..groups).map(|g| self.held_out(entries, &blocks, &signals, g)).collect::<Option<_>>()?;
             (0..forward.responses).map(|r| of_groups.iter().map(|errors| errors[r]).collect()).collect()
         };
         let ratios = |r: usize| -> Vec<f64> {
@@ -187,34 +188,39 @@ impl Fit<'_, '_> {
         let all: Vec<Vec<f64>> = (0..forward.responses).map(ratios).collect();
         let best = all.iter().min_by(|a, b| geometric_mean(a).total_cmp(&geometric_mean(b)))?;
         let (ratio, worst) = (geometric_mean(best), best.iter().copied().fold(0.0, f64::max));
-        Some(FreeRun { ratio, worst, errors, forward: forward.trimmed() })
+        Some(FreeRun { ratio, worst, errors, forward })
+    }
+
+    /// The ways into every output through the linear part of a forward model.
+    fn through(&self, forward: &Forward) -> Vec<Entry> {
+        let lead = self.base.setting().lags.lead;
+        let of = |output: &Output| {
+            // Taps that were left out are zeros; the lead is kept.
+            let impulse = |kernel: &Kernel| {
+                let mut taps = kernel.taps.clone();
+                taps.resize(taps.len().max(lead + 2), 0.0);
+                taps
+            };
+            Entry::of(output.linear.iter().map(impulse).collect(), lead, &self.bench.desk.drives)
+        };
+        forward.outputs.iter().map(of).collect()
     }
 
     /// Columns of the signals at every output.
-    fn blocks(&self, signals: &[Track]) -> Vec<Block> {
+    fn blocks(&self, entries: &[Entry], signals: &[Track]) -> Vec<Block> {
         (0..self.measured.len())
             .map(|output| {
                 let of = |part: &Part| {
                     let own = self.own(part.place, output);
                     let tracks = &signals[part.signals.clone()];
                     let segments = &self.bench.desk.segments;
-                    let entry = &self.entries[output];
-                    let columns = if self.by_mode(part) {
-                        entry.modal_columns(own, tracks, segments)
-                    } else {
-                        entry.columns(part.place, own, part.load, tracks, segments)
-                    };
+                    let columns = entries[output].columns(part.place, own, part.load, tracks, segments);
                     self.base.block(columns, output)
                 };
                 let first = of(&self.parts[0]);
                 self.parts[1..].iter().fold(first, |all, part| all.beside(&of(part), self.base.segments))
             })
             .collect()
-    }
-
-    /// Whether a part enters every mode by a factor of its own.
-    fn by_mode(&self, part: &Part) -> bool {
-        self.modal && matches!(part.place, Place::Response(_) | Place::Between(..))
     }
 
     /// Whether a place is an output itself.
@@ -224,7 +230,7 @@ impl Fit<'_, '_> {
     }
 
     /// The forward model of coefficients fitted to all groups but one.
-    fn forward(&self, blocks: &[Block], held_out: Option<usize>, share: f64) -> Forward {
+    fn forward(&self, entries: &[Entry], blocks: &[Block], held_out: Option<usize>, share: f64) -> Forward {
         let lead = self.base.setting().lags.lead as isize;
         let outputs = (0..blocks.len()).map(|output| {
             let Coefficients { impulses, columns } =
@@ -233,20 +239,11 @@ impl Fit<'_, '_> {
             let mut kernels = Vec::new();
             for part in &self.parts {
                 let own = self.own(part.place, output);
-                let entry = &self.entries[output];
+                let entry = &entries[output];
                 let count = part.signals.len();
-                let by_mode = self.by_mode(part);
-                let width = if by_mode {
-                    entry.modal_width(own, count)
-                } else {
-                    entry.width(part.place, part.load, count)
-                };
+                let width = entry.width(part.place, part.load, count);
                 let scaled: Vec<f64> = columns[at..at + width].iter().map(|c| share * c).collect();
-                kernels.extend(if by_mode {
-                    entry.modal_kernels(own, count, &scaled, self.most)
-                } else {
-                    entry.kernels(part.place, own, part.load, count, &scaled)
-                });
+                kernels.extend(entry.kernels(part.place, own, part.load, count, &scaled));
                 at += width;
             }
             let held = |h: &Vec<f64>| Kernel::new(-lead, h);
@@ -259,7 +256,7 @@ impl Fit<'_, '_> {
                 kernels,
             }
         });
-        Forward { outputs: outputs.collect(), ..self.bare.clone() }
+        Forward { outputs: outputs.collect(), ..self.bare.clone() }.trimmed()
     }
 
     fn course(&self, record: usize) -> Course<'_> {
@@ -276,13 +273,14 @@ impl Fit<'_, '_> {
     /// where the whole runs away.
     fn run(
         &self,
+        entries: &[Entry],
         blocks: &[Block],
         signals: &[Track],
         held_out: Option<usize>,
         records: &[usize],
     ) -> Option<(Forward, Vec<Run>)> {
         SHARES.iter().find_map(|share| {
-            let mut forward = self.forward(blocks, held_out, *share);
+            let mut forward = self.forward(entries, blocks, held_out, *share);
             self.level(&mut forward, signals, held_out);
             let runs: Option<Vec<Run>> = records.iter().map(|&r| forward.run(&self.course(r))).collect();
             runs.map(|runs| (forward, runs))
@@ -341,11 +339,17 @@ impl Fit<'_, '_> {
     }
 
     /// Error of each response in a group that the coefficients were not fitted to.
-    fn held_out(&self, blocks: &[Block], signals: &[Track], group: usize) -> Option<Vec<f64>> {
+    fn held_out(
+        &self,
+        entries: &[Entry],
+        blocks: &[Block],
+        signals: &[Track],
+        group: usize,
+    ) -> Option<Vec<f64>> {
         let segments: Vec<&Segment> = self.bench.desk.segments.iter().filter(|s| s.group == group).collect();
         let mut records: Vec<usize> = segments.iter().map(|s| s.record).collect();
         records.dedup();
-        let (forward, runs) = self.run(blocks, signals, Some(group), &records)?;
+        let (forward, runs) = self.run(entries, blocks, signals, Some(group), &records)?;
         let run = |record: usize| records.iter().position(|r| *r == record).map(|at| &runs[at]);
         Some((0..forward.responses).map(|r| self.left(r, &segments, run).sqrt()).collect())
     }

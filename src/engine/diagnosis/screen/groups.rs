@@ -98,6 +98,8 @@ pub fn group(recording: &Recording, given: &[Vec<usize>]) -> Grouping {
     let classes = classes(&pieces);
     let n_classes = classes.iter().max().map_or(0, |last| last + 1);
     let transfer = match (n_classes, drives) {
+        // However its parts differ, each comes again and again.
+        (_, 1) if periods.iter().all(Option::is_some) => Transfer::OneDrive,
         (3.., _) => Transfer::Classes,
         (2, _) => Transfer::TwoClasses,
         (_, 3..) => Transfer::Runs,

@@ -1,5 +1,7 @@
 //! The screen from records to standings.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::candidates;
@@ -17,6 +19,7 @@ use super::place::{Argument, Place, argument, arguments};
 use super::report::{LinearPart, Screening, Standing};
 use super::track::Track;
 use crate::engine::diagnosis::Family;
+use crate::engine::progress::{Watch, report, within};
 use crate::engine::{EngineError, Quantity};
 
 /// Fewest samples in all: with fewer no linear part can be told from a law.
@@ -26,6 +29,10 @@ const FEWEST: usize = 300;
 const BEHIND: f64 = 2.0;
 const NOTHING: f64 = 0.97;
 const CONFIRMED: usize = 6;
+/// Stages, and the share of the first.
+const STAGE: &str = "laws by transfer";
+const FREE_STAGE: &str = "free runs";
+const SCREENED: f64 = 0.6;
 /// Factors by which the numbers of laws are moved between the grid's.
 const FINER: [f64; 3] = [1.18, 1.09, 1.04];
 
@@ -33,8 +40,12 @@ const FINER: [f64; 3] = [1.18, 1.09, 1.04];
 ///
 /// # Errors
 /// Signals that do not belong together, too few samples, drives that do not move, a grouping of other records or
-/// of fewer than two groups, a linear part that is singular.
-pub fn screen(recording: &Recording, grouping: &Grouping) -> Result<Screening, EngineError> {
+/// of fewer than two groups, a linear part that is singular; [`EngineError::Cancelled`].
+pub fn screen(
+    recording: &Recording,
+    grouping: &Grouping,
+    watch: Watch<'_>,
+) -> Result<Screening, EngineError> {
     recording.check(FEWEST)?;
     if let Some(other) = grouping.stretches.iter().find(|s| s.record >= recording.records.len()) {
         return Err(EngineError::Setting {
@@ -57,16 +68,23 @@ pub fn screen(recording: &Recording, grouping: &Grouping) -> Result<Screening, E
         entries: &ways.entries,
         linear: &ways.linear,
     });
-    let screened = benches.map(|bench| (bench.screening(grouping, &arguments), bench));
     // The linear part is the one beside which some law leaves least.
     let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
-    let best = screened.min_by(|a, b| left(&a.0).total_cmp(&left(&b.0)));
+    let mut best: Option<(Screening, Bench<'_>)> = None;
+    for (at, bench) in benches.enumerate() {
+        let progress =
+            SCREENED * at as f64 / bases.len() as f64..SCREENED * (at + 1) as f64 / bases.len() as f64;
+        let screening = bench.screening(grouping, &arguments, watch, &progress)?;
+        if best.as_ref().is_none_or(|b| left(&screening) < left(&b.0)) {
+            best = Some((screening, bench));
+        }
+    }
     let (mut screening, bench) = best.ok_or(EngineError::NonFiniteResult {
         what: "linear part of the screen",
         channel: 0,
         sample: 0,
     })?;
-    bench.run_free(&arguments, &mut screening.standings);
+    bench.run_free(&arguments, &mut screening.standings, watch)?;
     Ok(screening)
 }
 
@@ -103,9 +121,18 @@ struct AtResponse {
 
 impl Bench<'_> {
     /// All laws at all places beside this linear part.
-    fn screening(&self, grouping: &Grouping, arguments: &[Argument]) -> Screening {
-        let mut standings: Vec<Standing> =
-            (0..arguments.len()).flat_map(|at| self.over(arguments, at)).collect();
+    fn screening(
+        &self,
+        grouping: &Grouping,
+        arguments: &[Argument],
+        watch: Watch<'_>,
+        progress: &Range<f64>,
+    ) -> Result<Screening, EngineError> {
+        let mut standings: Vec<Standing> = Vec::new();
+        for at in 0..arguments.len() {
+            report(watch, STAGE, within(at as f64 / arguments.len() as f64, progress))?;
+            standings.extend(self.over(arguments, at));
+        }
         for response in 0..self.entries.len() {
             standings.extend(self.over_output(response));
         }
@@ -115,7 +142,7 @@ impl Bench<'_> {
         let setting = self.base.setting();
         let rate = self.desk.rate_hz();
         let longest = self.desk.lengths().into_iter().max().unwrap_or(1);
-        Screening {
+        Ok(Screening {
             transfer: grouping.transfer,
             groups: self.base.n_groups(),
             linear: LinearPart {
@@ -127,11 +154,16 @@ impl Bench<'_> {
                 errors: self.linear.iter().map(|l| l.errors.clone()).collect(),
             },
             standings,
-        }
+        })
     }
 
     /// Runs the foremost of each family freely, as far as they may be the right one.
-    fn run_free(&self, arguments: &[Argument], standings: &mut [Standing]) {
+    fn run_free(
+        &self,
+        arguments: &[Argument],
+        standings: &mut [Standing],
+        watch: Watch<'_>,
+    ) -> Result<(), EngineError> {
         let best = standings.first().map_or(1.0, |s| s.ratio);
         let mut families: Vec<Family> = Vec::new();
         let mut foremost: Vec<usize> = Vec::new();
@@ -142,11 +174,17 @@ impl Bench<'_> {
             }
         }
         foremost.truncate(CONFIRMED);
-        let found: Vec<(usize, Option<FreeRun>)> =
-            foremost.into_par_iter().map(|at| (at, self.free_run(arguments, &standings[at]))).collect();
+        let found: Vec<(usize, Option<FreeRun>)> = foremost
+            .into_par_iter()
+            .map(|at| {
+                report(watch, FREE_STAGE, SCREENED)?;
+                Ok((at, self.free_run(arguments, &standings[at])))
+            })
+            .collect::<Result<_, EngineError>>()?;
         for (at, free) in found {
             standings[at].free = free;
         }
+        report(watch, FREE_STAGE, 1.0)
     }
 
     /// Standings of all laws over one argument, at all responses.

@@ -30,17 +30,19 @@ const LEFT: f64 = 0.1;
 /// The foremost law of a family with its share of the probability that any law is there.
 pub(super) struct Ranked<'a> {
     pub standing: &'a Standing,
-    /// What it leaves of the linear part's error, measured and simulated arguments alike.
+    /// What it leaves of the linear part's error.
     pub left: f64,
     pub share: f64,
 }
 
 /// Families by what they leave.
 pub(super) fn ranked(screening: &Screening) -> Vec<Ranked<'_>> {
+    // What runs away when it is simulated forward is no cause.
+    let law = |standing: &&Standing| !super::linear(standing.effect) && standing.free.is_some();
     let mut all: Vec<Ranked<'_>> = screening
         .foremost()
         .into_iter()
-        .filter(|standing| !super::linear(standing.effect))
+        .filter(law)
         .map(|standing| Ranked { standing, left: left(standing), share: 0.0 })
         .collect();
     all.sort_by(|a, b| a.left.total_cmp(&b.left));
@@ -50,9 +52,10 @@ pub(super) fn ranked(screening: &Screening) -> Vec<Ranked<'_>> {
     all
 }
 
-/// What a law leaves; one whose free run runs away, or was not tried, has shown half of it.
+/// What a law leaves: the geometric mean of regression and free run. The regression ranks laws that the free run, with
+/// its steps in time, makes poorly (dry friction); the free run takes away what a measured argument gives away.
 fn left(standing: &Standing) -> f64 {
-    standing.free.as_ref().map_or_else(|| standing.ratio.sqrt(), |free| free.ratio.max(standing.ratio))
+    standing.free.as_ref().map_or(1.0, |free| (free.ratio * standing.ratio).sqrt())
 }
 
 /// Probability that a law is there at all.
@@ -147,7 +150,7 @@ fn named(
     let standing = best.standing;
     let (at, between) = words::place(input, standing.place);
     let free = standing.free.as_ref();
-    let everywhere = free.is_some_and(|f| f.worst * f.worst < LEFT) && standing.worst * standing.worst < LEFT;
+    let everywhere = free.is_some_and(|f| f.worst * f.worst < LEFT);
     let clear = best.share >= NAMED;
     let kind = match (clear, everywhere) {
         (false, _) => VerdictKind::NotDistinguishable,
@@ -165,7 +168,7 @@ fn named(
     if clear && !everywhere {
         because.push(format!(
             "it leaves {:.0} % of the linear part's error where it does worst: a part of the answer",
-            100.0 * free.map_or(standing.worst, |f| f.worst.max(standing.worst))
+            100.0 * free.map_or(standing.worst, |f| f.worst)
         ));
     }
     let p = if clear { there * best.share } else { there };

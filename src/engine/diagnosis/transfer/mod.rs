@@ -23,7 +23,7 @@ use super::overview::Overview;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
 use super::screen::{group, screen};
 use crate::engine::EngineError;
-use crate::engine::progress::{Watch, report};
+use crate::engine::progress::{Progress, Watch, report};
 
 /// What follows from transfer between runs.
 pub(super) struct Found {
@@ -46,12 +46,12 @@ pub(super) fn by_transfer(
     overview: &Overview,
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
-    report(watch, "laws by transfer", 0.2)?;
     let recording = recording::of(input);
     let grouping = group(&recording, &input.repeats);
-    let mut screening = screen(&recording, &grouping)?;
+    let screened = |p: Progress<'_>| watch(p.within(&(0.15..0.8)));
+    let mut screening = screen(&recording, &grouping, &screened)?;
     screening.standings.retain(|standing| input.catalogue.contains(&standing.effect));
-    report(watch, "decision", 0.7)?;
+    report(watch, "decision", 0.8)?;
     let noise = recording::noise(&recording, &grouping);
     let ranked = decide::ranked(&screening);
     let listed = hypotheses::all(input, overview, &recording, &screening, &ranked, &noise);

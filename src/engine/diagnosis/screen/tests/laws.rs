@@ -1,12 +1,13 @@
 use super::systems::{RATE_HZ, noise, oscillator, recording, run};
 use crate::engine::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
 use crate::engine::diagnosis::{Effect, Family};
+use crate::engine::progress::unwatched;
 use crate::engine::{EngineError, Quantity, Signal};
 
 const N: usize = 2400;
 
 fn screened(recording: &Recording) -> Screening {
-    screen(recording, &group(recording, &[])).unwrap()
+    screen(recording, &group(recording, &[]), &unwatched).unwrap()
 }
 
 /// The first standing, which has to lead the next family clearly.
@@ -153,13 +154,13 @@ fn the_number_of_threads_changes_no_bit() {
 #[test]
 fn records_that_tell_nothing_are_refused_with_the_reason() {
     let short = run(120, 1.0, |_, _| 0.0);
-    assert!(matches!(screen(&short, &group(&short, &[])), Err(EngineError::TooShort { .. })));
+    assert!(matches!(screen(&short, &group(&short, &[]), &unwatched), Err(EngineError::TooShort { .. })));
     let mut still = run(900, 1.0, |_, _| 0.0);
     still.records[0].drive = Signal::new(RATE_HZ, vec![vec![1.0; 900]]).unwrap();
-    assert!(matches!(screen(&still, &group(&still, &[])), Err(EngineError::DeadChannel { .. })));
+    assert!(matches!(screen(&still, &group(&still, &[]), &unwatched), Err(EngineError::DeadChannel { .. })));
     let mut odd = run(900, 1.0, |_, _| 0.0);
     odd.responses.pop();
-    assert!(matches!(screen(&odd, &group(&odd, &[])), Err(EngineError::ChannelCount { .. })));
+    assert!(matches!(screen(&odd, &group(&odd, &[]), &unwatched), Err(EngineError::ChannelCount { .. })));
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::engine::diagnosis::screen::{Channel, Place, Record, Recording, Screening, group, screen};
 use crate::engine::diagnosis::{Effect, Family};
+use crate::engine::progress::unwatched;
 use crate::engine::{Quantity, Signal};
 use crate::formats::{csv, npy};
 
@@ -37,7 +38,7 @@ fn one(folder: &Path, file: &str, rate_hz: f64, samples: usize) -> Screening {
     let mut run = csv::read(&std::fs::read(folder.join(file)).unwrap()).unwrap().channels;
     run.iter_mut().for_each(|c| c.truncate(samples));
     let recording = recording(rate_hz, vec![run], &[Quantity::Other; 2]);
-    screen(&recording, &group(&recording, &[])).unwrap()
+    screen(&recording, &group(&recording, &[]), &unwatched).unwrap()
 }
 
 #[test]
@@ -72,7 +73,7 @@ fn the_bolted_joint_of_an_aircraft_is_found_between_the_sensors_at_either_side_o
     let recording = recording(400.0, levels.map(run).to_vec(), &quantities);
     let grouping = group(&recording, &[]);
     assert_eq!(grouping.periods, [Some(8192); 3]);
-    let screening = screen(&recording, &grouping).unwrap();
+    let screening = screen(&recording, &grouping, &unwatched).unwrap();
     let foremost = screening.foremost();
     // Clearance and friction of the joint are both documented; at one tenth they are a tie.
     let at = |family| foremost.iter().find(|s| s.family == family).unwrap();

@@ -1,0 +1,135 @@
+//! Requests without repeats, as most users send them: the model's own runs, in situ.
+
+use super::rig::{Force, friction, noise_drive, none, request, respond, run};
+use crate::engine::diagnosis::{
+    Augmented, Effect, Family, Input, Mode, NoiseSource, Report, VerdictKind, diagnose,
+};
+use crate::engine::progress::unwatched;
+use crate::engine::{EngineError, Signal};
+
+/// A spring that stiffens by a few percent over most of its stroke, written with a hyperbolic sine.
+fn stiffening(x: f64, _: f64) -> f64 {
+    150.0 * ((1.2 * x).sinh() - 1.2 * x)
+}
+
+/// Four drives at two levels, which the model was fitted to as well.
+fn unrepeated(force: Force, noise: f64) -> Input {
+    let runs = vec![
+        run("a", noise_drive(16.0, 1.0, 1), force, noise, 11),
+        run("b", noise_drive(16.0, 0.6, 2), force, noise, 12),
+        run("c", noise_drive(16.0, 1.0, 3), force, noise, 13),
+        run("d", noise_drive(16.0, 0.6, 4), force, noise, 14),
+    ];
+    Input {
+        baseline: runs.clone(),
+        runs,
+        repeats: Vec::new(),
+        mode: Mode::InSitu,
+        sim_is_linear: true,
+        ..request(force, noise)
+    }
+}
+
+fn report(input: &Input) -> Report {
+    diagnose(input, &unwatched).unwrap().report
+}
+
+#[test]
+fn a_hardening_spring_is_named_and_what_it_predicts_bounds_the_noise() {
+    let found = diagnose(&unrepeated(stiffening, 0.003), &unwatched).unwrap();
+    let (report, verdict) = (&found.report, &found.report.verdict);
+    let of_spring = |e: &Effect| e.family() == Family::Stiffness;
+    assert!(verdict.kind.blames() && of_spring(&verdict.equivalence_set[0]), "{verdict:?}");
+    assert_eq!(verdict.at.as_deref(), Some("disp_x"));
+    assert!(verdict.in_words.contains("at disp_x"), "{}", verdict.in_words);
+    assert_eq!(report.noise_floor_source, NoiseSource::Bounded);
+    assert!(report.gap.systematic_at_least > 0.03, "{:?}", report.gap);
+    assert!(report.gap.systematic_at_least <= report.gap.systematic_at_most);
+    let first = &report.hypotheses[0];
+    assert!(first.held_out.closure > 0.3, "{:?}", first.held_out);
+    assert!(first.transfer.len() > 1 && first.transfer.iter().all(|row| row.rms_after < row.rms_before));
+    assert_eq!(first.strength.as_ref().map(|s| s.as_drive.as_str()), Some("drive_x"));
+    let shape = first.shape.as_ref().expect("a spring is a curve");
+    // Against the motion, and more so the further it goes.
+    let last = shape.x.len() - 1;
+    assert!(shape.force[last] < 0.0 && shape.force[0] > 0.0, "{shape:?}");
+    assert!((0..shape.x.len()).all(|k| shape.low[k] <= shape.high[k]));
+}
+
+#[test]
+fn the_sim_with_the_law_predicts_a_run_that_nobody_saw_and_survives_storage() {
+    let found = diagnose(&unrepeated(stiffening, 0.003), &unwatched).unwrap();
+    let stored = serde_json::to_value(&found.augmented[0]).unwrap();
+    let loaded: Augmented = serde_json::from_value(stored.clone()).unwrap();
+    assert_eq!(loaded, found.augmented[0]);
+    assert!(loaded.check(1, 1, super::rig::RATE).is_ok());
+    assert!(matches!(loaded.check(2, 1, super::rig::RATE), Err(EngineError::Weights(_))));
+    assert!(matches!(loaded.check(1, 1, 100.0), Err(EngineError::Weights(_))));
+    let mut broken = stored;
+    broken["added"]["forward"]["outputs"][0]["offset"] = serde_json::json!(1e300);
+    let broken: Augmented = serde_json::from_value(broken).unwrap();
+    assert!(matches!(broken.check(1, 1, super::rig::RATE), Err(EngineError::Weights(_))));
+
+    let drive = noise_drive(12.0, 0.8, 77);
+    let truth = respond(&drive, stiffening);
+    let linear = respond(&drive, none);
+    let input = Signal::new(super::rig::RATE, vec![drive]).unwrap();
+    let sim = Signal::new(super::rig::RATE, vec![linear]).unwrap();
+    let made = loaded.apply(&input, &sim, None).unwrap();
+    let error = |y: &[f64]| {
+        let (left, all): (f64, f64) = truth[1000..]
+            .iter()
+            .zip(&y[1000..])
+            .fold((0.0, 0.0), |(left, all), (t, y)| (left + (t - y).powi(2), all + t * t));
+        (left / all).sqrt()
+    };
+    let (with, without) = (error(made.channel(0)), error(sim.channel(0)));
+    assert!(with < 0.5 * without, "{with} {without}");
+    let short = Signal::new(super::rig::RATE, vec![vec![0.0; 10]]).unwrap();
+    assert!(matches!(loaded.apply(&input, &short, None), Err(EngineError::UnequalLength { .. })));
+}
+
+#[test]
+fn friction_is_a_family_of_its_own() {
+    let verdict = report(&unrepeated(friction, 0.003)).verdict;
+    let of_friction = |e: &Effect| e.family() == Family::FrictionHysteresis;
+    assert!(verdict.kind.blames() && verdict.equivalence_set.iter().any(of_friction), "{verdict:?}");
+}
+
+#[test]
+fn a_linear_rig_is_blamed_for_nothing_and_reassured_only_where_all_that_is_left_is_small() {
+    let quiet = report(&unrepeated(none, 0.001)).verdict;
+    assert_eq!(quiet.kind, VerdictKind::NoMaterialGap, "{quiet:?}");
+    let loud = report(&unrepeated(none, 0.05));
+    assert_eq!(loud.verdict.kind, VerdictKind::Undecided, "{:?}", loud.verdict);
+    let next = loud.next_experiment.expect("a run that would settle it").drive;
+    assert_eq!(next.kind, "same_drive_again");
+}
+
+#[test]
+fn a_gap_whose_drives_are_all_one_is_undecided() {
+    let mut input = unrepeated(stiffening, 0.003);
+    let drive = noise_drive(4.0, 1.0, 1).repeat(6);
+    input.runs = vec![run("a", drive, stiffening, 0.01, 21)];
+    input.baseline = input.runs.clone();
+    let found = report(&input);
+    assert_eq!(found.verdict.kind, VerdictKind::Undecided, "{:?}", found.verdict);
+    assert_eq!(found.noise_floor_source, NoiseSource::FoundRepeats);
+    assert!(found.gap.systematic_at_least > 10.0 * found.gap.noise_rms_rel, "{:?}", found.gap);
+    assert!(found.warnings.contains(&"one_drive".to_owned()));
+    let next = found.next_experiment.expect("another realisation").drive;
+    assert_eq!((next.kind.as_str(), next.level_rel), ("noise", 1.0));
+}
+
+#[test]
+fn a_model_that_errs_on_a_linear_rig_is_no_effect() {
+    let mut input = unrepeated(none, 0.001);
+    input.sim_is_linear = false;
+    for run in &mut input.runs {
+        let wrong = run.response.channel(0).iter().map(|y| 0.8 * y).collect();
+        run.simulated = Some(Signal::new(super::rig::RATE, vec![wrong]).unwrap());
+    }
+    let verdict = report(&input).verdict;
+    assert_eq!(verdict.kind, VerdictKind::NoneOfCatalogue, "{verdict:?}");
+    assert!(verdict.because.iter().any(|b| b.contains("the model errs")), "{verdict:?}");
+}
