@@ -202,6 +202,25 @@ fn the_blind_check_makes_cases_apart_from_the_service_and_diagnoses_them_without
 }
 
 #[test]
+fn the_population_of_the_decision_and_the_blind_check_share_no_rigs() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let own: &[&str] = &["drives", "law", "logit", "rig", "AnyError", "engine"];
+    for (program, other) in [("fit_decision", "blind_check"), ("blind_check", "fit_decision")] {
+        for path in sources(&root.join(program)) {
+            let code = code(&path);
+            // The documentation of the one may name the other; no path of code may.
+            assert!(!code.contains(other), "{} names {other}", path.display());
+            if program == "fit_decision" {
+                let found = named(&code);
+                let stranger = found.iter().find(|name| !own.contains(&name.as_str()));
+                assert_eq!(stranger, None, "{}", path.display());
+                assert!(!code.contains("#[path") && !code.contains("include!"), "{}", path.display());
+            }
+        }
+    }
+}
+
+#[test]
 fn the_reader_of_imports_sees_lists_and_paths() {
     let code = "use crate::{engine::{Signal, x}, storage::Store};\nlet a = crate::jobs::fit::check;";
     let found: Vec<String> = named(code).into_iter().collect();

@@ -117,7 +117,7 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
         let runs = about["runs"].as_array().into_iter().flatten();
         runs.filter(|r| r["baseline"] == baseline).filter_map(|r| r["name"].as_str()).collect()
     };
-    if how.plain {
+    if how.plain || !about["asked"].is_null() {
         return asked_plainly(&session, about).await;
     }
     let model = match about["sim"].as_str() {
@@ -154,7 +154,8 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
     Ok(answer)
 }
 
-/// A default request: a model that the service fits to the runs, and the runs, of each drive one.
+/// A default request: a model that the service fits to the runs, and the runs: those that the case asks about, or of
+/// each drive one.
 async fn asked_plainly(session: &Session<'_>, about: &Value) -> Result<Value, AnyError> {
     let groups = about["repeats"].as_array();
     let again = |name: &str| {
@@ -167,7 +168,10 @@ async fn asked_plainly(session: &Session<'_>, about: &Value) -> Result<Value, An
         .flatten()
         .filter(|run| run["baseline"] == false)
         .filter_map(|run| run["name"].as_str())
-        .filter(|name| !again(name))
+        .filter(|name| match about["asked"].as_array() {
+            Some(asked) => asked.iter().any(|a| a == name),
+            None => !again(name),
+        })
         .collect();
     let model = session.fit(&json!({"kind": "frf"}), &runs).await?;
     let request = json!({"model": model, "runs": session.ids(&runs)?});

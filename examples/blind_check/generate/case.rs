@@ -39,6 +39,8 @@ pub struct Record {
 /// A case with its truth.
 pub struct Case {
     pub suite: Suite,
+    /// Its number in the suite.
+    pub index: usize,
     pub axes: usize,
     rig: Rig,
     pub named: Vec<Named>,
@@ -116,7 +118,8 @@ impl Case {
         let mut gap = 0.0;
         if !kinds.iter().all(|flaw| flaw.of_recording()) {
             let (low, long) = (first(&low, SHORT_S), first(&long, SHORT_S));
-            let measure = GapMeasure::new(suite, &rig, &low, &long);
+            let fitted = if suite == Suite::NoRepeats { &long } else { &low };
+            let measure = GapMeasure::new(suite, &rig, fitted, &long);
             // Of two effects neither is more than four times the other.
             let parts: Vec<f64> = match placed.len() {
                 1 => vec![wanted],
@@ -137,12 +140,17 @@ impl Case {
                 return None;
             }
         }
-        Some(Self { suite, axes, rig, named, placed, noise, gap, high_hz, low, long, half, rng })
+        Some(Self { suite, index, axes, rig, named, placed, noise, gap, high_hz, low, long, half, rng })
+    }
+
+    /// Whether the sim is fitted on the rig with the flaw.
+    pub fn with_the_flaw(&self) -> bool {
+        matches!(self.suite, Suite::InSitu | Suite::NoRepeats)
     }
 
     /// The baseline run: with the flaw only where the sim was fitted on the rig that has it.
     pub fn baseline(&mut self) -> Record {
-        let flaws = if self.suite == Suite::InSitu { self.placed.clone() } else { Vec::new() };
+        let flaws = if self.with_the_flaw() { self.placed.clone() } else { Vec::new() };
         let drives = self.low.clone();
         let responses = self.respond(&drives, &flaws, [0.0, 0.0]);
         self.record(drives, responses, &flaws, 0.0)
@@ -174,7 +182,7 @@ impl Case {
     /// run; and the mean of each response beside it.
     pub fn sim(&self) -> (Rig, Vec<f64>) {
         let n_responses = if self.axes == 1 { 1 } else { 2 * self.axes };
-        if self.suite != Suite::InSitu {
+        if !self.with_the_flaw() {
             return (self.rig.clone(), vec![0.0; n_responses]);
         }
         let drives = first(&self.low, SHORT_S);
@@ -270,7 +278,8 @@ struct GapMeasure<'a> {
 impl<'a> GapMeasure<'a> {
     fn new(suite: Suite, rig: &'a Rig, low: &'a [Vec<f64>], long: &'a [Vec<f64>]) -> Self {
         let span = Span { drives: long, time: times(3), steps: COARSE };
-        let moves = (suite == Suite::InSitu).then(|| [low, long].map(|drives| Moves::new(rig, drives)));
+        let fitted = matches!(suite, Suite::InSitu | Suite::NoRepeats);
+        let moves = fitted.then(|| [low, long].map(|drives| Moves::new(rig, drives)));
         Self { rig, low, long, linear: rig.respond(span, &[]), moves }
     }
 

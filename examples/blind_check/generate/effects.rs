@@ -155,6 +155,16 @@ pub fn in_situ(rng: &mut impl Rng) -> Vec<Named> {
     catalogue(rng).into_iter().filter(|n| !absorbed(n)).collect()
 }
 
+/// Effects that no linear part absorbs, in the catalogue's equations and in others, and now and then none.
+pub fn without_repeats(rng: &mut impl Rng) -> Vec<Named> {
+    // A constant has no gap beside a linear part, a drift of it none beside means.
+    let lost = |n: &Named| matches!(n.effect, "offset_drift");
+    let mut list: Vec<Named> = in_situ(rng).into_iter().filter(|n| !lost(n)).collect();
+    list.extend(other_equation(rng));
+    list.extend([nothing(rng)[0]; 5]);
+    list
+}
+
 /// Effects that two at once are drawn from, no two of a pair from one family.
 pub fn for_pairs(rng: &mut impl Rng) -> Vec<Named> {
     let effects = [

@@ -92,6 +92,7 @@ pub fn write(case: &mut Case, id: &str, folder: &Path, truth: &Path) -> io::Resu
         "repeats": repeats.iter().map(run_names).collect::<Vec<_>>(),
         "sim": "sim.safetensors",
         "diagnosis": request(case, &channels),
+        "asked": case.suite.asked(case.index),
         "check": checks,
         "next_experiment": case.suite == Suite::NextExperiment,
         "alone": case.suite == Suite::Time,
@@ -106,7 +107,7 @@ fn request(case: &Case, channels: &[Value]) -> Value {
         Suite::Struck => struck(named.effect, named.family),
         _ => FAMILIES.iter().flat_map(|(_, effects)| *effects).copied().collect(),
     };
-    let mode = if case.suite == Suite::InSitu { "in_situ" } else { "external" };
+    let mode = if case.with_the_flaw() { "in_situ" } else { "external" };
     let mut request = json!({"mode": mode, "catalogue": catalogue, "material_gap": MATERIAL_GAP});
     if case.suite == Suite::NextExperiment {
         let limit = |(c, peak): (&Value, f64)| {

@@ -28,6 +28,8 @@ pub enum Suite {
     NextExperiment,
     /// 100 s of one response, and of three drives and six responses.
     Time,
+    /// No run made twice, no baseline, no model from before: the FRF that the service fits to the runs, and the runs.
+    NoRepeats,
 }
 
 /// Lengths of the runs of one case, s. `long` and `half` (at half the level) are each run twice.
@@ -44,7 +46,7 @@ const STRIDE: usize = 11;
 
 impl Suite {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Catalogue,
         Self::Nothing,
         Self::Outside,
@@ -55,6 +57,7 @@ impl Suite {
         Self::ThreeAxes,
         Self::NextExperiment,
         Self::Time,
+        Self::NoRepeats,
     ];
 
     /// As labels and the command line write it.
@@ -71,7 +74,7 @@ impl Suite {
     pub fn cases(self) -> usize {
         match self {
             Self::Catalogue | Self::Nothing | Self::NextExperiment => 200,
-            Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu => 60,
+            Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu | Self::NoRepeats => 60,
             Self::TwoEffects | Self::ThreeAxes => 40,
             Self::Time => 2,
         }
@@ -92,6 +95,15 @@ impl Suite {
         }
     }
 
+    /// The runs that are asked about, with nothing else; `None` of suites that say all that there is to say.
+    pub fn asked(self, index: usize) -> Option<&'static [&'static str]> {
+        match self {
+            Self::NoRepeats if index % 3 == 2 => Some(&["run-0"]),
+            Self::NoRepeats => Some(&["run-0", "run-1"]),
+            _ => None,
+        }
+    }
+
     /// Whether fresh runs are predicted with the effect adopted, to see what the intervals of closure hold.
     pub fn is_checked(self) -> bool {
         matches!(self, Self::Catalogue | Self::InSitu)
@@ -108,6 +120,7 @@ impl Suite {
             Self::TwoEffects => return pair(effects::for_pairs(rng), rng),
             Self::ThreeAxes => effects::three_axes(rng),
             Self::NextExperiment | Self::Time => effects::ambiguous(rng),
+            Self::NoRepeats => effects::without_repeats(rng),
         };
         vec![list[STRIDE * index % list.len()]]
     }

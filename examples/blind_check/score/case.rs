@@ -117,6 +117,21 @@ impl Case {
         self.is_blamed() && verdict["family"] != "disturbance" && verdict["effect"] != "quantisation"
     }
 
+    /// Whether there is an effect at all.
+    pub fn has_effect(&self) -> bool {
+        self.truth() != "nothing"
+    }
+
+    /// Whether the first hypothesis is of the true effect's family.
+    pub fn family_is_first(&self) -> bool {
+        self.hypotheses().first().is_some_and(|h| self.family_is_one_of(&h["family"]))
+    }
+
+    /// Probability of the verdict; 0 where there is none.
+    pub fn stated_probability(&self) -> f64 {
+        self.verdict()["probability"].as_f64().unwrap_or(0.0)
+    }
+
     /// Effects that the report cannot tell apart.
     pub fn set(&self) -> &[Value] {
         self.verdict()["equivalence_set"].as_array().map_or(&[], Vec::as_slice)
@@ -147,8 +162,11 @@ impl Case {
             }
             ("outside", kind) => kind == "none_of_catalogue",
             ("nothing", _) => self.is_right(),
-            ("other-equation", "not_distinguishable") => set_holds_family(),
-            ("other-equation", _) => self.family_is_right(),
+            ("no-repeats", "no_material_gap") => self.label["gap"].as_f64().is_some_and(|gap| gap < 0.04),
+            // To abstain is right where the first hypothesis is not.
+            ("no-repeats", "undecided" | "none_of_catalogue") => !self.family_is_first(),
+            ("other-equation" | "no-repeats", "not_distinguishable") => set_holds_family(),
+            ("other-equation" | "no-repeats", _) => self.family_is_right(),
             (_, "family_only") => self.family_is_right(),
             (_, "not_distinguishable") => self.truth_is_in_set(),
             _ => self.is_right(),

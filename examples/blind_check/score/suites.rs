@@ -4,6 +4,9 @@ use super::case::Case;
 use super::row::{Bar, Row};
 use super::statistics::{Share, median, quantile};
 
+/// The default `material_gap`.
+const MATERIAL: f64 = 0.02;
+
 /// Rows of the suites that have cases.
 pub fn rows(cases: &[Case]) -> Vec<Row> {
     let of = |suite: &str| -> Vec<&Case> { cases.iter().filter(|c| c.suite == suite).collect() };
@@ -41,7 +44,48 @@ pub fn rows(cases: &[Case]) -> Vec<Row> {
         let right = Share::count(cases, |c| c.is_right());
         vec![Row::share(suite, "effect and axis right", right, Bar::AtLeast(0.90))]
     });
+    add("no-repeats", no_repeats);
     rows
+}
+
+/// Default requests. The label's gap is what the best linear rig leaves of the loud run.
+fn no_repeats(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    let gap = |c: &Case| c.label["gap"].as_f64().unwrap_or(0.0);
+    let of = |least: f64, there: bool| -> Vec<&Case> {
+        let wanted = |c: &&&Case| gap(c) >= least && c.has_effect() == there;
+        cases.iter().filter(wanted).copied().collect()
+    };
+    let (clear, none) = (of(2.0 * MATERIAL, true), of(0.0, false));
+    let all: Vec<&Case> = cases.to_vec();
+    let wrong = |c: &Case| c.is_blamed() && !c.family_is_right();
+    vec![
+        Row::share(
+            suite,
+            "true family first",
+            Share::count(&clear, |c| c.family_is_first()),
+            Bar::AtLeast(0.85),
+        ),
+        Row::share(suite, "true family stated", Share::count(&clear, |c| c.family_is_right()), Bar::None),
+        Row::share(
+            suite,
+            "falsely reassured",
+            Share::count(&clear, |c| c.kind() == "no_material_gap"),
+            Bar::AtMost(0.01),
+        ),
+        Row::share(suite, "blamed wrongly", Share::count(&all, |c| wrong(c)), Bar::AtMost(0.03)),
+        Row::share(
+            suite,
+            "blamed where nothing is",
+            Share::count(&none, |c| c.is_blamed()),
+            Bar::AtMost(0.03),
+        ),
+        Row::share(
+            suite,
+            "stated with 0.9 or more and wrong",
+            Share::count(&all, |c| c.stated_probability() >= 0.9 && !c.verdict_is_true()),
+            Bar::AtMost(0.01),
+        ),
+    ]
 }
 
 fn catalogue(suite: &'static str, cases: &[&Case]) -> Vec<Row> {

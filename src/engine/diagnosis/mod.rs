@@ -69,4 +69,5 @@ pub use diagnose::{Diagnosis, diagnose};
 pub use effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};
 pub use report::*;
+pub use transfer::{Alternative, FEATURES, Weights, alternatives};
 pub use views::Views;

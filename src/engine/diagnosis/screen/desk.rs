@@ -162,6 +162,12 @@ impl<'a> Desk<'a> {
         bases
     }
 
+    /// A linear part of modes for other responses, beside the lead of one for these.
+    pub fn setting_of(&self, responses: &[Track], like: &Setting) -> Option<Setting> {
+        let found = with_modes(&self.drives, responses, &self.segments, like.lags.lead)?;
+        Some(found.setting)
+    }
+
     /// A linear part set alike, with further signals among the responses; `None` where it is singular to rounding.
     pub fn rebased(&self, setting: &Setting, further: &[Track]) -> Option<Base<'_>> {
         let responses: Vec<Track> = self.responses.iter().chain(further).cloned().collect();

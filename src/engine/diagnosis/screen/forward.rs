@@ -85,10 +85,10 @@ impl Kernel {
     /// Product with another over the lags that both have.
     fn along(&self, other: &Self) -> f64 {
         let from = self.from.max(other.from);
-        let part = |k: &Self| {
-            usize::try_from(from - k.from).ok().and_then(|at| k.taps.get(at..)).unwrap_or(&[]).to_vec()
-        };
-        self::product(&part(self), &part(other))
+        let part = |k: &'_ Self| usize::try_from(from - k.from).ok().filter(|at| *at <= k.taps.len());
+        let (Some(a), Some(b)) = (part(self), part(other)) else { return 0.0 };
+        let n = (self.taps.len() - a).min(other.taps.len() - b);
+        dot(&self.taps[a..a + n], &other.taps[b..b + n])
     }
 
     /// Taps of the past, the oldest first: from its last lag to lag 1.
@@ -97,10 +97,6 @@ impl Kernel {
         let last = self.from + self.taps.len() as isize;
         (1..last).rev().map(|lag| at(lag).unwrap_or(0.0)).collect()
     }
-}
-
-fn product(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Where an argument comes from.
@@ -377,13 +373,8 @@ impl Forward {
     /// The responses to drives at the recording's rate, `[drive][sample]`, at the programme's end; `None` where the
     /// free run diverges.
     pub fn simulate(&self, drives: &[Vec<f64>]) -> Option<Vec<Simulated>> {
-        let thinner = Thinner::new(self.step);
-        let thin: Vec<Vec<f64>> = drives.iter().map(|u| thinner.thin(u)).collect();
-        let course = Course {
-            whole: drives.iter().map(Vec::as_slice).collect(),
-            thin: thin.iter().map(Vec::as_slice).collect(),
-            clock: [1.0, 1.0],
-        };
+        let thin = self.thinned(drives);
+        let course = at_the_end(drives, &thin);
         let run = self.run(&course)?;
         let n = drives.first().map_or(0, Vec::len);
         let responses = run.outputs.into_iter().zip(&self.outputs).take(self.responses);
@@ -397,6 +388,12 @@ impl Forward {
                 })
             })
             .collect()
+    }
+
+    /// Drives at the rate of the analysis.
+    fn thinned(&self, drives: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let thinner = Thinner::new(self.step);
+        drives.iter().map(|u| thinner.thin(u)).collect()
     }
 
     /// A signal of the analysis at the recording's rate, `n` samples.
@@ -414,13 +411,8 @@ impl Forward {
     /// What the law does in terms of the drive that moves a response most: its signals, each by the gain with which
     /// it goes the drive's way. `None` where it diverges.
     pub fn as_drive(&self, response: usize, drives: &[Vec<f64>]) -> Option<AsDrive> {
-        let thinner = Thinner::new(self.step);
-        let thin: Vec<Vec<f64>> = drives.iter().map(|u| thinner.thin(u)).collect();
-        let course = Course {
-            whole: drives.iter().map(Vec::as_slice).collect(),
-            thin: thin.iter().map(Vec::as_slice).collect(),
-            clock: [1.0, 1.0],
-        };
+        let thin = self.thinned(drives);
+        let course = at_the_end(drives, &thin);
         let output = &self.outputs[response];
         let power = |h: &Kernel| dot(&h.taps, &h.taps);
         let drive = match self.place {
@@ -543,6 +535,15 @@ impl Forward {
         finite(&self.drive_mean)?;
         finite([&self.limits.low_hz, &self.limits.high_hz])?;
         finite(&self.law.values())
+    }
+}
+
+/// Drives at the programme's end, with the same at the rate of the analysis.
+fn at_the_end<'a>(drives: &'a [Vec<f64>], thin: &'a [Vec<f64>]) -> Course<'a> {
+    Course {
+        whole: drives.iter().map(Vec::as_slice).collect(),
+        thin: thin.iter().map(Vec::as_slice).collect(),
+        clock: [1.0, 1.0],
     }
 }
 

@@ -23,6 +23,7 @@ pub enum Place {
 }
 
 /// A place with its motion at the recording's own rate.
+#[derive(Clone)]
 pub(super) struct Argument {
     pub place: Place,
     pub quantity: Quantity,

@@ -1,5 +1,6 @@
 //! The screen from records to standings.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -221,6 +222,14 @@ impl Bench<'_> {
             .collect()
     }
 
+    /// The argument at a place; of an output it is made here.
+    pub(super) fn argument<'b>(&self, arguments: &'b [Argument], place: Place) -> Option<Cow<'b, Argument>> {
+        match place {
+            Place::Output(response) => self.output(response).map(Cow::Owned),
+            place => arguments.iter().find(|a| a.place == place).map(Cow::Borrowed),
+        }
+    }
+
     /// The linear part's prediction as an argument, at the rate of the analysis.
     pub(super) fn output(&self, response: usize) -> Option<Argument> {
         let moving = |d: &Vec<f64>| Motion {
@@ -380,14 +389,7 @@ impl Bench<'_> {
 
     /// The standing with its number moved, where that leaves less.
     fn refined(&self, arguments: &[Argument], standing: &Standing) -> Option<Standing> {
-        let own;
-        let argument = match standing.place {
-            Place::Output(response) => {
-                own = self.output(response)?;
-                &own
-            }
-            place => arguments.iter().find(|a| a.place == place)?,
-        };
+        let argument = &*self.argument(arguments, standing.place)?;
         let responses: Vec<usize> = match standing.place {
             Place::Output(response) => vec![response],
             _ => (0..self.entries.len()).collect(),
@@ -423,19 +425,11 @@ impl Bench<'_> {
                 continue;
             }
             seen.push(standing.family);
-            let own;
-            let argument = match standing.place {
-                Place::Output(response) => {
-                    own = self.output(response);
-                    own.as_ref()
-                }
-                place => arguments.iter().find(|a| a.place == place),
-            };
-            let Some(argument) = argument else { continue };
+            let Some(argument) = self.argument(arguments, standing.place) else { continue };
             let other = standing.other.and_then(|o| arguments.iter().find(|a| a.place == o));
-            let signals = self.signals(standing.law, argument, other);
+            let signals = self.signals(standing.law, &argument, other);
             let law = self.block(argument.place, standing.law.loaded(), &signals, standing.response);
-            let companion = self.block(argument.place, false, &[self.unbent(argument)], standing.response);
+            let companion = self.block(argument.place, false, &[self.unbent(&argument)], standing.response);
             let companion = match other {
                 Some(other) => {
                     let errors = HeldOut { errors: Vec::new() };
@@ -450,7 +444,7 @@ impl Bench<'_> {
     }
 }
 
-fn mean_square(errors: &[f64]) -> f64 {
+pub(super) fn mean_square(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64
 }
 

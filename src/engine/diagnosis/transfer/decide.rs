@@ -1,66 +1,44 @@
 //! From what laws leave elsewhere to a verdict.
 
+use super::alternatives::{Weights, alternatives};
 use super::evidence::Evidence;
 use super::hypotheses::Listed;
 use super::words;
 use crate::engine::diagnosis::effect::{Effect, Family};
 use crate::engine::diagnosis::input::Input;
 use crate::engine::diagnosis::report::{Verdict, VerdictKind};
-use crate::engine::diagnosis::screen::{Screening, Standing, Transfer};
+use crate::engine::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
 
-/// What a law leaves of the linear part's error at which it is as likely as not that any law is there: on linear rigs
-/// and on noise no law was seen to leave less than 0.81, true laws left 0.28 to 0.76.
-const EVEN: f64 = 0.79;
-/// How steeply that grows with the logarithm of what is left.
-const STEEP: f64 = 12.0;
-/// How much less likely a family is that leaves more than another: the exponent of what is left. A tenth more is half
-/// as likely.
-const RIVAL: f64 = 7.0;
-/// Nothing is stated surer.
+/// Nothing is stated surer: the rigs of the population are simulated.
 const SUREST: f64 = 0.97;
-/// Share of the families' probability from which on one of them is named.
+/// Share of the probability that any law is right from which on one is named alone.
 const NAMED: f64 = 0.6;
-/// Below this share a rival is none.
+/// Below this share of the foremost a rival is none.
 const NO_RIVAL: f64 = 0.12;
 /// Effects of one family whose errors differ by less are told apart by nothing.
 const ALIKE: f64 = 1.03;
 /// Share of the gap's power that an identified effect leaves at most in every group.
 const LEFT: f64 = 0.1;
 
-/// The foremost law of a family with its share of the probability that any law is there.
+/// The foremost law of a family with the probability that it is the right one.
 pub(super) struct Ranked<'a> {
     pub standing: &'a Standing,
-    /// What it leaves of the linear part's error.
-    pub left: f64,
-    pub share: f64,
+    pub free: &'a FreeRun,
+    pub probability: f64,
 }
 
-/// Families by what they leave.
+/// Families, the likeliest first.
 pub(super) fn ranked(screening: &Screening) -> Vec<Ranked<'_>> {
-    // What runs away when it is simulated forward is no cause.
-    let law = |standing: &&Standing| !super::linear(standing.effect) && standing.free.is_some();
-    let mut all: Vec<Ranked<'_>> = screening
-        .foremost()
+    let alternatives = alternatives(screening);
+    let features: Vec<_> = alternatives.iter().map(|a| a.features).collect();
+    let probabilities = Weights::fitted().probabilities(&features);
+    let mut all: Vec<Ranked<'_>> = alternatives
         .into_iter()
-        .filter(law)
-        .map(|standing| Ranked { standing, left: left(standing), share: 0.0 })
+        .zip(probabilities)
+        .map(|(a, probability)| Ranked { standing: a.standing, free: a.free, probability })
         .collect();
-    all.sort_by(|a, b| a.left.total_cmp(&b.left));
-    let weight = |r: &Ranked<'_>| r.left.max(1e-6).powf(-RIVAL);
-    let total: f64 = all.iter().map(weight).sum();
-    all.iter_mut().for_each(|r| r.share = weight(r) / total);
+    all.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     all
-}
-
-/// What a law leaves: the geometric mean of regression and free run. The regression ranks laws that the free run, with
-/// its steps in time, makes poorly (dry friction); the free run takes away what a measured argument gives away.
-fn left(standing: &Standing) -> f64 {
-    standing.free.as_ref().map_or(1.0, |free| (free.ratio * standing.ratio).sqrt())
-}
-
-/// Probability that a law is there at all.
-pub(super) fn any(left: f64) -> f64 {
-    1.0 / (1.0 + (left / EVEN).powf(STEEP))
 }
 
 /// The verdict.
@@ -123,7 +101,7 @@ fn named(
         return bare(VerdictKind::Undecided, 0.8, because);
     };
     because.extend(ranked.iter().take(3).map(|r| words::left(input, r)));
-    let there = any(best.left);
+    let there: f64 = ranked.iter().map(|r| r.probability).sum();
     // The sim with the law in it has to be better than the sim.
     let helps = listed.first().is_some_and(|l| l.hypothesis.remaining_share < 1.0);
     if there < 0.5 || !helps {
@@ -135,7 +113,8 @@ fn named(
         let p = if helps { 1.0 - there } else { 0.7 };
         return bare(VerdictKind::Undecided, p.min(0.9), because);
     }
-    let rivals: Vec<&Ranked<'_>> = ranked.iter().filter(|r| r.share > NO_RIVAL * best.share).collect();
+    let rivals: Vec<&Ranked<'_>> =
+        ranked.iter().filter(|r| r.probability > NO_RIVAL * best.probability).collect();
     let among = |family: Family| -> Vec<Effect> {
         let least =
             screening.standings.iter().filter(|s| s.family == family).map(|s| s.ratio).fold(1.0, f64::min);
@@ -149,9 +128,8 @@ fn named(
     };
     let standing = best.standing;
     let (at, between) = words::place(input, standing.place);
-    let free = standing.free.as_ref();
-    let everywhere = free.is_some_and(|f| f.worst * f.worst < LEFT);
-    let clear = best.share >= NAMED;
+    let everywhere = best.free.worst * best.free.worst < LEFT;
+    let clear = best.probability >= NAMED * there;
     let kind = match (clear, everywhere) {
         (false, _) => VerdictKind::NotDistinguishable,
         (true, true) => VerdictKind::Identified,
@@ -168,10 +146,10 @@ fn named(
     if clear && !everywhere {
         because.push(format!(
             "it leaves {:.0} % of the linear part's error where it does worst: a part of the answer",
-            100.0 * free.map_or(standing.worst, |f| f.worst)
+            100.0 * best.free.worst
         ));
     }
-    let p = if clear { there * best.share } else { there };
+    let p = if clear { best.probability } else { there };
     Verdict {
         effect: clear.then_some(standing.effect),
         family: clear.then_some(standing.family),

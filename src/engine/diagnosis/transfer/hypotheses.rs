@@ -13,7 +13,7 @@ use crate::engine::diagnosis::overview::Overview;
 use crate::engine::diagnosis::report::{
     ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };
-use crate::engine::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening, group};
+use crate::engine::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening};
 
 /// Normal deviation that 90 % of all lie within.
 const WITHIN: f64 = 1.645;
@@ -33,18 +33,15 @@ pub(super) fn all(
     input: &Input,
     overview: &Overview,
     recording: &Recording,
+    grouping: &Grouping,
     screening: &Screening,
     ranked: &[Ranked<'_>],
     noise: &Option<Vec<f64>>,
 ) -> Vec<Listed> {
-    let grouping = group(recording, &input.repeats);
     ranked
         .par_iter()
-        .filter_map(|r| {
-            let free = r.standing.free.as_ref()?;
-            let of =
-                Of { input, overview, recording, screening, grouping: &grouping, ranked: r, free, noise };
-            of.listed()
+        .filter_map(|ranked| {
+            Of { input, overview, recording, screening, grouping, ranked, free: ranked.free, noise }.listed()
         })
         .collect()
 }
@@ -94,7 +91,7 @@ impl Of<'_> {
                 at,
                 between,
                 channel: self.input.responses[standing.response].name.clone(),
-                probability: self.ranked.share * super::decide::any(self.ranked.left),
+                probability: self.ranked.probability,
                 remaining_share: left,
                 parameters: self.parameters(),
                 strength,

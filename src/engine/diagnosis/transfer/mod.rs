@@ -6,6 +6,7 @@
 //! nothing carries over.
 
 mod added;
+mod alternatives;
 mod decide;
 mod evidence;
 mod hypotheses;
@@ -14,6 +15,7 @@ mod recording;
 mod words;
 
 pub(super) use added::Added;
+pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub(super) use words::sentence;
 
 use super::augmented::Augmented;
@@ -54,7 +56,7 @@ pub(super) fn by_transfer(
     report(watch, "decision", 0.8)?;
     let noise = recording::noise(&recording, &grouping);
     let ranked = decide::ranked(&screening);
-    let listed = hypotheses::all(input, overview, &recording, &screening, &ranked, &noise);
+    let listed = hypotheses::all(input, overview, &recording, &grouping, &screening, &ranked, &noise);
     let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed);
     let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
     report(watch, "next experiment", 0.9)?;

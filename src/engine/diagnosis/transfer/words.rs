@@ -60,15 +60,14 @@ fn named_place((at, between): (Option<String>, Option<[String; 2]>)) -> String {
 /// What a law leaves.
 pub(super) fn left(input: &Input, ranked: &Ranked<'_>) -> String {
     let standing = ranked.standing;
-    let free = match &standing.free {
-        Some(free) => format!("{:.0} % when simulated forward", 100.0 * free.ratio),
-        None => "not simulated forward".into(),
-    };
     format!(
-        "{} {} leaves {:.0} % of the linear part's error on runs that it was not fitted to ({free})",
+        "{} {} leaves {:.0} % of the linear part's error on runs that it was not fitted to, {:.0} % when simulated \
+         forward: probability {:.2}",
         standing.effect.name(),
         named_place(place(input, standing.place)),
-        100.0 * standing.ratio
+        100.0 * standing.ratio,
+        100.0 * ranked.free.ratio,
+        ranked.probability,
     )
 }
 

@@ -1,0 +1,160 @@
+//! The decision: one linear score for each family of laws, against none of them.
+//!
+//! The laws that ran freely, the foremost of each family, are alternatives, and so is that none of them is right, whose
+//! score is 0. The probability of each follows from the scores (conditional logit, McFadden 1974). The weights are
+//! fitted by `examples/fit_decision` to a population of simulated rigs, and to nothing else.
+
+use std::sync::LazyLock;
+
+use serde::{Deserialize, Serialize};
+
+use crate::engine::diagnosis::effect::Family;
+use crate::engine::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
+
+use super::evidence::root_mean_square;
+
+/// Logarithms are kept within these: what leaves less is as sure as it gets, what leaves more is no law.
+const LEAST_LEFT: f64 = -4.0;
+const MOST_LEFT: f64 = 0.2;
+const LEAST_ERROR: f64 = -7.0;
+/// Spread of a law's gains from which on its numbers hold nowhere.
+const WIDEST: f64 = 1.5;
+
+/// Features, in the order of the weights.
+pub const FEATURES: [&str; 19] = [
+    "one",
+    "left_by_regression",
+    "left_by_free_run",
+    "left_where_it_does_worst",
+    "error_of_linear_part",
+    "spread_of_gains",
+    "number_of_coefficients",
+    "over_a_drive",
+    "over_the_output",
+    "between_two_responses",
+    "left_by_free_run_at_one_level",
+    "friction_hysteresis",
+    "damping",
+    "actuator",
+    "deadband_backlash",
+    "cross_axis",
+    "time_variance",
+    "sensor",
+    "block_structure",
+];
+
+/// Families with a weight of their own; the others share that of `one`.
+const FAMILIES: [Family; 8] = [
+    Family::FrictionHysteresis,
+    Family::Damping,
+    Family::Actuator,
+    Family::DeadbandBacklash,
+    Family::CrossAxis,
+    Family::TimeVariance,
+    Family::Sensor,
+    Family::BlockStructure,
+];
+
+/// The foremost law of a family, with what speaks for it.
+#[derive(Debug, Clone)]
+pub struct Alternative<'a> {
+    /// The law at its place.
+    pub standing: &'a Standing,
+    /// Its free run.
+    pub free: &'a FreeRun,
+    /// Its features, in the order of [`FEATURES`].
+    pub features: [f64; FEATURES.len()],
+}
+
+/// The fitted weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Weights {
+    /// Names of the features.
+    pub features: Vec<String>,
+    /// A weight for each.
+    pub weights: Vec<f64>,
+}
+
+static WEIGHTS: LazyLock<Weights> = LazyLock::new(|| {
+    serde_json::from_str(include_str!("weights.json")).expect("the weights in the program are JSON")
+});
+
+/// The alternatives of a screening. What runs away when it is simulated forward is no cause, and what a linear part
+/// can do needs no law.
+pub fn alternatives(screening: &Screening) -> Vec<Alternative<'_>> {
+    let foremost = screening.foremost().into_iter().filter(|s| !super::linear(s.effect));
+    foremost.filter_map(|standing| of(screening, standing)).collect()
+}
+
+fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternative<'a>> {
+    let free = standing.free.as_ref()?;
+    let kept = |ratio: f64| ratio.max(f64::MIN_POSITIVE).ln().clamp(LEAST_LEFT, MOST_LEFT);
+    let yes = |is: bool| f64::from(u8::from(is));
+    let error = root_mean_square(&screening.linear.errors[standing.response]);
+    let one_level = matches!(screening.transfer, Transfer::Runs | Transfer::Stretches);
+    let mut features = [
+        1.0,
+        kept(standing.ratio),
+        kept(free.ratio),
+        kept(free.worst),
+        error.max(f64::MIN_POSITIVE).ln().clamp(LEAST_ERROR, 0.0),
+        standing.spread().map_or(WIDEST, |spread| spread.min(WIDEST)),
+        f64::from(standing.law.count() as u32).ln(),
+        yes(matches!(standing.place, Place::Drive(_))),
+        yes(matches!(standing.place, Place::Output(_))),
+        yes(matches!(standing.place, Place::Between(..))),
+        yes(one_level) * kept(free.ratio),
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    ];
+    for (feature, family) in features[FEATURES.len() - FAMILIES.len()..].iter_mut().zip(FAMILIES) {
+        *feature = yes(standing.family == family);
+    }
+    Some(Alternative { standing, free, features })
+}
+
+impl Weights {
+    /// The weights that the program holds.
+    pub fn fitted() -> &'static Self {
+        &WEIGHTS
+    }
+
+    /// Probability of each alternative; what is missing to 1 is that of none.
+    pub fn probabilities(&self, alternatives: &[[f64; FEATURES.len()]]) -> Vec<f64> {
+        let score = |x: &[f64; FEATURES.len()]| x.iter().zip(&self.weights).map(|(x, w)| x * w).sum::<f64>();
+        let scores: Vec<f64> = alternatives.iter().map(score).collect();
+        let most = scores.iter().copied().fold(0.0, f64::max);
+        let total = (-most).exp() + scores.iter().map(|s| (s - most).exp()).sum::<f64>();
+        scores.iter().map(|s| (s - most).exp() / total).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weights_belong_to_the_features() {
+        let fitted = Weights::fitted();
+        assert_eq!(fitted.features, FEATURES);
+        assert_eq!(fitted.weights.len(), FEATURES.len());
+        assert!(fitted.weights.iter().all(|w| w.is_finite()));
+    }
+
+    #[test]
+    fn probabilities_grow_with_the_score_and_leave_the_rest_to_none() {
+        let mut weights = Weights { features: Vec::new(), weights: vec![0.0; FEATURES.len()] };
+        weights.weights[0] = 2.0_f64.ln();
+        let mut alone = [0.0; FEATURES.len()];
+        alone[0] = 1.0;
+        let found = weights.probabilities(&[alone, [0.0; FEATURES.len()]]);
+        assert!((found[0] - 0.5).abs() < 1e-12 && (found[1] - 0.25).abs() < 1e-12, "{found:?}");
+        assert!(weights.probabilities(&[]).is_empty());
+    }
+}
