@@ -51,7 +51,7 @@ fn likelihood(weights: &Weights, rows: &[Row]) -> (f64, Vec<f64>) {
     let mut value = -PENALTY * weights.weights.iter().map(|w| w * w).sum::<f64>();
     let mut slope: Vec<f64> = weights.weights.iter().map(|w| -2.0 * PENALTY * w).collect();
     for row in rows {
-        let p = weights.probabilities(&row.features);
+        let p = weights.probabilities(&row.features, 1.0);
         let truth = row.of_truth(&p).max(1e-12);
         value += truth.ln();
         let any = row.right.contains(&true);

@@ -70,7 +70,7 @@ fn main() -> Result<(), AnyError> {
             logit::fit(&others.map(|(_, row)| row.clone()).collect::<Vec<Row>>())
         })
         .collect();
-    let probabilities = |(i, row): (usize, &Row)| without[i % FOLDS].probabilities(&row.features);
+    let probabilities = |(i, row): (usize, &Row)| without[i % FOLDS].probabilities(&row.features, 1.0);
     let held_out: Vec<Vec<f64>> = rows.iter().enumerate().map(probabilities).collect();
     print(&rigs, &held_out);
     let weights = logit::fit(&rows);

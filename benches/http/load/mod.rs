@@ -4,8 +4,11 @@
 //! - `fair`: one token at ten times its share, and the latency of the others;
 //! - `soak`: two hours at 0.6 C with runs and fits beside it, and what the service then holds;
 //! - `slow`: 2,000 connections that send a byte now and then, and the latency of an honest client.
+//!
+//! Each ends with an error where a bar is missed.
 
 mod arrivals;
+mod bars;
 mod client;
 mod soak;
 
@@ -23,6 +26,7 @@ use tokio::runtime::Runtime;
 use crate::rig::{activate, create, npy_request};
 use crate::service::Service;
 use arrivals::{Outcome, accepted, arrivals, quantile, shed};
+use bars::Bars;
 use client::{Target, request};
 
 pub use soak::soak;
@@ -143,7 +147,9 @@ pub fn load() {
     tell("alone", &json!({"p50_s": quantile(&alone, 0.5), "p99_s": alone_s}));
     let c = lab.capacity();
     let at_c = lab.predict(c, MEASURE, None);
-    tell("c", &json!({"c_per_s": c, "p50_s": quantile(&at_c, 0.5), "p99_s": quantile(&at_c, 0.99)}));
+    let at_c_s = quantile(&at_c, 0.99);
+    tell("c", &json!({"c_per_s": c, "p50_s": quantile(&at_c, 0.5), "p99_s": at_c_s}));
+    let mut bars = Bars::default();
     for times in [2.0, 5.0, 10.0] {
         let (outcomes, health, cancels) = lab.runtime.block_on(async {
             let health = tokio::spawn(lab.probing("GET /readyz HTTP/1.1", MEASURE));
@@ -170,7 +176,17 @@ pub fn load() {
                 "recovered_s": recovered_s, "peak_resident_bytes": lab.service.peak_resident(),
             }),
         );
+        let goodput = accepted.len() as f64 / MEASURE.as_secs_f64() / c;
+        bars.at_least(&format!("{times} C: goodput, of C"), goodput, 0.9);
+        let of_c = quantile(&accepted, 0.99) / at_c_s;
+        bars.at_most(&format!("{times} C: p99 answered, of that at C"), of_c, 3.0);
+        if !shed.is_empty() {
+            bars.at_most(&format!("{times} C: p99 refused, s"), quantile(&shed, 0.99), 0.05);
+        }
+        bars.at_most(&format!("{times} C: p99 of health, s"), quantile(&health, 0.99), 0.1);
+        bars.at_most(&format!("{times} C: p99 of cancelling, s"), quantile(&cancels, 0.99), 0.1);
     }
+    bars.end();
 }
 
 /// Seconds from the end of an overload to the first half second in which all requests meet the bound.
@@ -216,17 +232,21 @@ pub fn fair() {
     let (_, before) = round(c / 6.0);
     let (greedy, beside) = round(10.0 * c / 4.0);
     let share = |outcomes: &[Outcome]| accepted(outcomes).len() as f64 / outcomes.len() as f64;
+    let ratio = quantile(&accepted(&beside), 0.99) / quantile(&accepted(&before), 0.99);
     tell(
         "fair",
         &json!({
             "c_per_s": c, "others_p99_before_s": quantile(&accepted(&before), 0.99),
             "others_p99_beside_s": quantile(&accepted(&beside), 0.99),
-            "ratio": quantile(&accepted(&beside), 0.99) / quantile(&accepted(&before), 0.99),
+            "ratio": ratio,
             "others_accepted_before": share(&before), "others_accepted_beside": share(&beside),
             "greedy_offered_per_s": greedy.len() as f64 / MEASURE.as_secs_f64(),
             "greedy_accepted": share(&greedy),
         }),
     );
+    let mut bars = Bars::default();
+    bars.at_most("others' p99 beside a greedy token, of that before", ratio, 1.5);
+    bars.end();
 }
 
 /// Honest requests with and without 2,000 connections that never finish a request.
@@ -253,6 +273,9 @@ pub fn slow() {
     let with = honest("with_2000_slow");
     slow.abort();
     tell("slow", &json!({"c_per_s": c, "ratio": with / without}));
+    let mut bars = Bars::default();
+    bars.at_most("honest p99 beside 2,000 slow connections, of that without", with / without, 2.0);
+    bars.end();
 }
 
 /// Half of the connections are slow in the head, half in the body; one that is cut reconnects.

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use super::bars::Bars;
 use super::{Lab, accepted, quantile, tell};
 use crate::rig::noise;
 use crate::service::{Connection, Service};
@@ -18,6 +19,9 @@ fn length() -> Duration {
 
 /// Time between two looks at the process.
 const ROUND: Duration = Duration::from_secs(30);
+
+/// Handles and threads are counted while requests come and go: a tenth more or less is none that leaks.
+const FLAT: f64 = 1.1;
 
 /// What the service holds at one time.
 struct Held {
@@ -110,6 +114,7 @@ pub fn soak() {
     let most = |part: &[Held], what: fn(&Held) -> u64| part.iter().map(what).max().unwrap_or_default();
     // Idle connections and what was made in the last round are gone by then.
     std::thread::sleep(Duration::from_secs(30));
+    let scratch = files(&lab.service.data_dir().join("scratch"));
     tell(
         "soak",
         &json!({
@@ -120,7 +125,15 @@ pub fn soak() {
             "handles": [most(first, |held| held.handles as u64), most(last, |held| held.handles as u64)],
             "threads": [most(first, |held| held.threads as u64), most(last, |held| held.threads as u64)],
             "wal_bytes": most(&held, |held| held.log),
-            "scratch_files_at_the_end": files(&lab.service.data_dir().join("scratch")),
+            "scratch_files_at_the_end": scratch,
         }),
     );
+    let grown = |what: fn(&Held) -> u64| most(last, what) as f64 / (most(first, what).max(1)) as f64;
+    let mut bars = Bars::default();
+    bars.at_most("resident memory, second half of the first", grown(|held| held.resident), 1.05);
+    bars.at_most("handles, second half of the first", grown(|held| held.handles as u64), FLAT);
+    bars.at_most("threads, second half of the first", grown(|held| held.threads as u64), FLAT);
+    bars.at_most("write-ahead log, MiB", most(&held, |held| held.log) as f64 / f64::from(1 << 20), 64.0);
+    bars.at_most("files in scratch at the end", scratch as f64, 0.0);
+    bars.end();
 }

@@ -27,6 +27,7 @@ mod force;
 mod retune;
 mod rig;
 mod sim;
+mod source;
 mod suites;
 
 /// The cases to make.
@@ -91,7 +92,8 @@ fn enter(plan: &Plan) -> Result<(), AnyError> {
     }
     let suites: Vec<String> = plan.suites.iter().map(|s| s.name()).collect();
     let line = json!({"event": "generated", "round": plan.round, "at": jiff::Timestamp::now().to_string(),
-                      "suites": suites, "cases_a_suite": plan.cases});
+                      "suites": suites, "cases_a_suite": plan.cases,
+                      "diagnosis": source::hash(source::DIAGNOSIS)?, "generator": source::hash(source::GENERATOR)?});
     Ok(seeds::append(&plan.log, &line)?)
 }
 

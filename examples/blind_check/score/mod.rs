@@ -20,6 +20,7 @@ mod closure;
 mod confusion;
 mod leaks;
 mod next;
+mod pooled;
 mod row;
 mod statistics;
 mod suites;
@@ -73,7 +74,8 @@ pub fn run(dir: &Path) -> Result<bool, AnyError> {
     });
     fs::write(dir.join("score.json"), serde_json::to_string_pretty(&summary)?)?;
     if labels["seeds"] == "final" {
-        final_runs(&labels, &rows)?;
+        // What is stated of final rounds is what all of them found together.
+        return Ok(final_runs(&labels, &rows)? && reached);
     }
     Ok(reached)
 }
@@ -93,8 +95,9 @@ fn line(case: &Case) -> Value {
            "verdict_is_true": case.verdict_is_true(), "elapsed_s": case.report()["elapsed_s"]})
 }
 
-/// Enters the figures of a final round once, and prints every final run that there was.
-fn final_runs(labels: &Value, rows: &[Row]) -> Result<(), AnyError> {
+/// Enters the figures of a final round once, prints every final run that there was and what they found together, and
+/// returns whether the bars are reached by all of them pooled.
+fn final_runs(labels: &Value, rows: &[Row]) -> Result<bool, AnyError> {
     let log = Path::new(labels["log"].as_str().ok_or("labels without a log")?);
     let is_this = |line: &Value| line["event"] == "scored" && line["round"] == labels["round"];
     if !seeds::logged(log)?.iter().any(is_this) {
@@ -106,16 +109,21 @@ fn final_runs(labels: &Value, rows: &[Row]) -> Result<(), AnyError> {
             })
             .collect();
         let missed = rows.iter().filter(|row| row.passes() == Some(false)).count();
-        let line = json!({"event": "scored", "round": labels["round"], "missed": missed, "figures": figures});
+        let line = json!({"event": "scored", "round": labels["round"], "missed": missed, "figures": figures,
+                          "shares": pooled::shares(rows)});
         seeds::append(log, &line)?;
     }
+    let lines = seeds::logged(log)?;
     println!("final runs so far:");
-    for line in seeds::logged(log)? {
+    for line in &lines {
         match line["event"].as_str() {
             Some("generated") => println!("  round {} made at {}", line["round"], line["at"]),
             Some("lost") => println!("  round {} lost: {}", line["round"], line["why"]),
             _ => println!("  round {} scored, {} bars missed", line["round"], line["missed"]),
         }
     }
-    Ok(())
+    let pooled = pooled::rows(&lines, rows);
+    println!("rounds {:?} pooled:", pooled::rounds(&lines));
+    println!("{}", table(&pooled));
+    Ok(pooled.iter().all(|row| row.passes() != Some(false)))
 }

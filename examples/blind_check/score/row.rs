@@ -42,6 +42,11 @@ impl Row {
         Self { suite, name: name.into(), figure: Figure::Number(value), bar }
     }
 
+    /// Suite and figure.
+    pub fn title(&self) -> String {
+        format!("{}: {}", self.suite, self.name)
+    }
+
     fn value(&self) -> Option<f64> {
         match self.figure {
             Figure::Share(share) => (share.all > 0).then(|| share.value()),
@@ -88,7 +93,7 @@ impl Row {
             Some(false) => "MISS",
             None => "",
         };
-        [format!("{}: {}", self.suite, self.name), value, interval, bar, verdict.into()]
+        [self.title(), value, interval, bar, verdict.into()]
     }
 
     /// For programs.

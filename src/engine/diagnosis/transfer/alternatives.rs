@@ -20,6 +20,10 @@ const LEAST_ERROR: f64 = -7.0;
 /// Spread of a law's gains from which on its numbers hold nowhere.
 const WIDEST: f64 = 1.5;
 
+/// Of the population's rigs that no law of the catalogue is right for, the share that has an effect outside of it; the
+/// others are linear.
+const OUTSIDE: f64 = 1.0 / 6.0;
+
 /// Features, in the order of the weights.
 pub const FEATURES: [&str; 19] = [
     "one",
@@ -119,18 +123,25 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
     Some(Alternative { standing, free, features })
 }
 
+/// Factor of the odds that no law is right where repeats tell the noise, `noise` being its share of what the linear
+/// part leaves, by power. A linear rig leaves noise and nothing else; an effect outside the catalogue leaves any share.
+pub(super) fn odds_of_none(noise: f64) -> f64 {
+    OUTSIDE + (1.0 - OUTSIDE) * noise.clamp(0.0, 1.0)
+}
+
 impl Weights {
     /// The weights that the program holds.
     pub fn fitted() -> &'static Self {
         &WEIGHTS
     }
 
-    /// Probability of each alternative; what is missing to 1 is that of none.
-    pub fn probabilities(&self, alternatives: &[[f64; FEATURES.len()]]) -> Vec<f64> {
+    /// Probability of each alternative; what is missing to 1 is that of none, whose odds are `none` times those of
+    /// the population.
+    pub fn probabilities(&self, alternatives: &[[f64; FEATURES.len()]], none: f64) -> Vec<f64> {
         let score = |x: &[f64; FEATURES.len()]| x.iter().zip(&self.weights).map(|(x, w)| x * w).sum::<f64>();
         let scores: Vec<f64> = alternatives.iter().map(score).collect();
         let most = scores.iter().copied().fold(0.0, f64::max);
-        let total = (-most).exp() + scores.iter().map(|s| (s - most).exp()).sum::<f64>();
+        let total = none * (-most).exp() + scores.iter().map(|s| (s - most).exp()).sum::<f64>();
         scores.iter().map(|s| (s - most).exp() / total).collect()
     }
 }
@@ -153,8 +164,10 @@ mod tests {
         weights.weights[0] = 2.0_f64.ln();
         let mut alone = [0.0; FEATURES.len()];
         alone[0] = 1.0;
-        let found = weights.probabilities(&[alone, [0.0; FEATURES.len()]]);
+        let found = weights.probabilities(&[alone, [0.0; FEATURES.len()]], 1.0);
         assert!((found[0] - 0.5).abs() < 1e-12 && (found[1] - 0.25).abs() < 1e-12, "{found:?}");
-        assert!(weights.probabilities(&[]).is_empty());
+        let sure = weights.probabilities(&[alone], 0.0);
+        assert!((sure[0] - 1.0).abs() < 1e-12, "{sure:?}");
+        assert!(weights.probabilities(&[], 1.0).is_empty());
     }
 }

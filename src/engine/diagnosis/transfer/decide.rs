@@ -1,7 +1,7 @@
 //! From what laws leave elsewhere to a verdict.
 
-use super::alternatives::{Weights, alternatives};
-use super::evidence::Evidence;
+use super::alternatives::{Weights, alternatives, odds_of_none};
+use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
 use super::words;
 use crate::engine::diagnosis::effect::{Effect, Family};
@@ -11,8 +11,10 @@ use crate::engine::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
 
 /// Nothing is stated surer: the rigs of the population are simulated.
 const SUREST: f64 = 0.97;
-/// Share of the probability that any law is right from which on one is named alone.
-const NAMED: f64 = 0.6;
+/// Probability that any law is right from which on laws are named at all, and that of one from which on it is named
+/// alone: to blame the wrong part costs a lab more than another run.
+const NAMED: f64 = 0.65;
+const ALONE: f64 = 0.6;
 /// Below this share of the foremost a rival is none.
 const NO_RIVAL: f64 = 0.12;
 /// Effects of one family whose errors differ by less are told apart by nothing.
@@ -27,11 +29,16 @@ pub(super) struct Ranked<'a> {
     pub probability: f64,
 }
 
-/// Families, the likeliest first.
-pub(super) fn ranked(screening: &Screening) -> Vec<Ranked<'_>> {
+/// Families, the likeliest first. `noise` is the RMS of each response's noise by repeats, relative to the response.
+pub(super) fn ranked<'a>(screening: &'a Screening, noise: Option<&[f64]>) -> Vec<Ranked<'a>> {
     let alternatives = alternatives(screening);
     let features: Vec<_> = alternatives.iter().map(|a| a.features).collect();
-    let probabilities = Weights::fitted().probabilities(&features);
+    let none = noise.map_or(1.0, |noise| {
+        let left = screening.linear.errors.iter().map(|errors| root_mean_square(errors));
+        let least = left.zip(noise).map(|(left, noise)| (noise / left.max(f64::MIN_POSITIVE)).powi(2));
+        odds_of_none(least.fold(1.0, f64::min))
+    });
+    let probabilities = Weights::fitted().probabilities(&features, none);
     let mut all: Vec<Ranked<'_>> = alternatives
         .into_iter()
         .zip(probabilities)
@@ -104,13 +111,14 @@ fn named(
     let there: f64 = ranked.iter().map(|r| r.probability).sum();
     // The sim with the law in it has to be better than the sim.
     let helps = listed.first().is_some_and(|l| l.hypothesis.remaining_share < 1.0);
-    if there < 0.5 || !helps {
+    if there < NAMED || !helps {
         because.push(
             "nothing predicts enough of it on runs that it has not seen to tell a cause from noise; the same drive \
              again would tell the noise"
                 .into(),
         );
-        let p = if helps { 1.0 - there } else { 0.7 };
+        // What an abstention is sure of: that the foremost law is not the cause.
+        let p = if helps { 1.0 - best.probability } else { 0.7 };
         return bare(VerdictKind::Undecided, p.min(0.9), because);
     }
     let rivals: Vec<&Ranked<'_>> =
@@ -129,7 +137,7 @@ fn named(
     let standing = best.standing;
     let (at, between) = words::place(input, standing.place);
     let everywhere = best.free.worst * best.free.worst < LEFT;
-    let clear = best.probability >= NAMED * there;
+    let clear = best.probability >= ALONE || rivals.len() == 1;
     let kind = match (clear, everywhere) {
         (false, _) => VerdictKind::NotDistinguishable,
         (true, true) => VerdictKind::Identified,

@@ -55,7 +55,10 @@ pub(super) fn by_transfer(
     screening.standings.retain(|standing| input.catalogue.contains(&standing.effect));
     report(watch, "decision", 0.8)?;
     let noise = recording::noise(&recording, &grouping);
-    let ranked = decide::ranked(&screening);
+    let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
+    let relative: Option<Vec<f64>> =
+        noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
+    let ranked = decide::ranked(&screening, relative.as_deref());
     let listed = hypotheses::all(input, overview, &recording, &grouping, &screening, &ranked, &noise);
     let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed);
     let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
