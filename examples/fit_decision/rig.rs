@@ -94,13 +94,14 @@ struct Rig {
 pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     let rng = &mut ChaCha8Rng::seed_from_u64(seed);
     let kind = rng.random_range(0..20);
-    let axes = if kind == 8 { 2 } else { 1 };
     let control = match rng.random_range(0..20) {
         _ if (4..=8).contains(&kind) || kind == 10 => Control::Force,
         0..=9 => Control::Force,
         10..=13 => Control::Loop { gain: rng.random_range(0.02..0.2), reset: rng.random_range(0.0..0.001) },
         _ => Control::Specimen,
     };
+    // A second axis says nothing of what the first has.
+    let axes = if kind == 8 || (control == Control::Force && rng.random_bool(0.3)) { 2 } else { 1 };
     let masses = if control == Control::Specimen { 1 } else { rng.random_range(1..4) };
     let first = log_uniform(0.012, 0.07, rng);
     let chain = |rng: &mut ChaCha8Rng| {
@@ -175,7 +176,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         8 => Beyond { force: Some(Force::cross_axis(rng)), background: None, ..plain },
         10 => Beyond { block: Some(rng.random_range(0.1..0.6)), background: None, ..plain },
         11 => Beyond { force: Some(Force::drift(rng)), background: None, ..plain },
-        12 => Beyond { force: Some(Force::damping(rng)), background: None, ..plain },
+        12 | 14 => Beyond { force: Some(Force::damping(rng)), background: None, ..plain },
         13 => Beyond { force: Some(Force::outside(rng)), background: None, ..plain },
         _ => Beyond { background: None, ..plain },
     };

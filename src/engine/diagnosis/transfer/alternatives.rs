@@ -22,7 +22,7 @@ const WIDEST: f64 = 1.5;
 
 /// Of the population's rigs that no law of the catalogue is right for, the share that has an effect outside of it; the
 /// others are linear.
-const OUTSIDE: f64 = 1.0 / 6.0;
+const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
 pub const FEATURES: [&str; 19] = [
