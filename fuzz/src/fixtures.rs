@@ -4,7 +4,9 @@ use realfft::num_complex::Complex64;
 use rigcast::engine::frf::Frf;
 use rigcast::engine::lstm::{LstmBlock, LstmNet, Recombine};
 use rigcast::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, to_safetensors};
+use rigcast::engine::Signal;
 use rigcast::formats::npy::{self, Dtype, Order};
+use rigcast::formats::rpc3::Rpc3Pieces;
 use serde_json::{Value, json};
 
 /// A rig of one drive `u` and one response `y` at 100 Hz.
@@ -80,6 +82,16 @@ pub fn npy(samples: usize, channels: usize) -> Vec<u8> {
     let channels: Vec<Vec<f64>> =
         (0..channels).map(|c| (0..samples).map(|i| sample(c, i)).collect()).collect();
     npy::write(&channels, Dtype::F8, Order::C).expect("finite and equally long")
+}
+
+/// The first channels of the rig as RPC III.
+pub fn rpc3(samples: usize, channels: usize) -> Vec<u8> {
+    let signal = (0..channels).map(|c| (0..samples).map(|i| sample(c, i)).collect()).collect();
+    let signal = Signal::new(100.0, signal).expect("finite and equally long");
+    let names = ["u", "y"][..channels].iter().map(|name| (*name).to_owned()).collect();
+    let units = ["kN", "mm"][..channels].iter().map(|unit| (*unit).to_owned()).collect();
+    let pieces = Rpc3Pieces::new(names, units, false, signal);
+    pieces.collect::<std::io::Result<Vec<_>>>().expect("samples in memory").concat()
 }
 
 /// A run of both channels as JSON.

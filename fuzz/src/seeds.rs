@@ -33,6 +33,7 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
             named("f8-two", &fixtures::npy(3, 2)),
             named("i2", &big_endian()),
         ],
+        "rpc3" => vec![named("one", &fixtures::rpc3(3, 1)), named("two", &fixtures::rpc3(2100, 2))],
         "run_json" => vec![named("run", &fixtures::json(4))],
         "weights" => [ModelKind::Frf, ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2]
             .map(|kind| named(kind.as_str(), &fixtures::weights(kind)))

@@ -203,6 +203,30 @@ pub enum FormatError {
         /// Bytes behind the header.
         found: u64,
     },
+    /// Not an RPC III file, or a header that does not follow its format.
+    #[error("RPC III header: {0}")]
+    Rpc3Header(String),
+    /// A kind of RPC III file that is not read.
+    #[error("RPC III header: {key} is {found:?}; {expected} is read")]
+    Rpc3Unsupported {
+        /// The key word.
+        key: &'static str,
+        /// Its value, cut after 40 characters.
+        found: String,
+        /// The values that are read.
+        expected: &'static str,
+    },
+    /// Channels, frames and groups of the header ask for another number of bytes than there are.
+    #[error(
+        "the RPC III header declares {} bytes of data, the file has {found}",
+        expected.map_or_else(|| "more than 2^64".to_owned(), |n| n.to_string())
+    )]
+    Rpc3Size {
+        /// Bytes that the header asks for, where they can be counted.
+        expected: Option<u64>,
+        /// Bytes behind the header.
+        found: u64,
+    },
     /// Not JSON, or JSON of another form.
     #[error("row {row}, column {column}: {detail}")]
     Json {
@@ -269,6 +293,9 @@ impl FormatError {
             Self::NpyShape { .. } => "npy.shape",
             Self::NpyTruncated { .. } => "npy.truncated",
             Self::NpyTrailing { .. } => "npy.trailing_bytes",
+            Self::Rpc3Header(_) => "rpc3.header",
+            Self::Rpc3Unsupported { .. } => "rpc3.unsupported",
+            Self::Rpc3Size { .. } => "rpc3.size",
             Self::Json { .. } => "json.invalid",
             Self::JsonUnknownKey { .. } => "json.unknown_field",
             Self::JsonDuplicateKey { .. } => "json.duplicate_field",
@@ -351,6 +378,8 @@ impl FormatError {
             Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
             Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
+            Self::Rpc3Unsupported { expected, .. } => Some((*expected).to_owned()),
+            Self::Rpc3Size { expected, .. } => expected.map(|n| format!("{n} bytes of data")),
             Self::NpyTruncated { expected, .. } | Self::NpyTrailing { expected, .. } => {
                 Some(format!("{expected} bytes of data"))
             }

@@ -10,6 +10,7 @@ mod error;
 pub mod json;
 pub mod npy;
 mod pieces;
+pub mod rpc3;
 mod spool;
 
 use std::collections::HashSet;

@@ -132,6 +132,26 @@ impl Spool {
         Ok(())
     }
 
+    /// Shortens all columns to their first `n` numbers.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub(super) fn truncate(&mut self, n: usize) -> io::Result<()> {
+        for index in 0..self.columns.len() {
+            if self.len(index) <= n {
+                continue;
+            }
+            let blocks = (n / BLOCK).min(self.columns[index].blocks.len());
+            let mut rest = Vec::new();
+            self.read(index, BLOCK * blocks..n, &mut rest)?;
+            let column = &mut self.columns[index];
+            column.blocks.truncate(blocks);
+            column.rest = rest;
+            column.not_finite = column.not_finite.filter(|&at| at < BLOCK * blocks);
+        }
+        Ok(())
+    }
+
     /// Index of the first NaN or infinity of a column.
     ///
     /// # Panics

@@ -104,6 +104,9 @@ codes! {
     NPY_SHAPE = "npy.shape", 422, "An NPY shape that is not supported";
     NPY_TRUNCATED = "npy.truncated", 400, "The NPY header declares more than the file has";
     NPY_TRAILING_BYTES = "npy.trailing_bytes", 400, "The NPY file has more than its header declares";
+    RPC3_HEADER = "rpc3.header", 400, "The RPC III header cannot be read";
+    RPC3_UNSUPPORTED = "rpc3.unsupported", 422, "A kind of RPC III file that is not supported";
+    RPC3_SIZE = "rpc3.size", 400, "The RPC III header and the size of the file disagree";
     JSON_INVALID = "json.invalid", 400, "The file is not JSON of the right form";
     JSON_UNKNOWN_FIELD = "json.unknown_field", 422, "Unknown field";
     JSON_DUPLICATE_FIELD = "json.duplicate_field", 422, "A field comes twice";

@@ -12,6 +12,9 @@ pub const CSV: &str = "text/csv";
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";
 
+/// Media type of RPC III time histories.
+pub const RPC3: &str = "application/x-rpc3";
+
 /// The offer with the highest quality in `Accept`; without `Accept`, and among equals, the first.
 ///
 /// # Errors

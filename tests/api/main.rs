@@ -15,6 +15,7 @@ mod diagnoses;
 mod docs;
 mod fits;
 mod flips;
+mod foreign_readers;
 mod frf;
 mod full_disk;
 mod idempotency;

@@ -41,6 +41,52 @@ async fn the_same_samples_come_back_from_every_format_in_every_format() {
     }
 }
 
+#[tokio::test]
+async fn a_run_goes_out_as_rpc3_and_comes_in_again() {
+    const RPC3: &str = "application/x-rpc3";
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    // A step of 10 ms; four samples are less than a frame.
+    let csv = "u,y\nkN,mm\n0,1.5\n0.1,-2.25\n-0.2,3\n1e-7,0.3\n";
+    let created = app.post_file("/v1/rigs/bench/runs?kind=service", "text/csv", csv).await.expect(201);
+    let data = format!("{}/data", created.header("location"));
+    let out = app.call("GET", &data).header("accept", RPC3).send().await.expect(200);
+    assert_eq!(out.header("content-type"), RPC3);
+    assert_eq!(out.header("content-length"), out.bytes.len().to_string());
+    let has = |file: &[u8], text: &[u8]| file.windows(text.len()).any(|w| w == text);
+    assert!(has(&out.bytes, b"\0RESPONSE\0"), "a response is among the channels");
+    let drive =
+        app.call("GET", &format!("{data}?channels=u")).header("accept", RPC3).send().await.expect(200);
+    assert!(has(&drive.bytes, b"\0DRIVE\0"));
+
+    let again = app.post_file("/v1/rigs/bench/runs", RPC3, out.bytes.clone()).await.expect(201);
+    let found = app.get(&format!("{}/data", again.header("location"))).await.expect(200).json();
+    for (channel, expected) in [("u", [0.0, 0.1, -0.2, 1e-7]), ("y", [1.5, -2.25, 3.0, 0.3])] {
+        let found = found["channels"][channel].as_array().expect("samples");
+        assert_eq!(found.len(), 4, "the padding of the frame is left out");
+        for (found, expected) in found.iter().zip(expected) {
+            assert!(
+                (found.as_f64().expect("a number") - expected).abs() < 3.0 / 32752.0,
+                "{channel}: {found}"
+            );
+        }
+    }
+    // Descriptions are text for people: the query may name the channels by their place.
+    let path = "/v1/rigs/bench/runs?channels=u";
+    app.post_file(path, RPC3, out.bytes.clone()).await.problem(422, "run.channel_count");
+    let mut described = drive.bytes.clone();
+    let at = described.windows(11).position(|w| w == b"DESC.CHAN_1").expect("a description") + 32;
+    described[at..at + 7].copy_from_slice(b"Kanal 1");
+    app.post_file("/v1/rigs/bench/runs", RPC3, described.clone()).await.problem(422, "run.unknown_channel");
+    let named = app.post_file(path, RPC3, described.clone()).await.expect(201).json();
+    assert_eq!((&named["channels"], &named["samples"]), (&json!(["u"]), &json!(4)));
+    let kept = app.post_file(&format!("{path}&padding=keep&scale=count"), RPC3, described).await;
+    assert_eq!(kept.expect(201).json()["samples"], 4, "SAMPLES says how many there are");
+    app.post_file(&format!("{path}&padding=cut"), RPC3, vec![0_u8; 512]).await.problem(422, "query.invalid");
+    app.post_file(path, RPC3, vec![0_u8; 512]).await.problem(400, "rpc3.header");
+    app.post_file(path, RPC3, &drive.bytes[..drive.bytes.len() - 1]).await.problem(400, "rpc3.size");
+}
+
 /// SHA-256 in hex.
 struct HexDigest<'a>(&'a [u8]);
 

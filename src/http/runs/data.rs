@@ -7,19 +7,19 @@ use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::IntoResponse;
 
-use crate::domain::Run;
+use crate::domain::{Role, Run};
 use crate::formats::csv::{CsvPieces, TimeOfRows};
 use crate::formats::npy::NpyPieces;
+use crate::formats::rpc3::Rpc3Pieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::body::signal_pieces::JsonPieces;
 use crate::http::body::signals::header_names;
-use crate::http::negotiate::{self, CSV, NPY};
+use crate::http::negotiate::{self, CSV, NPY, RPC3};
 use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfRun, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{Shared, codes, json};
 
-/// Media type of tables.
 /// Name of the first column of a table.
 const TIME: &str = "time_s";
 
@@ -34,7 +34,7 @@ pub async fn show(
     let to_s = seconds(&mut params, "to_s")?;
     let wanted = params.one("channels")?;
     params.finish()?;
-    let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, NPY])?;
+    let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, NPY, RPC3])?;
     let run = http.store.run(&rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
     let columns = columns(&run, wanted.as_deref())?;
     let range = stretch(&run, from_s, to_s)?;
@@ -47,8 +47,11 @@ pub async fn show(
     put(CONTENT_TYPE, media_type.to_owned())?;
     put(HeaderName::from_static("rigcast-channels"), header_names(&names))?;
     put(HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string())?;
+    let described = http.store.rig(&rig).await?.ok_or_else(|| no_run(&id.to_string()))?;
+    let drives = names.iter().all(|n| described.channel(n).is_some_and(|c| c.role == Role::Drive));
     let open = http.store.open_samples(&run, columns.clone(), range.clone());
     let samples = http.read_in_time(open).await?;
+    let units = || columns.iter().map(|&c| run.units[c].clone()).collect();
     let pieces: Pieces = match media_type {
         NPY => {
             let pieces = NpyPieces::new(samples);
@@ -56,11 +59,15 @@ pub async fn show(
             Box::new(pieces)
         }
         CSV => {
-            let units = columns.iter().map(|&c| run.units[c].clone()).collect();
             // A rig with a channel of that name gets no second one.
             let time = (!names.iter().any(|name| name == TIME))
                 .then(|| TimeOfRows { name: TIME.into(), first: range.start });
-            Box::new(CsvPieces::new(names, units, time, samples).map_err(Problem::internal)?)
+            Box::new(CsvPieces::new(names, units(), time, samples).map_err(Problem::internal)?)
+        }
+        RPC3 => {
+            let pieces = Rpc3Pieces::new(names, units(), drives, samples);
+            put(CONTENT_LENGTH, pieces.size().to_string())?;
+            Box::new(pieces)
         }
         _ => Box::new(JsonPieces::new(names, samples)),
     };

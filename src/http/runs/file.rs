@@ -7,8 +7,9 @@ use crate::domain::Rig;
 use crate::domain::run::RunMeta;
 use crate::engine::resample::{ResampleError, resample_pieces};
 use crate::engine::{Samples, Signal, rounded};
+use crate::formats::rpc3::{Padding, Reading, ScaleConvention};
 use crate::formats::{self, ParsedRun, ReadError, Spool, SpooledSamples};
-use crate::http::negotiate::{CSV, NPY};
+use crate::http::negotiate::{CSV, NPY, RPC3};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{body, codes, errors, json};
@@ -21,6 +22,8 @@ pub enum Format {
     Csv,
     /// NumPy array.
     Npy,
+    /// RPC III time history.
+    Rpc3,
     /// Sample rate and channels by name.
     Json,
 }
@@ -34,8 +37,9 @@ impl Format {
         match media_type {
             Some(CSV) => Ok(Self::Csv),
             Some(NPY) => Ok(Self::Npy),
+            Some(RPC3) => Ok(Self::Rpc3),
             Some(json::MEDIA_TYPE) => Ok(Self::Json),
-            other => Err(body::unsupported(other, &[CSV, NPY, json::MEDIA_TYPE])),
+            other => Err(body::unsupported(other, &[CSV, NPY, RPC3, json::MEDIA_TYPE])),
         }
     }
 
@@ -43,16 +47,18 @@ impl Format {
         match self {
             Self::Csv => "csv",
             Self::Npy => "npy",
+            Self::Rpc3 => "rpc3",
             Self::Json => "json",
         }
     }
 
     /// Reads piece by piece into a spool in `scratch`, so that a file of any size takes the same memory.
-    fn read(self, upload: &Upload, scratch: &Path) -> Result<ParsedRun<Spool>, ReadError> {
+    fn read(self, upload: &Upload, scratch: &Path, rpc3: Reading) -> Result<ParsedRun<Spool>, ReadError> {
         let (file, spool) = (upload.open()?, Spool::in_file(scratch));
         match self {
             Self::Csv => formats::csv::read_from(file, spool),
             Self::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
+            Self::Rpc3 => formats::rpc3::read_from(file, upload.size() as u64, spool, rpc3),
             Self::Json => formats::json::read_from(file, spool),
         }
     }
@@ -64,10 +70,11 @@ pub struct RunFile {
     channels: Option<Vec<String>>,
     sample_rate_hz: Option<f64>,
     resample: bool,
+    rpc3: Reading,
 }
 
 impl RunFile {
-    /// Takes `channels`, `sample_rate_hz` and `resample`.
+    /// Takes `channels`, `sample_rate_hz`, `resample`, `padding` and `scale`.
     ///
     /// # Errors
     /// `query.invalid`.
@@ -79,7 +86,15 @@ impl RunFile {
         }
         let channels = params.one("channels")?;
         let channels = channels.map(|text| text.split(',').map(|name| name.trim().to_owned()).collect());
-        Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")? })
+        let rpc3 = Reading {
+            padding: choice(params, "padding", [("strip", Padding::Strip), ("keep", Padding::Keep)])?,
+            scale: choice(
+                params,
+                "scale",
+                [("count", ScaleConvention::Count), ("full_scale", ScaleConvention::FullScale)],
+            )?,
+        };
+        Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")?, rpc3 })
     }
 
     /// Reads the file and makes it a run of `rig`, by way of files in `scratch`. Takes processor time: call it
@@ -100,7 +115,7 @@ impl RunFile {
         self.rate(None, rig)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
-        let parsed = format.read(&upload, scratch).map_err(|error| match error {
+        let parsed = format.read(&upload, scratch, self.rpc3).map_err(|error| match error {
             ReadError::Io(error) => upload::disk(error),
             ReadError::Format(error) => {
                 let problem = errors::format(&error, named);
@@ -109,7 +124,7 @@ impl RunFile {
             }
         })?;
         let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
-        let names = self.names(names, channels.n_columns(), rig_names)?;
+        let names = self.names(format, names, channels.n_columns(), rig_names)?;
         check_channels(&names, rig)?;
         let rate = self.rate(sample_rate_hz, rig)?;
         let sha256 = upload.sha256();
@@ -131,10 +146,18 @@ impl RunFile {
         })
     }
 
-    /// Names of the columns: the file's own, else the query's, else the rig's.
-    fn names(&self, own: Option<Vec<String>>, columns: usize, rig: Vec<String>) -> Answer<Vec<String>> {
+    /// Names of the columns: the file's own, else the query's, else the rig's. Descriptions of RPC III are text
+    /// for people, so that the query's names, in the order of the file, come before them.
+    fn names(
+        &self,
+        format: Format,
+        own: Option<Vec<String>>,
+        columns: usize,
+        rig: Vec<String>,
+    ) -> Answer<Vec<String>> {
         let names = match (own, &self.channels) {
             (Some(own), None) => own,
+            (Some(_), Some(asked)) if format == Format::Rpc3 => asked.clone(),
             (Some(_), Some(_)) => {
                 return Err(invalid("channels", "is given", "left out for a file that names its channels"));
             }
@@ -169,6 +192,14 @@ impl RunFile {
         }
         if self.resample { Ok(rate) } else { Err(refuse(rate, rig.sample_rate_hz)) }
     }
+}
+
+/// One of some words of the query; the first where none is given.
+fn choice<T: Copy>(params: &mut Params, name: &str, words: [(&str, T); 2]) -> Answer<T> {
+    let Some(found) = params.one(name)? else { return Ok(words[0].1) };
+    let limit = format!("{} or {}", words[0].0, words[1].0);
+    let known = words.iter().find(|(word, _)| *word == found);
+    known.map(|&(_, value)| value).ok_or_else(|| invalid(name, format!("is {found:?}"), &limit))
 }
 
 /// The samples at another rate, in a spool of their own.
