@@ -8,14 +8,16 @@ use crate::support::{TestApp, bench, noise_csv};
 
 /// Names and samples of a file, as JSON.
 const RPC_READER: &str = "
-import json, sys
+import contextlib, json, sys
 from rpc_reader.rpc_reader import ReadRPC
-file = ReadRPC(sys.argv[1])
-file.import_rpc_data_from_file()
+# It tells its progress on the same output.
+with contextlib.redirect_stdout(sys.stderr):
+    file = ReadRPC(sys.argv[1])
+    file.import_rpc_data_from_file()
 channels = file.get_channels()
 data = file.get_data()
 json.dump({
-    'names': [channels[i]['Channel'] for i in sorted(channels)],
+    'names': [channels[i]['Description'] for i in sorted(channels)],
     'step_s': float(file.get_headers()['DELTA_T']),
     'samples': data.T.tolist(),
 }, sys.stdout)

@@ -6,7 +6,7 @@ use super::header::{BLOCK, KEY, RECORD};
 use super::{FRAME, FULL_SCALE, GROUP};
 use crate::engine::{Samples, samples};
 
-/// The pieces of a file of 16-bit integers: the header, then a piece a group. The last frame is filled with the
+/// The pieces of a file of 16-bit integers: the header, then a piece a group. The last group is filled with the
 /// last value of each channel, and `SAMPLES` says how many are true.
 #[derive(Debug)]
 pub struct Rpc3Pieces<S> {
@@ -62,7 +62,8 @@ impl<S: Samples> Rpc3Pieces<S> {
 
     fn header(&self, scales: &[f64]) -> Vec<u8> {
         let channels = scales.len();
-        let frames = self.samples.n_samples().div_ceil(FRAME);
+        // Whole groups: some readers take a group of fewer frames for one that is stored shorter.
+        let frames = self.groups() * (GROUP / FRAME);
         let mut records: Vec<(String, String)> = Vec::new();
         let mut put = |key: &str, value: String| records.push((key.to_owned(), value));
         put("FILE_TYPE", "TIME_HISTORY".into());
