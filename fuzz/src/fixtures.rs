@@ -1,10 +1,10 @@
 //! A small rig, a model of it and files of runs.
 
 use realfft::num_complex::Complex64;
+use rigcast::engine::Signal;
 use rigcast::engine::frf::Frf;
 use rigcast::engine::lstm::{LstmBlock, LstmNet, Recombine};
 use rigcast::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, to_safetensors};
-use rigcast::engine::Signal;
 use rigcast::formats::npy::{self, Dtype, Order};
 use rigcast::formats::rpc3::Rpc3Pieces;
 use serde_json::{Value, json};
