@@ -127,7 +127,7 @@ fn bombs() -> Vec<Case> {
     let types = [
         "application/zip",
         "application/x-npz",
-        "application/x-rpc3",
+        "application/x-hdf5",
         "application/x-matlab-data",
         "application/gzip",
     ];
@@ -138,6 +138,9 @@ fn bombs() -> Vec<Case> {
         }
     }
     for bytes in [&gzip, &zip] {
+        let name = format!("{:02x?} as RPC III", &bytes[..2]);
+        let case = Case::file("POST", RUNS, "application/x-rpc3", bytes.clone());
+        cases.push(case.named(&name, "rpc3.header"));
         for (path, media_type) in [(RUNS, CSV), (RUNS, NPY), (RUNS, JSON), (MODELS, WEIGHTS), (PREDICT, JSON)]
         {
             let name = format!("{:02x?} as {media_type}", &bytes[..2]);
