@@ -12,7 +12,6 @@ cases=${1:-300}
 root=$PWD
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 program=${RIGCAST:-$target/debug/rigcast}
-tools=$target/contract
 work=$(mktemp -d)
 server=
 stop() {
@@ -21,17 +20,12 @@ stop() {
 }
 trap stop EXIT
 
-# One environment per set of package versions.
-wanted=$(sha256sum scripts/contract-requirements.txt | cut -c1-16)
-if [ ! -x "$tools-$wanted/bin/st" ]; then
-  if ! { python3 -m venv "$tools-$wanted" && "$tools-$wanted/bin/pip" install --quiet --disable-pip-version-check \
-         --requirement scripts/contract-requirements.txt; } >"$work/venv.log" 2>&1; then
-    rm -rf "$tools-$wanted"
-    echo "contract: skipped, schemathesis cannot be installed here: $(tail -1 "$work/venv.log")"
-    exit 0
-  fi
+tools=$(scripts/python_env.sh contract 2>"$work/venv.log")
+if [ -z "$tools" ]; then
+  echo "contract: skipped, schemathesis cannot be installed here: $(tail -1 "$work/venv.log")"
+  exit 0
 fi
-st=$tools-$wanted/bin/st
+st=$tools/bin/st
 
 secret=$("$program" token create --role admin --name contract --data-dir "$work/data" 2>/dev/null)
 "$program" serve --listen 127.0.0.1:0 --data-dir "$work/data" --log warn,rigcast=info >"$work/out.log" 2>"$work/log" &

@@ -8,6 +8,8 @@ pub mod error;
 pub mod fatigue;
 pub mod frf;
 pub mod lstm;
+#[cfg(test)]
+pub(crate) mod measured;
 pub mod metrics;
 pub mod model;
 pub mod progress;

@@ -113,6 +113,7 @@ mod tests {
     use std::io::Read;
 
     use super::*;
+    use crate::engine::measured::shared_data;
 
     /// A file that comes in pieces of three bytes; the cuts must not change the result.
     pub(super) struct Pieces<'a>(pub &'a [u8]);
@@ -264,16 +265,7 @@ mod tests {
     /// Files that other programs wrote.
     #[test]
     fn measured_files_read_whole() {
-        let root = std::env::var("RIGCAST_SHARED")
-            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
-        let load = |name: &str| {
-            let path = std::path::Path::new(&root).join("data").join(name);
-            let file = std::fs::read(&path).ok();
-            if file.is_none() {
-                println!("skipped: there is no {}", path.display());
-            }
-            file
-        };
+        let load = |name: &str| shared_data(name).map(|path| std::fs::read(path).unwrap());
         if let Some(file) = load("silverbox/train.csv") {
             let run = csv::read(&file).unwrap();
             assert_eq!(run.names.unwrap(), ["drive", "response"]);

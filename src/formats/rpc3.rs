@@ -10,6 +10,8 @@ mod pieces;
 
 use std::io::Read;
 
+use serde::Deserialize;
+
 use super::{FormatError, PIECE, ParsedRun, ReadError, Spool};
 
 pub use header::{Header, Numbers};
@@ -26,7 +28,8 @@ const GROUP: usize = 2048;
 const FULL_SCALE: f64 = 32752.0;
 
 /// The unit of a channel's `SCALE`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum ScaleConvention {
     /// Engineering units of one count, as the format's description and nCode have it.
     #[default]

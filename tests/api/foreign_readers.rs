@@ -1,5 +1,6 @@
-//! Files that the service writes, read by other programs: Python packages that `scripts/readers.sh` installs.
+//! Files that the service writes, read by other programs: Python packages that `scripts/python_env.sh readers` installs.
 
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
@@ -25,14 +26,18 @@ json.dump({
 
 /// What a Python program prints about a file; nothing where the packages are not installed.
 fn read_with(program: &str, file: &[u8]) -> Option<Value> {
-    let Some(python) = std::env::var_os("RIGCAST_READERS").filter(|path| !path.is_empty()) else {
-        println!("skipped: RIGCAST_READERS names no Python (scripts/readers.sh)");
+    let Some(readers) = std::env::var_os("RIGCAST_READERS").filter(|path| !path.is_empty()) else {
+        println!("skipped: RIGCAST_READERS names no environment of Python (scripts/python_env.sh readers)");
         return None;
     };
     let directory = tempfile::tempdir().expect("a directory");
     let path = directory.path().join("run.rsp");
     std::fs::write(&path, file).expect("written");
-    let output = Command::new(python).args(["-c", program]).arg(&path).output().expect("Python runs");
+    let output = Command::new(Path::new(&readers).join("bin/python"))
+        .args(["-c", program])
+        .arg(&path)
+        .output()
+        .expect("Python runs");
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
     Some(serde_json::from_slice(&output.stdout).expect("JSON"))

@@ -146,6 +146,7 @@ impl<P: Point> Stack<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::measured::shared_data;
     use proptest::prelude::*;
 
     fn count(x: &[f64]) -> Rainflow {
@@ -362,13 +363,8 @@ mod tests {
     /// width 50 from -2025, hysteresis 50, residue as it is.
     #[test]
     fn a_long_series_gives_the_published_count_and_residue() {
-        let root = std::env::var("RIGCAST_SHARED")
-            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
-        let path = std::path::Path::new(&root).join("data/rainflow/long_series.csv");
-        let Ok(text) = std::fs::read_to_string(&path) else {
-            println!("skipped: there is no {}", path.display());
-            return;
-        };
+        let Some(path) = shared_data("rainflow/long_series.csv") else { return };
+        let text = std::fs::read_to_string(path).unwrap();
         let x: Vec<f64> = text.split_whitespace().map(|v| v.parse().unwrap()).collect();
         assert_eq!(x.len(), 10_001);
         let classes = super::super::Classes::new(-2025.0, -2025.0 + 50.0 * 100.0, 100).unwrap();

@@ -3,10 +3,13 @@
 
 use std::io;
 
+use serde::Deserialize;
+
 use crate::formats::Spool;
 
 /// What happens to samples that seem to fill the last frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Padding {
     /// They are left out: an offset that drops to zero adds a cycle to the damage of every channel.
     #[default]
@@ -27,9 +30,6 @@ const MOST: usize = 1 << 16;
 /// # Errors
 /// Those of the file.
 pub(super) fn strip(spool: &mut Spool, frame: usize) -> io::Result<()> {
-    if spool.n_columns() == 0 {
-        return Ok(());
-    }
     let samples = spool.len(0);
     let looked_at = samples.min(frame).min(MOST);
     let (mut alike, mut zero) = (looked_at, true);

@@ -2,6 +2,7 @@ use std::f64::consts::TAU;
 
 use super::*;
 use crate::engine::Signal;
+use crate::engine::measured::shared_data;
 use crate::formats::tests::Pieces;
 
 /// A file from key words and numbers, as another program may write it.
@@ -251,13 +252,8 @@ fn columns_in_a_file_are_shortened_like_those_in_memory() {
 /// A file that nCode wrote, whose header holds the statistics of its channels.
 #[test]
 fn a_measured_file_has_the_statistics_that_its_header_states() {
-    let root = std::env::var("RIGCAST_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
-    let path = std::path::Path::new(&root).join("data/formats/rpc3/test1.rsp");
-    let Ok(file) = std::fs::read(&path) else {
-        println!("skipped: there is no {}", path.display());
-        return;
-    };
+    let Some(path) = shared_data("formats/rpc3/test1.rsp") else { return };
+    let file = std::fs::read(path).unwrap();
     let run = read(&file, Reading { padding: Padding::Keep, ..Reading::default() }).unwrap();
     assert_eq!(run.sample_rate_hz, Some(250.0));
     let header = file.as_chunks::<128>().0;

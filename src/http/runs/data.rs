@@ -47,8 +47,6 @@ pub async fn show(
     put(CONTENT_TYPE, media_type.to_owned())?;
     put(HeaderName::from_static("rigcast-channels"), header_names(&names))?;
     put(HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string())?;
-    let described = http.store.rig(&rig).await?.ok_or_else(|| no_run(&id.to_string()))?;
-    let drives = names.iter().all(|n| described.channel(n).is_some_and(|c| c.role == Role::Drive));
     let open = http.store.open_samples(&run, columns.clone(), range.clone());
     let samples = http.read_in_time(open).await?;
     let units = || columns.iter().map(|&c| run.units[c].clone()).collect();
@@ -65,6 +63,8 @@ pub async fn show(
             Box::new(CsvPieces::new(names, units(), time, samples).map_err(Problem::internal)?)
         }
         RPC3 => {
+            let rig = http.store.rig(&rig).await?.ok_or_else(|| no_run(&id.to_string()))?;
+            let drives = names.iter().all(|n| rig.channel(n).is_some_and(|c| c.role == Role::Drive));
             let pieces = Rpc3Pieces::new(names, units(), drives, samples);
             put(CONTENT_LENGTH, pieces.size().to_string())?;
             Box::new(pieces)

@@ -7,8 +7,9 @@ use crate::domain::Rig;
 use crate::domain::run::RunMeta;
 use crate::engine::resample::{ResampleError, resample_pieces};
 use crate::engine::{Samples, Signal, rounded};
-use crate::formats::rpc3::{Padding, Reading, ScaleConvention};
+use crate::formats::rpc3::Reading;
 use crate::formats::{self, ParsedRun, ReadError, Spool, SpooledSamples};
+use crate::http::jobs::word;
 use crate::http::negotiate::{CSV, NPY, RPC3};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -87,12 +88,8 @@ impl RunFile {
         let channels = params.one("channels")?;
         let channels = channels.map(|text| text.split(',').map(|name| name.trim().to_owned()).collect());
         let rpc3 = Reading {
-            padding: choice(params, "padding", [("strip", Padding::Strip), ("keep", Padding::Keep)])?,
-            scale: choice(
-                params,
-                "scale",
-                [("count", ScaleConvention::Count), ("full_scale", ScaleConvention::FullScale)],
-            )?,
+            padding: word(params, "padding", "strip or keep")?.unwrap_or_default(),
+            scale: word(params, "scale", "count or full_scale")?.unwrap_or_default(),
         };
         Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")?, rpc3 })
     }
@@ -192,14 +189,6 @@ impl RunFile {
         }
         if self.resample { Ok(rate) } else { Err(refuse(rate, rig.sample_rate_hz)) }
     }
-}
-
-/// One of some words of the query; the first where none is given.
-fn choice<T: Copy>(params: &mut Params, name: &str, words: [(&str, T); 2]) -> Answer<T> {
-    let Some(found) = params.one(name)? else { return Ok(words[0].1) };
-    let limit = format!("{} or {}", words[0].0, words[1].0);
-    let known = words.iter().find(|(word, _)| *word == found);
-    known.map(|&(_, value)| value).ok_or_else(|| invalid(name, format!("is {found:?}"), &limit))
 }
 
 /// The samples at another rate, in a spool of their own.

@@ -1,22 +1,10 @@
 //! Measured systems, where the shared data folder is present.
 
 use super::*;
+use crate::engine::measured::shared_data;
 use crate::engine::metrics::nrmse;
 use crate::engine::model::Preprocess;
 use crate::engine::resample::resample;
-
-fn folder(name: &str) -> Option<std::path::PathBuf> {
-    let shared = std::env::var_os("RIGCAST_SHARED").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        std::path::PathBuf::from,
-    );
-    let folder = shared.join("data").join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no {}", folder.display());
-    None
-}
 
 /// Columns of a CSV file with one header row.
 fn csv(path: &std::path::Path) -> Vec<Vec<f64>> {
@@ -32,7 +20,7 @@ fn csv(path: &std::path::Path) -> Vec<Vec<f64>> {
 
 /// One drive, one response; error on a test file, its first 50 samples skipped, in millivolts.
 fn siso_error_mv(name: &str, fs: f64, test: &str) -> Option<f64> {
-    let folder = folder(name)?;
+    let folder = shared_data(name)?;
     let read = |file: &str| {
         let mut columns = csv(&folder.join(file));
         let y = columns.pop().unwrap();
@@ -80,7 +68,7 @@ fn shaker(folder: &std::path::Path, file: &str) -> (Signal, Signal) {
 
 #[test]
 fn the_multiaxis_shaker_is_predicted_from_two_seconds() {
-    let Some(folder) = folder("multiaxis_shaker") else { return };
+    let Some(folder) = shared_data("multiaxis_shaker") else { return };
     let (x, y) = shaker(&folder, "run1.npy");
     let found = estimate(&[(&x, &y)], &FrfSettings::default(), &unwatched).unwrap();
     let (x, y) = shaker(&folder, "run2.npy");
