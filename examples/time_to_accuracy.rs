@@ -10,20 +10,18 @@
 //! `--epochs`, `--batch-size` and `--learning-rate` take the place of both presets' values: three epochs
 //! show in a minute that all works.
 
+mod bench_programme;
+
 use std::time::Instant;
 
+use bench_programme::{Recorded, fit_data, fitted, record};
 use clap::Parser;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::{ProgressBar, ProgressStyle};
-use rayon::prelude::*;
 use rigcast::engine::fatigue::{DamageChannel, DamageGroup, DamageSettings, damage_report};
 use rigcast::engine::metrics;
-use rigcast::engine::model::{
-    FitData, FitSettings, FitSplit, Fitted, LstmOptions, ModelKind, Pair, Preprocess, Preset, RigModel, Task,
-    fit,
-};
-use rigcast::engine::virtual_rig::{ProgrammeRun, ProgrammeSettings, VirtualRig, programme};
+use rigcast::engine::model::{FitData, Fitted, LstmOptions, ModelKind, Preset, RigModel};
 use rigcast::engine::{EngineError, Progress, Signal, Split};
 use serde_json::json;
 
@@ -57,18 +55,12 @@ fn kind(name: &str) -> Result<ModelKind, String> {
     serde_json::from_value(json!(name)).map_err(|_| "frf, lstm, hybrid1 or hybrid2".to_owned())
 }
 
-/// A recorded run.
-struct Recorded {
-    run: ProgrammeRun,
-    pair: Pair,
-}
-
 /// Withheld loads: the column's name and the runs' tag.
 const LOADS: [(&str, &str); 4] = [("N1", "n1"), ("SL", "sl"), ("SL-", "sl-minus"), ("SL+", "sl-plus")];
 
 fn main() -> Result<(), EngineError> {
     let args = Args::parse();
-    let runs = record(&args)?;
+    let runs = record(args.minutes, args.seed)?;
     let data = fit_data(&runs);
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);
@@ -111,33 +103,6 @@ fn main() -> Result<(), EngineError> {
     Ok(())
 }
 
-fn record(args: &Args) -> Result<Vec<Recorded>, EngineError> {
-    let rig = VirtualRig::draw(args.seed);
-    programme(&ProgrammeSettings::of_minutes(args.minutes), args.seed)?
-        .into_par_iter()
-        .enumerate()
-        .map(|(index, run)| {
-            let y = rig.simulate(&run.drive, args.seed.wrapping_mul(1_000_003).wrapping_add(index as u64))?;
-            let pair = Pair { x: run.drive.clone(), y };
-            Ok(Recorded { run, pair })
-        })
-        .collect()
-}
-
-/// The networks learn from the mixed noise, the FRF from the small centred noise.
-fn fit_data(runs: &[Recorded]) -> FitData {
-    let of = |split: Split, tag: &str| -> Vec<Pair> {
-        runs.iter()
-            .filter(|r| r.run.split == split && r.run.tags.contains(&tag))
-            .map(|r| r.pair.clone())
-            .collect()
-    };
-    let validation =
-        runs.iter().filter(|r| r.run.split == Split::Validation).map(|r| r.pair.clone()).collect();
-    FitData::with_validation(of(Split::Training, "mixed"), validation, FitSplit::ValidationStops)
-        .with_frf_runs(of(Split::Training, "linear"))
-}
-
 /// One fit and its seconds.
 fn timed_fit(
     args: &Args,
@@ -145,22 +110,12 @@ fn timed_fit(
     (name, preset): (&str, Preset),
     data: &FitData,
 ) -> Result<(Fitted, f64), EngineError> {
-    let names = |channels: std::ops::Range<usize>| channels.map(|c| format!("channel_{c}")).collect();
-    let settings = FitSettings {
-        kind,
-        task: Task::Forward,
-        inputs: names(0..3),
-        outputs: names(3..9),
-        preprocess: Preprocess::default(),
-        frf: preset.frf(),
-        lstm: LstmOptions {
-            seeds: Some(vec![args.seed]),
-            epochs: args.epochs,
-            batch_size: args.batch_size,
-            learning_rate: args.learning_rate,
-            ..LstmOptions::default()
-        },
-        preset,
+    let lstm = LstmOptions {
+        seeds: Some(vec![args.seed]),
+        epochs: args.epochs,
+        batch_size: args.batch_size,
+        learning_rate: args.learning_rate,
+        ..LstmOptions::default()
     };
     let style = ProgressStyle::with_template("{msg:16} {wide_bar} {percent:>3} % {elapsed} of {duration}")
         .expect("a valid template");
@@ -171,7 +126,7 @@ fn timed_fit(
         std::ops::ControlFlow::Continue(())
     };
     let began = Instant::now();
-    let fitted = fit(data, &settings, &watch)?;
+    let fitted = fitted(kind, preset, lstm, data, &watch)?;
     bar.finish_and_clear();
     Ok((fitted, began.elapsed().as_secs_f64()))
 }

@@ -7,6 +7,7 @@ pub mod diagnosis;
 pub mod error;
 pub mod fatigue;
 pub mod frf;
+pub mod iteration;
 pub mod lstm;
 #[cfg(test)]
 pub(crate) mod measured;

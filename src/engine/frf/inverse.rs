@@ -47,6 +47,23 @@ impl FrfInverse {
     /// # Errors
     /// [`EngineError::Setting`] for a ridge that is negative or not finite.
     pub fn new(frf: &Frf, quality: Option<&FrfQuality>, ridge: f64) -> Result<Self, EngineError> {
+        Self::weighted(frf, quality, ridge, &vec![1.0; frf.n_outputs])
+    }
+
+    /// The same with a weight for each output, by which its row of `R` is multiplied: where there are more outputs
+    /// than inputs, an output of twice the weight is followed as if its error counted four times.
+    ///
+    /// # Errors
+    /// As of [`FrfInverse::new`].
+    ///
+    /// # Panics
+    /// If there is not one weight an output.
+    pub fn weighted(
+        frf: &Frf,
+        quality: Option<&FrfQuality>,
+        ridge: f64,
+        weights: &[f64],
+    ) -> Result<Self, EngineError> {
         if !(ridge.is_finite() && ridge >= 0.0) {
             let limit = "a finite number, not negative".into();
             return Err(EngineError::Setting { setting: "ridge", found: ridge.to_string(), limit });
@@ -56,7 +73,9 @@ impl FrfInverse {
             Some(quality) => quality.excited.iter().map(|&[first, last]| (first, last)).collect(),
             None => usable(frf).into_iter().collect(),
         };
-        let (row, column) = balance(frf, &spans);
+        let (mut row, column) = balance(frf, &spans);
+        assert_eq!(row.len(), weights.len(), "one weight an output");
+        row.iter_mut().zip(weights).for_each(|(row, weight)| *row *= weight);
         let tapers = tapers(&spans, frf.n_lines());
         let mut inverse = Self { ridge, spans, tapers, row, column, level: 0.0 };
         let rank = frf.n_outputs.min(frf.n_inputs) as f64;

@@ -1,0 +1,298 @@
+//! Searches on models whose answer is known.
+
+use std::ops::ControlFlow;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use realfft::num_complex::Complex64;
+
+use super::*;
+use crate::engine::frf::Frf;
+use crate::engine::lstm::{LstmNet, Recombine};
+use crate::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use crate::engine::progress::unwatched;
+
+const FS: f64 = 200.0;
+const SAMPLES: usize = 4000;
+
+/// Static gains of two responses to two drives.
+const GAINS: [[f64; 2]; 2] = [[1.0, 0.3], [0.2, 2.0]];
+
+/// Two coupled resonators at 15 Hz, known up to 40 Hz.
+fn linear() -> RigModel {
+    let segment_len = 512;
+    let lines = segment_len / 2 + 1;
+    let h = (0..lines)
+        .flat_map(|line| {
+            let hz = line as f64 * FS / segment_len as f64;
+            let ratio = hz / 15.0;
+            let mode = 1.0 / Complex64::new(1.0 - ratio * ratio, 0.2 * ratio);
+            let known = if hz <= 40.0 { 1.0 } else { 0.0 };
+            GAINS.into_iter().flatten().map(move |gain| mode * gain * known)
+        })
+        .collect();
+    let frf = Frf {
+        sample_rate_hz: FS,
+        segment_len,
+        n_inputs: 2,
+        n_outputs: 2,
+        h,
+        usable_hz: [0.0, 40.0],
+        x_mean: vec![0.5, 0.0],
+        y_mean: vec![-1.0, 2.0],
+    };
+    RigModel {
+        kind: ModelKind::Frf,
+        inputs: vec!["u".into(), "v".into()],
+        outputs: vec!["y".into(), "z".into()],
+        sample_rate_hz: FS,
+        preprocess: Preprocess::default(),
+        frf: Some(frf),
+        frf_quality: None,
+        lstm: None,
+        range: vec![InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]) }; 2],
+        effects: Vec::new(),
+    }
+}
+
+/// Gaussian noise up to `last_hz` with a standard deviation of about 0.5.
+fn noise(seed: u64, last_hz: f64) -> Vec<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let white = (0..SAMPLES).map(|_| rng.sample::<f64, _>(StandardNormal)).collect();
+    let filter = Preprocess { low_pass_hz: Some(last_hz), ..Preprocess::default() };
+    let limited = filter.apply_to(Signal::new(FS, vec![white]).unwrap()).unwrap();
+    limited.channel(0).iter().map(|v| 0.5 * v * (FS / (2.0 * last_hz)).sqrt()).collect()
+}
+
+fn drive() -> Signal {
+    Signal::new(FS, vec![noise(1, 25.0), noise(2, 25.0)]).unwrap()
+}
+
+struct Case {
+    predictor: Predictor,
+    target: Signal,
+    outputs: Vec<usize>,
+    gains: Vec<f64>,
+    limits: [DriveLimit; 2],
+}
+
+impl Case {
+    fn of(model: RigModel, target: Signal) -> Self {
+        let predictor = Predictor::new(model).unwrap();
+        Self {
+            predictor,
+            target,
+            outputs: vec![0, 1],
+            gains: vec![1.0; 2],
+            limits: [DriveLimit::default(); 2],
+        }
+    }
+
+    fn linear() -> Self {
+        let target = Predictor::new(linear()).unwrap().predict(drive()).unwrap();
+        Self::of(linear(), target)
+    }
+
+    fn search(&self, start: &Start, settings: &IterationSettings) -> Result<Found, EngineError> {
+        let weights = vec![1.0; self.outputs.len()];
+        let problem = Problem {
+            predictor: &self.predictor,
+            outputs: &self.outputs,
+            target: &self.target,
+            weights: &weights,
+            gains: &self.gains,
+            limits: &self.limits,
+        };
+        iterate(&problem, start, settings, &unwatched)
+    }
+}
+
+fn apart(a: &[f64], b: &[f64]) -> f64 {
+    rms(a, b).unwrap()
+}
+
+#[test]
+fn a_drive_of_a_linear_model_is_found_again_from_any_start() {
+    let case = Case::linear();
+    let near: Vec<Vec<f64>> =
+        drive().channels().iter().map(|u| u.iter().map(|v| 0.8 * v).collect()).collect();
+    for start in [Start::Zero, Start::Inverse, Start::Drive(Signal::new(FS, near).unwrap())] {
+        let found = case.search(&start, &IterationSettings::default()).unwrap();
+        let best = &found.steps[found.best];
+        assert!(best.total_error < 1e-3, "{start:?}: {}", best.total_error);
+        assert!(best.damage.iter().all(|d| (d.ratio.unwrap() - 1.0).abs() < 0.01), "{:?}", best.damage);
+        let inner = |u: &Vec<f64>| u[200..SAMPLES - 200].to_vec();
+        for (wanted, found) in drive().channels().iter().zip(found.drive.channels()) {
+            assert!(apart(&inner(wanted), &inner(found)) < 0.02, "{start:?}");
+        }
+        assert_eq!(found.response, case.predictor.predict(found.drive.clone()).unwrap());
+        assert_eq!(found.linear, LinearPart::Model);
+        let [first, last] = found.band_hz.unwrap();
+        assert!(first == 0.0 && (38.0..43.0).contains(&last), "{first} to {last}");
+        assert!(found.out_of_reach.iter().all(|share| *share < 1e-3), "{:?}", found.out_of_reach);
+        let totals: Vec<f64> = found.steps.iter().filter(|s| s.better).map(|s| s.total_error).collect();
+        assert!(totals.is_sorted_by(|a, b| a > b), "{totals:?}");
+    }
+}
+
+#[test]
+fn it_stops_where_it_was_told_to() {
+    let case = Case::linear();
+    let stop = StopAt { error: Some(0.05), damage_ratio: None };
+    let settings = IterationSettings { gain: 0.5, stop, ..IterationSettings::default() };
+    let found = case.search(&Start::Zero, &settings).unwrap();
+    assert_eq!(found.stopped, Stopped::Error);
+    let all = |step: &Step| step.error.iter().all(|error| error.unwrap() <= 0.05);
+    assert!(all(&found.steps[found.best]) && !all(&found.steps[found.best - 1]));
+    let stop = StopAt { error: None, damage_ratio: Some([0.9, 1.1]) };
+    let found = case.search(&Start::Zero, &IterationSettings { stop, ..settings.clone() }).unwrap();
+    assert_eq!(found.stopped, Stopped::DamageRatio);
+    let settings = IterationSettings { iterations: 2, stop: StopAt::default(), ..settings };
+    let found = case.search(&Start::Zero, &settings).unwrap();
+    assert_eq!((found.stopped, found.steps.len()), (Stopped::Iterations, 3));
+    let settled = case.search(&Start::Inverse, &IterationSettings { iterations: 200, ..settings }).unwrap();
+    assert_eq!(settled.stopped, Stopped::Settled);
+}
+
+#[test]
+fn a_gain_that_is_too_large_is_lowered_and_no_good_drive_is_lost() {
+    let mut case = Case::linear();
+    case.gains = vec![2.0; 2];
+    let settings = IterationSettings { gain: 2.0, iterations: 40, ..IterationSettings::default() };
+    let found = case.search(&Start::Zero, &settings).unwrap();
+    assert!(found.steps.iter().any(|step| !step.better), "a gain of 4 makes it worse");
+    let best = &found.steps[found.best];
+    assert!(best.total_error < 0.01, "{}", best.total_error);
+    assert!(found.steps.iter().all(|step| step.total_error >= best.total_error));
+}
+
+#[test]
+fn limits_hold_and_tell_what_they_changed() {
+    let mut case = Case::linear();
+    let peak = drive().channel(0).iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
+    case.limits[0].peak = Some(0.5 * peak);
+    let found = case.search(&Start::Inverse, &IterationSettings::default()).unwrap();
+    let best = &found.steps[found.best];
+    assert!(
+        best.drive_peak[0] <= 0.5 * peak && best.limited[0] > 0.001 && best.limited[1] == 0.0,
+        "{best:?}"
+    );
+    assert!(best.total_error > 0.02, "the target needs more");
+    assert!(found.drive.channel(0).iter().all(|v| v.abs() <= 0.5 * peak));
+}
+
+#[test]
+fn what_the_corrections_do_not_reach_is_told() {
+    let mut case = Case::linear();
+    let (y, high) = (case.target.channel(0).to_vec(), noise(5, 90.0));
+    let power = |x: &[f64]| x.iter().map(|v| v * v).sum::<f64>();
+    let share = 5.0 / 9.0 * power(&high) / (power(&y) + power(&high));
+    let both = y.iter().zip(&high).map(|(a, b)| a + b).collect();
+    case.target = Signal::new(FS, vec![both, case.target.channel(1).to_vec()]).unwrap();
+    let found = case.search(&Start::Inverse, &IterationSettings::default()).unwrap();
+    assert!((found.out_of_reach[0] / share - 1.0).abs() < 0.2, "{:?} {share}", found.out_of_reach);
+    assert!(found.out_of_reach[1] < 1e-3);
+    let narrow = IterationSettings { band_hz: Some([0.0, 10.0]), ..IterationSettings::default() };
+    let found = case.search(&Start::Inverse, &narrow).unwrap();
+    assert!(found.out_of_reach[1] > 0.1 && found.band_hz.unwrap()[1] < 12.0, "{:?}", found.out_of_reach);
+    let empty = IterationSettings { band_hz: Some([60.0, 80.0]), ..IterationSettings::default() };
+    let refused = case.search(&Start::Inverse, &empty);
+    assert!(matches!(refused, Err(EngineError::Setting { setting: "band_hz", .. })), "{refused:?}");
+}
+
+#[test]
+fn drives_are_drawn_towards_what_the_model_was_fitted_on() {
+    let mut model = linear();
+    model.range[0].max = 0.5;
+    let case = Case::of(model, Case::linear().target);
+    let beyond = |outside: Outside| {
+        let settings = IterationSettings { outside, ..IterationSettings::default() };
+        let found = case.search(&Start::Inverse, &settings).unwrap();
+        let most = found.drive.channel(0).iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        (most, found.steps[found.best].total_error)
+    };
+    let ((held, error), (free, least)) = (beyond(Outside::Penalised), beyond(Outside::Allowed));
+    assert!(held < 0.8 * free && error > 2.0 * least, "{held} {free} {error} {least}");
+}
+
+#[test]
+fn a_network_without_an_frf_is_asked_for_one() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let net = LstmNet::init(2, &[8], 2, 1.0, &mut rng);
+    let unit = Scaler { mean: vec![0.0; 2], std: vec![1.0; 2] };
+    let mut model = linear();
+    model.kind = ModelKind::Lstm;
+    model.frf = None;
+    model.lstm = Some(LstmPart {
+        net,
+        x: unit.clone(),
+        y: unit,
+        window_len: 64,
+        hop: 32,
+        recombine: Recombine::Stream,
+    });
+    let target = Predictor::new(model.clone()).unwrap().predict(drive()).unwrap();
+    let case = Case::of(model.clone(), target.clone());
+    let found = case.search(&Start::Zero, &IterationSettings::default()).unwrap();
+    assert_eq!(found.linear, LinearPart::Estimated);
+    let (first, best) = (&found.steps[0], &found.steps[found.best]);
+    assert!(best.total_error < 0.3 * first.total_error, "{} {}", best.total_error, first.total_error);
+    model.range.clear();
+    let refused = Case::of(model, target).search(&Start::Zero, &IterationSettings::default());
+    assert!(matches!(refused, Err(EngineError::Setting { setting: "model", .. })), "{refused:?}");
+}
+
+#[test]
+fn one_target_of_two_and_tapers() {
+    let mut case = Case::linear();
+    case.outputs = vec![1];
+    case.gains = vec![1.0];
+    case.target = case.target.select(&[1]);
+    let settings = IterationSettings { taper_s: 1.0, ..IterationSettings::default() };
+    let found = case.search(&Start::Zero, &settings).unwrap();
+    assert_eq!(found.response.n_channels(), 2);
+    assert!(found.drive.channels().iter().all(|u| u[0] == 0.0 && u[SAMPLES - 1] == 0.0));
+    let inner = |u: &[f64]| u[400..SAMPLES - 400].to_vec();
+    assert!(apart(&inner(case.target.channel(0)), &inner(found.response.channel(1))) < 0.01);
+}
+
+#[test]
+fn a_target_of_zeros_and_bad_settings_are_refused_and_a_search_is_cancelled() {
+    let mut case = Case::linear();
+    let bad = [
+        IterationSettings { iterations: 0, ..IterationSettings::default() },
+        IterationSettings { gain: f64::NAN, ..IterationSettings::default() },
+        IterationSettings { band_hz: Some([5.0, 5.0]), ..IterationSettings::default() },
+        IterationSettings { ridge: -1.0, ..IterationSettings::default() },
+        IterationSettings { taper_s: f64::INFINITY, ..IterationSettings::default() },
+        IterationSettings {
+            gain_bands: vec![GainBand { from_hz: 1.0, to_hz: 2.0, gain: 3.0 }],
+            ..IterationSettings::default()
+        },
+        IterationSettings {
+            stop: StopAt { error: None, damage_ratio: Some([1.1, 1.2]) },
+            ..IterationSettings::default()
+        },
+    ];
+    for settings in bad {
+        let refused = case.search(&Start::Zero, &settings);
+        assert!(matches!(refused, Err(EngineError::Setting { .. })), "{settings:?}");
+    }
+    let weights = [1.0; 2];
+    let problem = Problem {
+        predictor: &case.predictor,
+        outputs: &case.outputs,
+        target: &case.target,
+        weights: &weights,
+        gains: &case.gains,
+        limits: &case.limits,
+    };
+    let stop =
+        |p: Progress<'_>| if p.fraction > 0.1 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let cancelled = iterate(&problem, &Start::Zero, &IterationSettings::default(), &stop);
+    assert!(matches!(cancelled, Err(EngineError::Cancelled)));
+    case.target = Signal::new(FS, vec![vec![0.0; SAMPLES]; 2]).unwrap();
+    let refused = case.search(&Start::Zero, &IterationSettings::default());
+    assert!(matches!(refused, Err(EngineError::DeadChannel { what: "target", .. })));
+}
