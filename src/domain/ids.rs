@@ -16,6 +16,9 @@ pub type JobId = uuid::Uuid;
 /// Id of a diagnosis (UUID v7).
 pub type DiagnosisId = uuid::Uuid;
 
+/// Id of a drive-file iteration (UUID v7).
+pub type IterationId = uuid::Uuid;
+
 /// A rig's id: `^[a-z0-9][a-z0-9_-]{0,62}$`. The only id that a client chooses.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]

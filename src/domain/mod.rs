@@ -1,10 +1,11 @@
-//! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, tokens.
+//! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, iterations, tokens.
 
 mod created;
 pub mod diagnosis;
 mod fit_check;
 pub mod fits;
 pub mod ids;
+pub mod iteration;
 pub mod job;
 pub mod model;
 mod model_ref;
@@ -21,7 +22,8 @@ pub use crate::engine::{Quantity, RunKind, Split};
 pub use created::Created;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
 pub use fit_check::{FitChannels, task};
-pub use ids::{DiagnosisId, JobId, RigId, RunId, new_id};
+pub use ids::{DiagnosisId, IterationId, JobId, RigId, RunId, new_id};
+pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{
     ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span,

@@ -127,6 +127,10 @@ codes! {
     JOB_TIME_LIMIT = "job.time_limit", 500, "The job took too long";
     JOB_UNKNOWN = "job.unknown", 500, "The job cannot be read";
 
+    // Iterations.
+    ITERATION_NOT_FOUND = "iteration.not_found", 404, "No such iteration";
+    ITERATION_INVALID = "iteration.invalid", 422, "The iteration does not suit the rig";
+
     // Diagnoses.
     DIAGNOSIS_NOT_FOUND = "diagnosis.not_found", 404, "No such diagnosis";
     DIAGNOSIS_NO_RUNS = "diagnosis.no_runs", 409, "No run matches the selection of the diagnosis";

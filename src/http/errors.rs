@@ -6,7 +6,7 @@ use crate::compute::ComputeError;
 use crate::compute::fair_queue::Refused;
 use crate::engine::{EngineError, rounded};
 use crate::formats::FormatError;
-use crate::jobs::{DiagnosisProblem, FitProblem};
+use crate::jobs::{DiagnosisProblem, FitProblem, IterationProblem};
 use crate::models::ModelError;
 use crate::storage::StoreError;
 use crate::telemetry::names;
@@ -95,6 +95,16 @@ impl From<DiagnosisProblem> for Problem {
         match error {
             DiagnosisProblem::Store(error) => error.into(),
             DiagnosisProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
+            error => error.problem().into(),
+        }
+    }
+}
+
+impl From<IterationProblem> for Problem {
+    fn from(error: IterationProblem) -> Self {
+        match error {
+            IterationProblem::Store(error) => error.into(),
+            IterationProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
             error => error.problem().into(),
         }
     }
@@ -251,6 +261,8 @@ mod tests {
             include_str!("../jobs/fit_plan.rs"),
             include_str!("../jobs/diagnosis/mod.rs"),
             include_str!("../jobs/diagnosis/problem.rs"),
+            include_str!("../jobs/iteration/mod.rs"),
+            include_str!("../jobs/iteration/problem.rs"),
             include_str!("../storage/jobs.rs"),
         ];
         let is_code = |word: &&str| {

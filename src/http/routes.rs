@@ -7,8 +7,8 @@ use axum::routing::{MethodRouter, delete, get, patch, post, put};
 use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
-    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, jobs, metrics, models,
-    predict, rigs, runs, start, tokens,
+    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, iterations, jobs, metrics,
+    models, predict, rigs, runs, start, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -54,6 +54,11 @@ pub static ROUTES: &[Route] = &[
     route(Method::POST, "/v1/rigs/{rig}/diagnoses", Role(Operator), Jobs, || post(diagnoses::start)),
     route(Method::GET, "/v1/rigs/{rig}/diagnoses/{diagnosis}", Role(Reader), Registry, || {
         get(diagnoses::show)
+    }),
+    route(Method::GET, "/v1/rigs/{rig}/iterations", Role(Reader), Registry, || get(iterations::list)),
+    route(Method::POST, "/v1/rigs/{rig}/iterations", Role(Operator), Jobs, || post(iterations::start)),
+    route(Method::GET, "/v1/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || {
+        get(iterations::show)
     }),
     route(Method::POST, "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt", Role(Operator), Jobs, || {
         post(adopt::adopt)

@@ -10,6 +10,7 @@ mod diagnosis;
 mod events;
 pub mod fit;
 mod fit_plan;
+mod iteration;
 pub mod problem;
 mod process;
 mod publish;
@@ -26,7 +27,7 @@ use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Clock, DiagnosisRequest, Job, JobId, Rig, TokenId};
+use crate::domain::{Clock, DiagnosisRequest, IterationRequest, Job, JobId, Rig, TokenId};
 use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, Store, StoreError};
 
 use control::Stop;
@@ -36,6 +37,7 @@ use work_context::WorkContext;
 
 pub use diagnosis::DiagnosisProblem;
 pub use fit::{FitPlan, FitProblem};
+pub use iteration::IterationProblem;
 pub use process::{WorkError, WorkerProgram, work};
 
 /// Settings of the runner.
@@ -170,6 +172,30 @@ impl Jobs {
             }
             JobInsert::MissingRig => Err(DiagnosisProblem::RigGone),
             JobInsert::TooManyWaiting => Err(DiagnosisProblem::TooManyWaiting(asker.max_waiting)),
+        }
+    }
+
+    /// Checks an iteration and queues it for a token, its model resolved.
+    ///
+    /// # Errors
+    /// [`IterationProblem`]: an error of the request, or the store's failure.
+    pub async fn submit_iteration(
+        &self,
+        rig: &Rig,
+        request: &IterationRequest,
+        token: Option<TokenId>,
+        key: Option<&IdempotencyKey>,
+    ) -> Result<Job, IterationProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        let plan = iteration::check(store, rig, request).await?;
+        let asker = self.asker(token);
+        match store.insert_iteration_job(&rig.id, &plan.request, asker, key, clock()).await? {
+            JobInsert::Queued(job) => {
+                self.wake();
+                Ok(*job)
+            }
+            JobInsert::MissingRig => Err(IterationProblem::RigGone),
+            JobInsert::TooManyWaiting => Err(IterationProblem::TooManyWaiting(asker.max_waiting)),
         }
     }
 

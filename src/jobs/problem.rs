@@ -17,6 +17,8 @@ pub mod codes {
     pub const FIT_TEST_RUN: &str = "fit.test_run";
     /// No run matches a selection (409).
     pub const FIT_NO_RUNS: &str = "fit.no_runs";
+    /// The iteration's model, channels, runs or settings do not suit the rig or each other (422).
+    pub const ITERATION_INVALID: &str = "iteration.invalid";
     /// The diagnosis' channels, runs or settings do not suit the rig or each other (422).
     pub const DIAGNOSIS_INVALID: &str = "diagnosis.invalid";
     /// A run lacks a channel of the diagnosis (422).

@@ -5,7 +5,7 @@ use crate::storage::Claim;
 use super::activate::last_words;
 use super::problem::JobError;
 use super::runner::Runner;
-use super::spec::{DiagnosisOutput, JobOutput, ModelOutput};
+use super::spec::{DiagnosisOutput, IterationOutput, JobOutput, ModelOutput};
 
 /// Publishes in one transaction, which succeeds only while the lease is held.
 pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> Result<(), JobError> {
@@ -24,6 +24,13 @@ pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> 
             let stored = runner.store.publish_diagnosis(&claim.lease, diagnosis, &stage, now).await?;
             let id = stored.ok_or(JobError::Stopped)?;
             tracing::info!(diagnosis.id = %id, stage, "stored a diagnosis");
+        }
+        JobOutput::Iteration(made) => {
+            let IterationOutput { iteration, stage } = *made;
+            let rig = &claim.job.rig;
+            let stored = runner.store.publish_iteration(&claim.lease, rig, iteration, &stage, now).await?;
+            let id = stored.ok_or(JobError::Stopped)?;
+            tracing::info!(iteration.id = %id, stage, "stored an iteration");
         }
     }
     Ok(())

@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::domain::{JobId, JobKind, Problem, RigId};
-use crate::storage::{Activation, Claim, NewDiagnosis, NewModel};
+use crate::storage::{Activation, Claim, NewDiagnosis, NewIteration, NewModel};
 
 use super::problem::{JobError, codes};
 
@@ -45,6 +45,7 @@ impl From<&Claim> for JobSpec {
 pub(super) enum JobOutput {
     Model(Box<ModelOutput>),
     Diagnosis(Box<DiagnosisOutput>),
+    Iteration(Box<IterationOutput>),
 }
 
 /// A fitted model, and whether it becomes the active one.
@@ -64,12 +65,21 @@ pub(super) struct DiagnosisOutput {
     pub stage: String,
 }
 
+/// An iterated drive.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct IterationOutput {
+    pub iteration: NewIteration,
+    /// The last stage text of the job.
+    pub stage: String,
+}
+
 impl JobOutput {
     /// The large part, which is sent beside the JSON.
     pub(super) fn bytes(&mut self) -> &mut Bytes {
         match self {
             Self::Model(made) => &mut made.model.weights,
             Self::Diagnosis(made) => &mut made.diagnosis.findings,
+            Self::Iteration(made) => &mut made.iteration.samples,
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::storage::Store;
 use super::control::Control;
 use super::diagnosis;
 use super::fit::{self, FitFunction};
+use super::iteration;
 use super::problem::{JobError, codes};
 use super::spec::{JobOutput, JobSpec};
 
@@ -29,7 +30,8 @@ impl WorkContext {
         let made = match spec.kind {
             JobKind::Fit => JobOutput::Model(Box::new(fit::make(self, spec, control).await?)),
             JobKind::Diagnosis => JobOutput::Diagnosis(Box::new(diagnosis::make(self, spec, control).await?)),
-            JobKind::Evaluation | JobKind::Iteration | JobKind::Study => {
+            JobKind::Iteration => JobOutput::Iteration(Box::new(iteration::make(self, spec, control).await?)),
+            JobKind::Evaluation | JobKind::Study => {
                 let detail = "A newer version of the program queued this job.";
                 let title = "The job cannot be read";
                 return Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)));

@@ -14,6 +14,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (8, "adopted", include_str!("../../migrations/0008_adopted.sql")),
     (9, "changes", include_str!("../../migrations/0009_changes.sql")),
     (10, "job_turns", include_str!("../../migrations/0010_job_turns.sql")),
+    (11, "iterations", include_str!("../../migrations/0011_iterations.sql")),
 ];
 
 /// Migrations up to this number.

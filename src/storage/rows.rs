@@ -11,9 +11,10 @@ use sqlx::{FromRow, Row};
 
 use super::StoreError;
 use crate::domain::diagnosis::DiagnosedModel;
+use crate::domain::iteration::{IteratedModel, IterationReport};
 use crate::domain::{
-    Adoption, Base, DiagnosisSummary, Job, Lineage, Model, ModelFrf, Rig, RigId, Run, SecretDigest,
-    StoredDiagnosis, Token,
+    Adoption, Base, DiagnosisSummary, IterationSummary, Job, Lineage, Model, ModelFrf, Rig, RigId, Run,
+    SecretDigest, StoredDiagnosis, StoredIteration, Token,
 };
 use crate::engine::model::{ModelKind, VersionKind};
 
@@ -367,6 +368,42 @@ impl TryFrom<DiagnosisRow> for StoredDiagnosis {
         let request = Columns { table: "diagnoses", key: &row.id }.json(&row.request)?;
         let (elapsed_s, findings) = (row.elapsed_s, row.findings.clone());
         Ok(Self { summary: row.try_into()?, request, elapsed_s, findings })
+    }
+}
+
+row! {
+    struct IterationRow {
+        id: String,
+        rig: String,
+        job: String,
+        version: i64,
+        model_sha256: String,
+        drive: Option<String>,
+        request: String,
+        report: String,
+        elapsed_s: f64,
+        created_us: i64,
+    }
+}
+
+impl TryFrom<IterationRow> for StoredIteration {
+    type Error = StoreError;
+
+    fn try_from(row: IterationRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "iterations", key: &row.id };
+        let report: IterationReport = columns.json(&row.report)?;
+        let best = report.steps.iter().find(|step| step.iteration == report.best);
+        let summary = IterationSummary {
+            id: columns.id(&row.id)?,
+            rig: columns.rig(row.rig)?,
+            created_at: columns.time(row.created_us)?,
+            job: columns.id(&row.job)?,
+            model: IteratedModel { version: columns.number(row.version)?, sha256: row.model_sha256 },
+            drive: row.drive.as_deref().map(|run| columns.id(run)).transpose()?,
+            total_error: best.ok_or_else(|| columns.bad("no best step"))?.total_error,
+            stopped: report.stopped,
+        };
+        Ok(Self { summary, request: columns.json(&row.request)?, elapsed_s: row.elapsed_s, report })
     }
 }
 

@@ -231,7 +231,7 @@ async fn run_in(
     row.map(Run::try_from).transpose()
 }
 
-async fn insert_row(
+pub(super) async fn insert_row(
     connection: &mut SqliteConnection,
     rig: &RigId,
     run: &NewRun,

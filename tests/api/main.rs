@@ -20,6 +20,7 @@ mod frf;
 mod full_disk;
 mod idempotency;
 mod isa;
+mod iterations;
 mod jobs;
 mod kills;
 mod large_answers;

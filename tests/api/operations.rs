@@ -52,6 +52,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.post_json("/v1/damage", &json!({"predicted": target, "target": target})).await.expect(200);
 
     diagnose(&app).await;
+    iterate(&app).await;
 
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", "*");
     put.json(&json!({"version": null})).send().await.expect(200);
@@ -95,4 +96,15 @@ async fn diagnose(app: &TestApp) {
         app.call("GET", report).header("accept", accept).send().await.expect(200);
     }
     app.post_json(&format!("{report}/adopt"), &json!({})).await.expect(201);
+}
+
+/// The drive of a run, found from its response.
+async fn iterate(app: &TestApp) {
+    let target = app.run("kind=service", &noise_csv(3000, 9)).await["id"].clone();
+    let iterations = "/v1/rigs/bench/iterations";
+    let job =
+        app.post_json(iterations, &json!({"model": 1, "target": {"run": target}})).await.expect(202).json();
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    app.get(iterations).await.expect(200);
+    app.get(job["result"]["href"].as_str().unwrap_or_else(|| panic!("a drive: {job}"))).await.expect(200);
 }

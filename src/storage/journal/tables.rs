@@ -15,12 +15,13 @@ pub(super) struct Table {
 }
 
 /// In an order in which rows can be inserted.
-pub(super) const TABLES: [Table; 7] = [
+pub(super) const TABLES: [Table; 8] = [
     Table { name: "rigs", key: &["id"] },
     Table { name: "models", key: &["rig", "version"] },
     Table { name: "runs", key: &["id"] },
     Table { name: "jobs", key: &["id"] },
     Table { name: "diagnoses", key: &["id"] },
+    Table { name: "iterations", key: &["id"] },
     Table { name: "tokens", key: &["id"] },
     Table { name: "idempotency_keys", key: &["owner", "key"] },
 ];

@@ -120,7 +120,15 @@ pub async fn send_all(base: &str) -> (usize, usize) {
             assert_eq!(listed["items"][0]["tags"], json!([name]));
         }
 
-        for path in ["rigs", "jobs", "rigs/bench/runs", "rigs/bench/models", "rigs/bench/diagnoses"] {
+        let collections = [
+            "rigs",
+            "jobs",
+            "rigs/bench/runs",
+            "rigs/bench/models",
+            "rigs/bench/diagnoses",
+            "rigs/bench/iterations",
+        ];
+        for path in collections {
             // As bytes, so that no client library changes it.
             let encoded: String = name.bytes().map(|byte| format!("%{byte:02x}")).collect();
             let plain = if [".", ".."].contains(name) { *name } else { &encoded };

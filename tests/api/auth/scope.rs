@@ -61,6 +61,8 @@ async fn foreign_and_unknown_ids_look_alike() {
         "/fits",
         "/diagnoses",
         "/diagnoses/x",
+        "/iterations",
+        "/iterations/x",
         &format!("/runs/{run}"),
         &format!("/runs/{run}/data"),
         &format!("/runs/{run}?kind=nonsense"),

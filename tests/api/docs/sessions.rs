@@ -33,6 +33,7 @@ sessions! {
         ("docs/fits.md", "A fit by hand"),
         ("docs/fits.md", "The FRF: coherence, confidence, inverse"),
         ("docs/weights.md", "Weights made elsewhere"),
+        ("docs/iterations.md", "A drive for a service load"),
     ];
     the_demos_rig_is_diagnosed_and_its_model_mended runs on_the_demo on [
         ("docs/diagnosis.md", "Where model and rig differ"),
@@ -78,6 +79,11 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
         let header = String::from_utf8_lossy(&array[10..128]).into_owned();
         assert!(header.contains(dtype) && header.contains(&format!("({lines}, 1, 1)")), "{file}: {header}");
     }
+    let found: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("found.json")).expect("an iteration was found"))
+            .expect("JSON");
+    assert!(found["total_error"].as_f64().is_some_and(|error| error < 0.1), "{found}");
+    assert!(std::fs::read(folder.join("drive.drv")).expect("the drive was written").starts_with(b"FORMAT"));
     let weights = std::fs::read(folder.join("model.safetensors")).expect("weights were written");
     assert_eq!(
         rigcast::engine::model::from_safetensors(&weights).expect("weights of ours").inputs,
