@@ -62,10 +62,28 @@ async fn a_drive_is_found_stored_as_a_run_and_predicts_the_target() {
     let file =
         app.call("GET", &format!("/v1/rigs/bench/runs/{drive}/data")).header("accept", "application/x-rpc3");
     assert!(file.send().await.expect(200).bytes.starts_with(b"FORMAT"));
-    // And as the drive of a prediction.
+    // And as the drive of a prediction, whose response comes as a file too.
     let request = json!({"drive": {"run": drive}, "target": {"run": run}, "include": ["errors", "trust"]});
     let predicted = app.post_json("/v1/rigs/bench/predict", &request).await.expect(200).json();
     assert!(predicted["errors"]["channels"]["y"]["rms"].as_f64().expect("a number") <= 1e-3, "{predicted}");
+
+    let predict = |accept: &str| {
+        app.call("POST", "/v1/rigs/bench/predict")
+            .header("accept", accept)
+            .json(&json!({"drive": {"run": drive}}))
+    };
+    let table = predict("text/csv").send().await.expect(200);
+    assert_eq!(table.header("rigcast-channels"), "y");
+    let table = String::from_utf8(table.bytes).expect("text");
+    let mut rows = table.lines();
+    assert_eq!((rows.next(), rows.next()), (Some("time_s,y"), Some("s,mm")));
+    let y: Vec<f64> = rows.filter_map(|row| row.split(',').nth(1)?.parse().ok()).collect();
+    assert_eq!(y.len(), target.len());
+    assert!(y.iter().zip(&target).all(|(y, wanted)| (y - wanted).abs() < 0.01), "the target");
+    let file = predict("application/x-rpc3").send().await.expect(200).bytes;
+    let read = app.post_file("/v1/rigs/bench/runs?kind=other&split=test", "application/x-rpc3", file).await;
+    let read = read.expect(201).json();
+    assert_eq!((&read["channels"], &read["samples"]), (&json!(["y"]), &json!(6000)));
 
     // It goes on from the drive, and is listed newest first.
     let again =

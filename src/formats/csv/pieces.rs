@@ -17,6 +17,14 @@ pub struct TimeOfRows {
     pub first: usize,
 }
 
+impl TimeOfRows {
+    /// Times from the sample `first` on, in a column `time_s`; none where a channel has that name already.
+    pub fn beside(names: &[String], first: usize) -> Option<Self> {
+        const NAME: &str = "time_s";
+        (!names.iter().any(|name| name == NAME)).then(|| Self { name: NAME.into(), first })
+    }
+}
+
 /// The pieces of a table.
 #[derive(Debug)]
 pub struct CsvPieces<S> {

@@ -20,9 +20,6 @@ use crate::http::paths::{OfRun, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{Shared, codes, json};
 
-/// Name of the first column of a table.
-const TIME: &str = "time_s";
-
 /// `GET /v1/rigs/{rig}/runs/{run}/data`
 pub async fn show(
     State(http): State<Shared>,
@@ -57,9 +54,7 @@ pub async fn show(
             Box::new(pieces)
         }
         CSV => {
-            // A rig with a channel of that name gets no second one.
-            let time = (!names.iter().any(|name| name == TIME))
-                .then(|| TimeOfRows { name: TIME.into(), first: range.start });
+            let time = TimeOfRows::beside(&names, range.start);
             Box::new(CsvPieces::new(names, units(), time, samples).map_err(Problem::internal)?)
         }
         RPC3 => {

@@ -1,6 +1,7 @@
 //! Computes a prediction and writes the answer, off the async threads: one file a format.
 
 mod comparison;
+mod file;
 mod json;
 mod npy;
 
@@ -18,7 +19,7 @@ use crate::engine::{EngineError, Signal, rounded};
 use crate::formats;
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
-use crate::http::negotiate::NPY;
+use crate::http::negotiate::{CSV, NPY, RPC3};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{codes, errors};
 use crate::models::LoadedModel;
@@ -132,6 +133,7 @@ impl PredictionTask {
         let begun = Begun { rig, loaded, prediction, trust, target, include, damage, memory, deadline };
         let (written, size) = match media_type {
             NPY => npy::write(begun, stages).map(|(written, size)| (written, Some(size)))?,
+            CSV | RPC3 => file::write(begun, media_type, stages)?,
             _ => (json::write(begun, stages)?, None),
         };
         Ok(Computed { written, size, media_type, samples, inside })
