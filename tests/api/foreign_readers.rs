@@ -24,20 +24,22 @@ json.dump({
 }, sys.stdout)
 ";
 
-/// What a Python program prints about a file; nothing where the packages are not installed.
-fn read_with(program: &str, file: &[u8]) -> Option<Value> {
+/// Python with the packages that read measurement files; nothing where they are not installed.
+pub fn python() -> Option<Command> {
     let Some(readers) = std::env::var_os("RIGCAST_READERS").filter(|path| !path.is_empty()) else {
         println!("skipped: RIGCAST_READERS names no environment of Python (scripts/python_env.sh readers)");
         return None;
     };
+    Some(Command::new(Path::new(&readers).join("bin/python")))
+}
+
+/// What a Python program prints about a file; nothing without Python.
+fn read_with(program: &str, file: &[u8]) -> Option<Value> {
+    let mut python = python()?;
     let directory = tempfile::tempdir().expect("a directory");
     let path = directory.path().join("run.rsp");
     std::fs::write(&path, file).expect("written");
-    let output = Command::new(Path::new(&readers).join("bin/python"))
-        .args(["-c", program])
-        .arg(&path)
-        .output()
-        .expect("Python runs");
+    let output = python.args(["-c", program]).arg(&path).output().expect("Python runs");
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
     Some(serde_json::from_slice(&output.stdout).expect("JSON"))

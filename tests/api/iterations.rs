@@ -4,7 +4,8 @@ use std::f64::consts::TAU;
 
 use serde_json::{Value, json};
 
-use crate::support::{SAFETENSORS, TestApp, gain_weights, noise};
+use crate::foreign_readers::python;
+use crate::support::{SAFETENSORS, TestApp, bench, gain_weights, noise};
 
 const ITERATIONS: &str = "/v1/rigs/bench/iterations";
 
@@ -157,6 +158,49 @@ async fn what_does_not_suit_the_rig_is_refused_with_its_place() {
         (&json!("failed"), &json!("iteration.invalid")),
         "{job}"
     );
+}
+
+/// The tool of the examples, which knows the service by its contract only.
+#[tokio::test]
+async fn a_tool_outside_the_service_iterates_with_the_inverse_and_predictions() {
+    let Some(mut python) = python() else { return };
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    // A resonator: the correction must get its phase right.
+    let (mut y, mut v) = (0.0, 0.0);
+    let rows = |samples: Vec<f64>, y: &mut f64, v: &mut f64| {
+        let row = |u: f64| {
+            *v += 0.3 * (u - *y) - 0.2 * *v;
+            *y += *v;
+            format!("{u},{}\n", *y + 3.0)
+        };
+        std::iter::once("u,y\n".to_owned()).chain(samples.into_iter().map(row)).collect::<String>()
+    };
+    let training = rows(noise(60_000, 1), &mut y, &mut v);
+    app.run("kind=noise", &training).await;
+    let job =
+        app.post_json("/v1/rigs/bench/fits", &json!({"kind": "frf", "frf": {"segment_len": 256}})).await;
+    let job = app.finished(job.expect(202).json()["id"].as_str().expect("an id")).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let target =
+        app.run("kind=service&split=test", &rows(noise(6000, 2), &mut y, &mut v)).await["id"].clone();
+
+    let folder = tempfile::tempdir().expect("a directory");
+    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/iterate.py");
+    let run = target.as_str().expect("an id").to_owned();
+    let (address, out) = (format!("http://{}", app.address()), folder.path().join("drive.npy"));
+    python.arg(tool).args([&address, "bench", &run, "--model", "1", "--out"]).arg(&out);
+    let output =
+        tokio::task::spawn_blocking(move || python.output()).await.expect("no panic").expect("Python runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let best = said.rsplit("best: ").next().and_then(|rest| rest.split(' ').next()?.parse::<f64>().ok());
+    let best = best.unwrap_or_else(|| panic!("{said}"));
+    let ours =
+        iterated(&app, &json!({"target": {"run": run}, "model": 1, "iterations": 10, "start": "zero"})).await;
+    let ours = 100.0 * ours["total_error"].as_f64().expect("a number");
+    assert!(best < 1.0 && ours < 1.0, "outside {best} %, inside {ours} %\n{said}");
+    assert!(std::fs::read(&out).expect("the drive was written").starts_with(b"\x93NUMPY"));
 }
 
 /// A virtual sensor has no drives to iterate.

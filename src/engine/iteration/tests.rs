@@ -9,7 +9,7 @@ use realfft::num_complex::Complex64;
 
 use super::*;
 use crate::engine::frf::Frf;
-use crate::engine::lstm::{LstmNet, Recombine};
+use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
 use crate::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
 use crate::engine::progress::unwatched;
 
@@ -241,6 +241,43 @@ fn a_network_without_an_frf_is_asked_for_one() {
     model.range.clear();
     let refused = Case::of(model, target).search(&Start::Zero, &IterationSettings::default());
     assert!(matches!(refused, Err(EngineError::Setting { setting: "model", .. })), "{refused:?}");
+}
+
+/// The FRF says 1, the network takes 3 away: every correction goes the wrong way.
+#[test]
+fn a_search_that_diverges_keeps_its_start_and_says_so() {
+    let block = LstmBlock {
+        inputs: 2,
+        cells: 2,
+        // Gates i, f, g, o: only the cell's own gate sees its input.
+        weight_ih: (0..16).map(|at| if at == 8 || at == 11 { 0.1 } else { 0.0 }).collect(),
+        weight_hh: vec![0.0; 16],
+        bias: vec![0.0, 0.0, -20.0, -20.0, 0.0, 0.0, 0.0, 0.0],
+    };
+    // A cell gives 0.5 tanh(0.5 tanh(0.1 x)), about 0.025 x.
+    let fc_weight = vec![-120.0, 0.0, 0.0, -120.0];
+    let net = LstmNet { blocks: vec![block], outputs: 2, fc_weight, fc_bias: vec![0.0; 2] };
+    let unit = Scaler { mean: vec![0.0; 2], std: vec![1.0; 2] };
+    let mut model = linear();
+    model.kind = ModelKind::Hybrid1;
+    let frf = model.frf.as_mut().unwrap();
+    (frf.x_mean, frf.y_mean) = (vec![0.0; 2], vec![0.0; 2]);
+    for (at, h) in frf.h.iter_mut().enumerate() {
+        *h = Complex64::new(if h.norm() > 0.0 && (at % 4 == 0 || at % 4 == 3) { 1.0 } else { 0.0 }, 0.0);
+    }
+    model.lstm = Some(LstmPart {
+        net,
+        x: unit.clone(),
+        y: unit,
+        window_len: 64,
+        hop: 32,
+        recombine: Recombine::Stream,
+    });
+    let case = Case::of(model, drive());
+    let found = case.search(&Start::Zero, &IterationSettings::default()).unwrap();
+    assert_eq!((found.stopped, found.best, found.steps.len()), (Stopped::Diverged, 0, 5));
+    assert!(found.drive.channels().iter().flatten().all(|v| *v == 0.0));
+    assert!(found.steps[1].total_error > 2.0 && found.steps[4].gain < 0.2, "{:?}", found.steps);
 }
 
 #[test]
