@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fits::{RunFilter, RunSelection};
 use super::ids::{DiagnosisId, JobId, RigId, RunId};
-use super::model::Span;
+use super::model::{Span, UsedModel};
 use super::model_ref::ModelRef;
 use super::problem::FieldError;
 use crate::engine::diagnosis::{Augmented, Effect, Family, Mode, Report, Verdict, VerdictKind, Views};
@@ -191,15 +191,6 @@ fn word(family: &Family) -> String {
     }
 }
 
-/// The model that was diagnosed.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DiagnosedModel {
-    /// Version.
-    pub version: u32,
-    /// SHA-256 of its weight file, hex.
-    pub sha256: String,
-}
-
 /// The verdict without its reasons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VerdictSummary {
@@ -240,7 +231,7 @@ pub struct DiagnosisSummary {
     /// When its report was stored.
     pub created_at: Timestamp,
     /// The sim; `None` where simulated responses were sent.
-    pub model: Option<DiagnosedModel>,
+    pub model: Option<UsedModel>,
     /// Whether the sim had seen the effect.
     pub mode: Mode,
     /// The verdict in short.

@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::ids::{IterationId, JobId, RigId, RunId};
+use super::model::UsedModel;
 use super::model_ref::ModelRef;
 use crate::engine::fatigue::{DamageRatio, DamageSettings};
 use crate::engine::iteration::{
@@ -127,15 +128,6 @@ impl IterationRequest {
     }
 }
 
-/// The model that was iterated on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct IteratedModel {
-    /// Version.
-    pub version: u32,
-    /// SHA-256 of its weight file, hex.
-    pub sha256: String,
-}
-
 /// One iteration, its channels by name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IterationStep {
@@ -192,7 +184,7 @@ pub struct IterationSummary {
     /// The job that found it.
     pub job: JobId,
     /// The model.
-    pub model: IteratedModel,
+    pub model: UsedModel,
     /// The run that holds the drive; `null` once it is deleted.
     pub drive: Option<RunId>,
     /// Weighted error of the best iteration.

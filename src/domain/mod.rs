@@ -26,7 +26,7 @@ pub use ids::{DiagnosisId, IterationId, JobId, RigId, RunId, new_id};
 pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{
-    ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span,
+    ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span, UsedModel,
 };
 pub use model_ref::ModelRef;
 pub use page::{Cursor, Page, PageRequest};

@@ -10,6 +10,15 @@ use crate::engine::diagnosis::{Effect, Family};
 use crate::engine::frf::FrfSummary;
 use crate::engine::model::{FitReport, ModelKind, RigModel, VersionKind};
 
+/// The version that some work was done with.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UsedModel {
+    /// Version.
+    pub version: u32,
+    /// SHA-256 of its weight file, hex.
+    pub sha256: String,
+}
+
 /// The origin of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

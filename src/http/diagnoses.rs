@@ -18,9 +18,8 @@ use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
 use super::{Shared, negotiate};
 use crate::compute::Class;
-use crate::domain::diagnosis::DiagnosedModel;
 use crate::domain::{
-    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis,
+    Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis, UsedModel,
 };
 use crate::engine::diagnosis::Report;
 use crate::ui::diagnosis::{self as ui, Heading, Simulation};
@@ -35,7 +34,7 @@ struct Shown<'a> {
     rig: &'a RigId,
     created_at: Timestamp,
     job: JobId,
-    model: &'a Option<DiagnosedModel>,
+    model: &'a Option<UsedModel>,
     elapsed_s: f64,
     request: &'a DiagnosisRequest,
     #[serde(flatten)]

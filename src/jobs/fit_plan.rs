@@ -13,7 +13,7 @@ use crate::engine::model::{
 };
 use crate::storage::{Store, StoreError};
 
-use super::problem::{codes, sentence, too_many_waiting};
+use super::problem::{codes, rig_gone, sentence, store_failed, too_many_waiting};
 use super::selection::{by_id, matching};
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
@@ -104,14 +104,9 @@ impl FitProblem {
                 Problem::new(409, codes::FIT_NO_RUNS, title, format!("{self}."))
                     .with(vec![FieldError::new(*pointer, "at least one run of the rig")])
             }
-            Self::RigGone => Problem::new(404, codes::RIG_NOT_FOUND, "No such rig", format!("{self}.")),
+            Self::RigGone => rig_gone(format!("{self}.")),
             Self::TooManyWaiting(most) => too_many_waiting(*most),
-            Self::Store(_) => Problem::new(
-                503,
-                codes::STORE_UNAVAILABLE,
-                "The store is out of reach",
-                "The store failed while the fit was checked.",
-            ),
+            Self::Store(_) => store_failed("the fit"),
         }
     }
 }

@@ -129,6 +129,31 @@ pub(super) fn too_many_waiting(most: u64) -> Problem {
         .with(vec![FieldError::new("", format!("at most {most} waiting jobs of one token"))])
 }
 
+/// The refusal of a job because the rig has no active model.
+pub(super) fn none_active(detail: String) -> Problem {
+    Problem::new(409, codes::MODEL_NONE_ACTIVE, "The rig has no active model", detail).with(a_version())
+}
+
+/// The refusal of a job because the rig has no such model version.
+pub(super) fn no_model(detail: String) -> Problem {
+    Problem::new(404, codes::MODEL_NOT_FOUND, "No such model version", detail).with(a_version())
+}
+
+fn a_version() -> Vec<FieldError> {
+    vec![FieldError::new("/model", "a version of the rig")]
+}
+
+/// The refusal of a job whose rig is gone.
+pub(super) fn rig_gone(detail: String) -> Problem {
+    Problem::new(404, codes::RIG_NOT_FOUND, "No such rig", detail)
+}
+
+/// The refusal of a job (`what`, as `the fit`) because the store failed.
+pub(super) fn store_failed(what: &str) -> Problem {
+    let detail = format!("The store failed while {what} was checked.");
+    Problem::new(503, codes::STORE_UNAVAILABLE, "The store is out of reach", detail)
+}
+
 /// A place and its limit, in words.
 pub(super) fn sentence(error: &FieldError) -> String {
     let place = match &error.channel {

@@ -9,17 +9,17 @@ use super::objects::ObjectWrite;
 use super::rigs::rig_in;
 use super::rows::{DiagnosisRow, all, int, json, us, word};
 use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, Store, StoreError};
-use crate::domain::diagnosis::{DiagnosedModel, VerdictSummary};
+use crate::domain::diagnosis::VerdictSummary;
 use crate::domain::{
     DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobKind, JobResult, Page, PageRequest, RigId,
-    StoredDiagnosis, new_id,
+    StoredDiagnosis, UsedModel, new_id,
 };
 
 /// A diagnosis on its way into the store.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewDiagnosis {
     /// The model that was diagnosed, if it was one of the rig's.
-    pub model: Option<DiagnosedModel>,
+    pub model: Option<UsedModel>,
     /// The request, resolved.
     pub request: DiagnosisRequest,
     /// The answer in short.
@@ -187,7 +187,7 @@ mod tests {
             "channel": "y", "probability": 0.9,
         });
         NewDiagnosis {
-            model: Some(DiagnosedModel { version: 3, sha256: "ab".into() }),
+            model: Some(UsedModel { version: 3, sha256: "ab".into() }),
             request: request(),
             verdict: serde_json::from_value(verdict).unwrap(),
             findings: Bytes::from_static(findings),

@@ -11,10 +11,10 @@ use super::rigs::rig_in;
 use super::rows::{IterationRow, all, int, json, us};
 use super::runs::insert_row;
 use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, PrepareError, PreparedRun, Store, StoreError};
-use crate::domain::iteration::{IteratedModel, IterationReport};
+use crate::domain::iteration::IterationReport;
 use crate::domain::{
     IterationId, IterationRequest, IterationSummary, JobKind, JobResult, Page, PageRequest, Rig, RigId,
-    RunKind, RunMeta, Split, StoredIteration, new_id,
+    RunKind, RunMeta, Split, StoredIteration, UsedModel, new_id,
 };
 use crate::engine::Signal;
 
@@ -25,7 +25,7 @@ const TAG: &str = "iterated";
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NewIteration {
     /// The model that was iterated on.
-    pub model: IteratedModel,
+    pub model: UsedModel,
     /// The request, resolved.
     pub request: IterationRequest,
     /// The result.
@@ -232,7 +232,7 @@ mod tests {
                        "inside": 1.0, "drive_peak": {"u": 2.0}, "limited": {"u": 0.0}, "gain": 1.0, "better": true}],
         });
         NewIteration {
-            model: IteratedModel { version: 2, sha256: "ab".into() },
+            model: UsedModel { version: 2, sha256: "ab".into() },
             request: request(),
             report: serde_json::from_value(report).unwrap(),
             elapsed_s: 0.5,

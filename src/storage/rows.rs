@@ -10,11 +10,10 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
 
 use super::StoreError;
-use crate::domain::diagnosis::DiagnosedModel;
-use crate::domain::iteration::{IteratedModel, IterationReport};
+use crate::domain::iteration::IterationReport;
 use crate::domain::{
     Adoption, Base, DiagnosisSummary, IterationSummary, Job, Lineage, Model, ModelFrf, Rig, RigId, Run,
-    SecretDigest, StoredDiagnosis, StoredIteration, Token,
+    SecretDigest, StoredDiagnosis, StoredIteration, Token, UsedModel,
 };
 use crate::engine::model::{ModelKind, VersionKind};
 
@@ -346,7 +345,7 @@ impl TryFrom<DiagnosisRow> for DiagnosisSummary {
     fn try_from(row: DiagnosisRow) -> Result<Self, StoreError> {
         let columns = Columns { table: "diagnoses", key: &row.id };
         let model = match row.version.zip(row.model_sha256) {
-            Some((version, sha256)) => Some(DiagnosedModel { version: columns.number(version)?, sha256 }),
+            Some((version, sha256)) => Some(UsedModel { version: columns.number(version)?, sha256 }),
             None => None,
         };
         Ok(Self {
@@ -398,7 +397,7 @@ impl TryFrom<IterationRow> for StoredIteration {
             rig: columns.rig(row.rig)?,
             created_at: columns.time(row.created_us)?,
             job: columns.id(&row.job)?,
-            model: IteratedModel { version: columns.number(row.version)?, sha256: row.model_sha256 },
+            model: UsedModel { version: columns.number(row.version)?, sha256: row.model_sha256 },
             drive: row.drive.as_deref().map(|run| columns.id(run)).transpose()?,
             total_error: best.ok_or_else(|| columns.bad("no best step"))?.total_error,
             stopped: report.stopped,

@@ -11,8 +11,8 @@ use std::time::Instant;
 use bytes::Bytes;
 
 use crate::compute::Class;
-use crate::domain::diagnosis::{DiagnosedModel, Findings, VerdictSummary};
-use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span};
+use crate::domain::diagnosis::{Findings, VerdictSummary};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span, UsedModel};
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
 use crate::engine::model::{
     AddedEffect, ModelKind, Pair, Predictor, Preprocess, apply_effects, from_safetensors,
@@ -273,7 +273,7 @@ async fn written(
     let model = plan.model.as_ref();
     let stage = last_words(&verdict, mode);
     let diagnosis = NewDiagnosis {
-        model: model.map(|m| DiagnosedModel { version: m.version, sha256: m.sha256.clone() }),
+        model: model.map(|m| UsedModel { version: m.version, sha256: m.sha256.clone() }),
         request: plan.request.clone(),
         verdict,
         findings: Bytes::from(findings),

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::compute::Class;
-use crate::domain::iteration::{IteratedModel, IterationReport, IterationStep, StartDrive};
-use crate::domain::{IterationRequest, Problem, Run};
+use crate::domain::iteration::{IterationReport, IterationStep, StartDrive};
+use crate::domain::{IterationRequest, Problem, Run, UsedModel};
 use crate::engine::iteration::{Found, Problem as Wanted, Start, Step, Stopped, iterate};
 use crate::engine::metrics::{ChannelErrors, errors};
 use crate::engine::model::{Predictor, from_safetensors};
@@ -78,7 +78,7 @@ pub(super) async fn make(
     };
     let (report, drive) = context.compute.run(Class::Fit, None, search).await??;
     let stage = last_words(&report);
-    let model = IteratedModel { version: plan.model.version, sha256: plan.model.sha256.clone() };
+    let model = UsedModel { version: plan.model.version, sha256: plan.model.sha256.clone() };
     let iteration = NewIteration {
         model,
         request: plan.request.clone(),

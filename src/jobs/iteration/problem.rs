@@ -4,7 +4,9 @@ use crate::domain::{FieldError, Problem};
 use crate::engine::EngineError;
 use crate::storage::StoreError;
 
-use crate::jobs::problem::{JobError, codes, of_engine, sentence, too_many_waiting};
+use crate::jobs::problem::{
+    JobError, codes, no_model, none_active, of_engine, rig_gone, sentence, store_failed, too_many_waiting,
+};
 
 use super::plan::IterationPlan;
 
@@ -63,22 +65,11 @@ impl IterationProblem {
                 Problem::new(422, codes::MODEL_NOT_FORWARD, title, format!("{self}."))
                     .with(at("/model", "a model whose inputs are drives"))
             }
-            Self::NoneActive => {
-                Problem::new(409, codes::MODEL_NONE_ACTIVE, "The rig has no active model", format!("{self}."))
-                    .with(at("/model", "a version of the rig"))
-            }
-            Self::NoModel(_) => {
-                Problem::new(404, codes::MODEL_NOT_FOUND, "No such model version", format!("{self}."))
-                    .with(at("/model", "a version of the rig"))
-            }
-            Self::RigGone => Problem::new(404, codes::RIG_NOT_FOUND, "No such rig", format!("{self}.")),
+            Self::NoneActive => none_active(format!("{self}.")),
+            Self::NoModel(_) => no_model(format!("{self}.")),
+            Self::RigGone => rig_gone(format!("{self}.")),
             Self::TooManyWaiting(most) => too_many_waiting(*most),
-            Self::Store(_) => Problem::new(
-                503,
-                codes::STORE_UNAVAILABLE,
-                "The store is out of reach",
-                "The store failed while the iteration was checked.",
-            ),
+            Self::Store(_) => store_failed("the iteration"),
         }
     }
 }
