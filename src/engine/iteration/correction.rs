@@ -31,7 +31,9 @@ pub(super) struct Correction {
     frf: Frf,
     /// `H^+` at gain 1, input unit / output unit, `[line, input, target]`.
     inverse: Vec<Complex64>,
-    /// Gain asked for, 0 where the FRF is not reliable, `[target][line]`.
+    /// How far the FRF can be relied on where a correction was asked for, 0..=1, `[target][line]`.
+    pub reach: Vec<Vec<f64>>,
+    /// That times the gain asked for, `[target][line]`.
     gain: Vec<Vec<f64>>,
     bands: Vec<RangeInclusive<usize>>,
     /// Factor of each band, at most 1, `[target][band]`.
@@ -47,31 +49,23 @@ impl Correction {
         let frf = &linear.frf;
         let inverse = FrfInverse::weighted(frf, linear.quality.as_ref(), settings.ridge, problem.weights)?;
         let [first, last] = inverse.zero_outside();
-        let gain = (0..frf.n_outputs).map(|target| gains(linear, problem, settings, target)).collect();
+        let of_targets = (0..frf.n_outputs).map(|target| gains(linear, problem, settings, target));
+        let (reach, gain) = of_targets.unzip();
         let bands = bands(first, last);
         Ok(Self {
             inverse: inverse.lines(frf, 0..frf.n_lines())?,
             factor: vec![vec![1.0; bands.len()]; frf.n_outputs],
             frf: frf.clone(),
+            reach,
             gain,
             bands,
         })
     }
 
-    /// For each target the share of a line's error that a correction at full gain can take away, 0..=1,
-    /// `[target][line]`.
-    pub fn reach(&self) -> Vec<Vec<f64>> {
-        let reach = |gain: &Vec<f64>| {
-            let most = gain.iter().copied().fold(0.0, f64::max);
-            gain.iter().map(|g| if most > 0.0 { g / most } else { 0.0 }).collect()
-        };
-        self.gain.iter().map(reach).collect()
-    }
-
     /// First and last frequency at which any target is corrected with at least half of its gain.
     pub fn band_hz(&self) -> Option<[f64; 2]> {
-        let (df, reach) = (self.frf.df_hz(), self.reach());
-        let used = |line: &usize| reach.iter().any(|r| r[*line] >= 0.5);
+        let df = self.frf.df_hz();
+        let used = |line: &usize| self.reach.iter().any(|reach| reach[*line] >= 0.5);
         let lines = 0..self.frf.n_lines();
         let (first, last) = (lines.clone().find(used)?, lines.rev().find(used)?);
         Some([first as f64 * df, last as f64 * df])
@@ -127,7 +121,7 @@ impl Correction {
 
     /// `x_mean + H^+ (target - y_mean)`: the drive that the linear part alone would take.
     pub fn start(&self, target: &Signal) -> Result<Signal, EngineError> {
-        let once = |_, target: usize, line: usize| self.gain[target][line].min(1.0);
+        let once = |_, target: usize, line: usize| self.reach[target][line];
         self.filter(once, self.frf.y_mean.clone(), self.frf.x_mean.clone(), target)
     }
 
@@ -159,8 +153,14 @@ impl Correction {
     }
 }
 
-/// The gain asked for at every line of a target: that of the settings, times how far the coherence allows it.
-fn gains(linear: &Linear, problem: &Problem<'_>, settings: &IterationSettings, target: usize) -> Vec<f64> {
+/// At every line of a target, how far the FRF can be relied on where a correction was asked for, and that times the gain
+/// asked for.
+fn gains(
+    linear: &Linear,
+    problem: &Problem<'_>,
+    settings: &IterationSettings,
+    target: usize,
+) -> (Vec<f64>, Vec<f64>) {
     let df = linear.frf.df_hz();
     let n_targets = linear.frf.n_outputs;
     let asked = |line: usize| {
@@ -185,10 +185,18 @@ fn gains(linear: &Linear, problem: &Problem<'_>, settings: &IterationSettings, t
             if coherence < least { 0.0 } else { (2.0 * (coherence - least) / (1.0 - least)).min(1.0) }
         }
     };
-    let sharp: Vec<f64> = (0..linear.frf.n_lines()).map(|line| asked(line) * reliable(line)).collect();
-    (0..sharp.len())
+    let lines = 0..linear.frf.n_lines();
+    let reach =
+        smooth(&lines.clone().map(|l| if asked(l) > 0.0 { reliable(l) } else { 0.0 }).collect::<Vec<_>>());
+    let gain = smooth(&lines.map(|line| asked(line) * reliable(line)).collect::<Vec<_>>());
+    (reach, gain)
+}
+
+/// The mean of each line and its neighbours.
+fn smooth(lines: &[f64]) -> Vec<f64> {
+    (0..lines.len())
         .map(|line| {
-            let near = &sharp[line.saturating_sub(SMOOTH)..(line + SMOOTH + 1).min(sharp.len())];
+            let near = &lines[line.saturating_sub(SMOOTH)..(line + SMOOTH + 1).min(lines.len())];
             near.iter().sum::<f64>() / near.len() as f64
         })
         .collect()

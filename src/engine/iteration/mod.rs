@@ -405,5 +405,5 @@ fn out_of_reach(correction: &Correction, target: &Signal) -> Result<Vec<f64>, En
         let missed: f64 = density.iter().zip(reach).map(|(d, reach)| d * (1.0 - reach).max(0.0)).sum();
         if all > 0.0 { (missed / all).clamp(0.0, 1.0) } else { 0.0 }
     };
-    Ok(density.iter().zip(&correction.reach()).map(share).collect())
+    Ok(density.iter().zip(&correction.reach).map(share).collect())
 }

@@ -196,6 +196,14 @@ fn what_the_corrections_do_not_reach_is_told() {
     let narrow = IterationSettings { band_hz: Some([0.0, 10.0]), ..IterationSettings::default() };
     let found = case.search(&Start::Inverse, &narrow).unwrap();
     assert!(found.out_of_reach[1] > 0.1 && found.band_hz.unwrap()[1] < 12.0, "{:?}", found.out_of_reach);
+    // A gain that differs by frequency reaches as far.
+    let bands = vec![GainBand { from_hz: 1.0, to_hz: 5.0, gain: 2.0 }];
+    let uneven = IterationSettings { gain: 0.5, gain_bands: bands, ..IterationSettings::default() };
+    let found = case.search(&Start::Inverse, &uneven).unwrap();
+    assert!(found.out_of_reach[1] < 1e-3, "{:?}", found.out_of_reach);
+    let start = found.steps[0].total_error;
+    let even = case.search(&Start::Inverse, &IterationSettings::default()).unwrap();
+    assert_eq!(start, even.steps[0].total_error, "the start does not depend on the gain");
     let empty = IterationSettings { band_hz: Some([60.0, 80.0]), ..IterationSettings::default() };
     let refused = case.search(&Start::Inverse, &empty);
     assert!(matches!(refused, Err(EngineError::Setting { setting: "band_hz", .. })), "{refused:?}");
