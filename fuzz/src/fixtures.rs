@@ -94,6 +94,30 @@ pub fn rpc3(samples: usize, channels: usize) -> Vec<u8> {
     pieces.collect::<std::io::Result<Vec<_>>>().expect("samples in memory").concat()
 }
 
+/// The first channels of the rig as data sets 58, or 58b in single precision, after one of another kind.
+pub fn uff58(samples: usize, channels: usize, binary: bool) -> Vec<u8> {
+    let mut file = b"    -1\n   164\n         1SI\n    -1\n".to_vec();
+    for (channel, (name, unit)) in [("u", "kN"), ("y", "mm")].into_iter().enumerate().take(channels) {
+        let form = if binary { format!("b{:6}{:6}{:12}{:12}", 1, 2, 11, 4 * samples) } else { String::new() };
+        file.extend(format!("    -1\n    58{form}\n{name}\nNONE\nNONE\nNONE\nNONE\n").bytes());
+        file.extend(b"    1         0    0         0 NONE               1   3 NONE               0   0\n");
+        file.extend(format!("{:10}{samples:10}{:10}  0.00000E+00  1.00000E-02\n", 2, 1).bytes());
+        file.extend(b"        17    0    0    0 Time                 s\n");
+        file.extend(format!("         1    0    0    0 NONE                 {unit}\n\n\n").bytes());
+        for i in 0..samples {
+            let value = sample(channel, i);
+            if binary {
+                file.extend((value as f32).to_le_bytes());
+            } else {
+                let end = if i % 6 == 5 || i + 1 == samples { "\n" } else { "" };
+                file.extend(format!("{value:13.5e}{end}").bytes());
+            }
+        }
+        file.extend(b"    -1\n");
+    }
+    file
+}
+
 /// A run of both channels as JSON.
 pub fn json(samples: usize) -> Vec<u8> {
     let channel = |c: usize| (0..samples).map(|i| sample(c, i)).collect::<Vec<_>>();

@@ -34,6 +34,11 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
             named("i2", &big_endian()),
         ],
         "rpc3" => vec![named("one", &fixtures::rpc3(3, 1)), named("two", &fixtures::rpc3(2100, 2))],
+        "uff58" => vec![
+            named("text", &fixtures::uff58(8, 1, false)),
+            named("binary", &fixtures::uff58(8, 1, true)),
+            named("two", &[fixtures::uff58(3, 2, false), fixtures::uff58(3, 2, true)].concat()),
+        ],
         "run_json" => vec![named("run", &fixtures::json(4))],
         "weights" => [ModelKind::Frf, ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2]
             .map(|kind| named(kind.as_str(), &fixtures::weights(kind)))

@@ -21,6 +21,29 @@ impl std::fmt::Display for ChannelAt {
     }
 }
 
+/// A place in a UFF file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct UffPlace {
+    /// The data set 58, counted from 1 among those of the file; none outside of them.
+    pub set: Option<usize>,
+    /// Line of the file, from 1; none behind binary numbers, which have no lines.
+    pub line: Option<u64>,
+    /// Bytes of the file before the place.
+    pub byte: u64,
+}
+
+impl std::fmt::Display for UffPlace {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if let Some(set) = self.set {
+            write!(f, "data set 58 number {set}, ")?;
+        }
+        match self.line {
+            Some(line) => write!(f, "line {line}"),
+            None => write!(f, "after {} bytes", self.byte),
+        }
+    }
+}
+
 /// The reason why a file was not read: its content is wrong, or the file system failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
@@ -43,7 +66,7 @@ impl ReadError {
 }
 
 /// The reason why a file was refused. Rows and columns count from 1, as editors show them: a row is a line of
-/// the file, a column a cell (CSV) or a byte (JSON). Samples count from 0.
+/// the file, a column a cell (CSV) or a byte (JSON, UFF). Samples count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FormatError {
     /// No samples at all.
@@ -227,6 +250,60 @@ pub enum FormatError {
         /// Bytes behind the header.
         found: u64,
     },
+    /// Not a UFF file, or a record that does not follow its format.
+    #[error("UFF {at}: {reason}")]
+    Uff58Header {
+        /// The record.
+        at: UffPlace,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A kind of UFF data that is not read.
+    #[error("UFF {at}: {found}; {expected} is read")]
+    Uff58Unsupported {
+        /// The record that says so.
+        at: UffPlace,
+        /// The kind.
+        found: String,
+        /// The kinds that are read.
+        expected: &'static str,
+    },
+    /// A channel of another start or sample interval than the first.
+    #[error(
+        "channel {channel} has a {what} of {} s, the first channel one of {} s; channels of one time axis are read",
+        short(*found_s),
+        short(*expected_s)
+    )]
+    Uff58Unlike {
+        /// The channel that differs from the first.
+        channel: ChannelAt,
+        /// The quantity that differs.
+        what: &'static str,
+        /// Value of the first channel.
+        expected_s: f64,
+        /// Value of this channel.
+        found_s: f64,
+    },
+    /// More or fewer numbers than the header of a data set declares.
+    #[error("UFF {at}: the header declares {declared}, {found}")]
+    Uff58Size {
+        /// Where the numbers end.
+        at: UffPlace,
+        /// Numbers or bytes that the header asks for.
+        declared: String,
+        /// What came instead, a clause.
+        found: String,
+    },
+    /// Columns of a data set 58 that hold no number.
+    #[error("UFF {at}, column {column}: {found:?} is not a number")]
+    Uff58NotANumber {
+        /// The line.
+        at: UffPlace,
+        /// First column, from 1.
+        column: usize,
+        /// The text, cut after 40 characters.
+        found: String,
+    },
     /// Not JSON, or JSON of another form.
     #[error("row {row}, column {column}: {detail}")]
     Json {
@@ -296,6 +373,10 @@ impl FormatError {
             Self::Rpc3Header(_) => "rpc3.header",
             Self::Rpc3Unsupported { .. } => "rpc3.unsupported",
             Self::Rpc3Size { .. } => "rpc3.size",
+            Self::Uff58Header { .. } => "uff58.header",
+            Self::Uff58Unsupported { .. } | Self::Uff58Unlike { .. } => "uff58.unsupported",
+            Self::Uff58Size { .. } => "uff58.size",
+            Self::Uff58NotANumber { .. } => "uff58.not_a_number",
             Self::Json { .. } => "json.invalid",
             Self::JsonUnknownKey { .. } => "json.unknown_field",
             Self::JsonDuplicateKey { .. } => "json.duplicate_field",
@@ -308,6 +389,10 @@ impl FormatError {
     pub fn row(&self) -> Option<u64> {
         match self {
             Self::NonFinite { row, .. } => *row,
+            Self::Uff58Header { at, .. }
+            | Self::Uff58Unsupported { at, .. }
+            | Self::Uff58Size { at, .. }
+            | Self::Uff58NotANumber { at, .. } => at.line,
             Self::CsvEncoding { row }
             | Self::CsvHeader { row, .. }
             | Self::CsvNotANumber { row, .. }
@@ -321,7 +406,7 @@ impl FormatError {
         }
     }
 
-    /// Cell of the line (CSV) or byte of the line (JSON), from 1.
+    /// Cell of the line (CSV) or byte of the line (JSON, UFF), from 1.
     pub fn column(&self) -> Option<usize> {
         match self {
             Self::NonFinite { column, .. } => *column,
@@ -329,6 +414,7 @@ impl FormatError {
             | Self::CsvNotANumber { column, .. }
             | Self::CsvUnevenTime { column, .. }
             | Self::CsvTime { column, .. }
+            | Self::Uff58NotANumber { column, .. }
             | Self::Json { column, .. }
             | Self::JsonNotANumber { column, .. } => Some(*column),
             _ => None,
@@ -339,6 +425,7 @@ impl FormatError {
         match self {
             Self::UnequalLengths { channel, .. }
             | Self::NonFinite { channel, .. }
+            | Self::Uff58Unlike { channel, .. }
             | Self::JsonNotANumber { channel, .. } => Some(channel),
             _ => None,
         }
@@ -380,6 +467,9 @@ impl FormatError {
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
             Self::Rpc3Unsupported { expected, .. } => Some((*expected).to_owned()),
             Self::Rpc3Size { expected, .. } => expected.map(|n| format!("{n} bytes of data")),
+            Self::Uff58Unsupported { expected, .. } => Some((*expected).to_owned()),
+            Self::Uff58Unlike { expected_s, .. } => Some(format!("{} s", short(*expected_s))),
+            Self::Uff58Size { declared, .. } => Some(declared.clone()),
             Self::NpyTruncated { expected, .. } | Self::NpyTrailing { expected, .. } => {
                 Some(format!("{expected} bytes of data"))
             }

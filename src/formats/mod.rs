@@ -8,14 +8,17 @@
 pub mod csv;
 mod error;
 pub mod json;
+mod labels;
 pub mod npy;
 mod pieces;
 pub mod rpc3;
 mod spool;
+mod step;
+pub mod uff58;
 
 use std::collections::HashSet;
 
-pub use error::{ChannelAt, FormatError, ReadError};
+pub use error::{ChannelAt, FormatError, ReadError, UffPlace};
 pub use spool::{Spool, SpooledSamples};
 
 /// Most channels of a file: a bound on memory per byte (each channel is a vector of its own), far

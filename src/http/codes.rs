@@ -107,6 +107,10 @@ codes! {
     RPC3_HEADER = "rpc3.header", 400, "The RPC III header cannot be read";
     RPC3_UNSUPPORTED = "rpc3.unsupported", 422, "A kind of RPC III file that is not supported";
     RPC3_SIZE = "rpc3.size", 400, "The RPC III header and the size of the file disagree";
+    UFF58_HEADER = "uff58.header", 400, "A record of the UFF file cannot be read";
+    UFF58_UNSUPPORTED = "uff58.unsupported", 422, "A kind of UFF file that is not supported";
+    UFF58_SIZE = "uff58.size", 400, "A UFF data set has another size than its header declares";
+    UFF58_NOT_A_NUMBER = "uff58.not_a_number", 422, "Columns of a UFF data set hold no number";
     JSON_INVALID = "json.invalid", 400, "The file is not JSON of the right form";
     JSON_UNKNOWN_FIELD = "json.unknown_field", 422, "Unknown field";
     JSON_DUPLICATE_FIELD = "json.duplicate_field", 422, "A field comes twice";

@@ -18,8 +18,14 @@ use crate::telemetry::{self, names, process};
 const MAX_RIGS: u32 = 1000;
 
 /// Formats of uploads: the label in the metrics, and the prefix of their own problem codes.
-const FORMATS: [(&str, &str); 4] =
-    [("csv", "csv."), ("npy", "npy."), ("json", "json."), ("safetensors", "weights.")];
+const FORMATS: [(&str, &str); 6] = [
+    ("csv", "csv."),
+    ("npy", "npy."),
+    ("rpc3", "rpc3."),
+    ("uff58", "uff58."),
+    ("json", "json."),
+    ("safetensors", "weights."),
+];
 
 /// Starts every series whose labels are known in advance at zero, so that its first rise is visible.
 pub fn begin(http: &Http) {

@@ -15,6 +15,9 @@ pub const NPY: &str = "application/x-npy";
 /// Media type of RPC III time histories.
 pub const RPC3: &str = "application/x-rpc3";
 
+/// Media type of Universal File Format, data sets 58.
+pub const UFF58: &str = "application/x-uff58";
+
 /// The offer with the highest quality in `Accept`; without `Accept`, and among equals, the first.
 ///
 /// # Errors

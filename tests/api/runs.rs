@@ -87,6 +87,50 @@ async fn a_run_goes_out_as_rpc3_and_comes_in_again() {
     app.post_file(path, RPC3, &drive.bytes[..drive.bytes.len() - 1]).await.problem(400, "rpc3.size");
 }
 
+/// A data set 58 of four samples in steps of 10 ms.
+fn uff58(id: &str, unit: &str, samples: [f64; 4]) -> String {
+    let numbers: String = samples.iter().map(|v| format!("{v:13.5e}")).collect();
+    let head = format!("    -1\n    58\n{id}\nNONE\nNONE\nNONE\nNONE\n    1\n");
+    let axes = "         2         4         1  0.00000E+00  1.00000E-02\n        17    0    0    0 Time                 s";
+    format!("{head}{axes}\n         1    0    0    0 NONE                 {unit}\n\n\n{numbers}\n    -1\n")
+}
+
+#[tokio::test]
+async fn a_run_comes_in_as_uff58() {
+    const UFF58: &str = "application/x-uff58";
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let path = "/v1/rigs/bench/runs";
+    let (u, y) = ([0.0, 0.1, -0.2, 1e-7], [1.5, -2.25, 3.0, 0.3]);
+    // The order of the file is not the rig's.
+    let file = uff58("y", "mm", y) + &uff58("u", "kN", u);
+    let created = app.post_file(path, UFF58, file.clone()).await.expect(201);
+    assert_eq!(created.json()["channels"], json!(["y", "u"]));
+    let data = app.get(&format!("{}/data", created.header("location"))).await.expect(200).json();
+    assert_eq!(data, json!({"sample_rate_hz": 100.0, "channels": {"y": y, "u": u}}));
+
+    // ID lines are text for people: the query may name the channels by their place.
+    let described = uff58("Kanal 1", "mm", y) + &uff58("Kanal 2", "kN", u);
+    app.post_file(path, UFF58, described.clone()).await.problem(422, "run.unknown_channel");
+    let named = app.post_file(&format!("{path}?channels=y,u"), UFF58, described.clone()).await.expect(201);
+    assert_eq!(named.json()["channels"], json!(["y", "u"]));
+    app.post_file(&format!("{path}?channels=y"), UFF58, described.clone())
+        .await
+        .problem(422, "run.channel_count");
+    // Without names the channels are the rig's in order, and their units must be too.
+    let unnamed = uff58("NONE", "kN", u) + &uff58("NONE", "mm", y);
+    let in_order = app.post_file(path, UFF58, unnamed).await.expect(201);
+    assert_eq!(in_order.json()["channels"], json!(["u", "y"]));
+    app.post_file(path, UFF58, uff58("u", "N", u)).await.problem(422, "run.invalid");
+
+    app.post_file(path, UFF58, &file.as_bytes()[..file.len() - 10]).await.problem(400, "uff58.size");
+    app.post_file(path, UFF58, file.replace("    1\n", "    4\n")).await.problem(422, "uff58.unsupported");
+    app.post_file(path, UFF58, file.replace("-2.25", "-2,25")).await.problem(422, "uff58.not_a_number");
+    let refused =
+        app.post_file(path, UFF58, file.replace("    58\n", " 5.8\n")).await.problem(400, "uff58.header");
+    assert_eq!(refused["errors"][0]["row"], 2);
+}
+
 /// SHA-256 in hex.
 struct HexDigest<'a>(&'a [u8]);
 

@@ -1,10 +1,10 @@
 //! The header of an RPC III file, checked against the bytes after it.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::io::Read;
 
 use crate::formats::error::excerpt;
-use crate::formats::{FormatError, ReadError, check_channel_count};
+use crate::formats::{FormatError, ReadError, check_channel_count, labels, step};
 
 /// Bytes of a block.
 pub(super) const BLOCK: usize = 512;
@@ -18,7 +18,7 @@ pub(super) const KEY: usize = 32;
 /// Most blocks of a header. The format allows 256; files of more than 128 channels have more.
 const MAX_BLOCKS: u64 = 4096;
 
-/// A rate within this share of a whole number, or of one sample in so many seconds, is that: seven digits cannot say more.
+/// `DELTA_T` is known within this share: it has seven digits.
 const RATE_ROUNDING: f64 = 1e-6;
 
 /// Type of the numbers.
@@ -248,9 +248,9 @@ impl Records {
         let mut found = HashMap::new();
         for record in blocks.as_chunks::<RECORD>().0 {
             let (key, value) = record.split_at(KEY);
-            let key = text(key);
+            let key = labels::windows_1252(key);
             if !key.is_empty() {
-                found.entry(key).or_insert_with(|| text(value));
+                found.entry(key).or_insert_with(|| labels::windows_1252(value));
             }
         }
         Self(found)
@@ -284,17 +284,10 @@ impl Records {
         found.map(Some).ok_or_else(|| header(format!("{key} is {:?}, no finite number", excerpt(value))))
     }
 
-    /// `1 / DELTA_T`, which has seven digits: 4.882813E-04 s is 2048 Hz.
+    /// `1 / DELTA_T`.
     fn sample_rate(&self) -> Result<f64, FormatError> {
-        let step = self.number("DELTA_T")?.ok_or_else(|| header("DELTA_T is missing"))?;
-        let found = step.recip();
-        if step <= 0.0 || !found.is_finite() {
-            return Err(FormatError::SampleRate { found });
-        }
-        let near = |simple: f64| ((simple - found).abs() <= RATE_ROUNDING * found).then_some(simple);
-        let whole = near(found.round());
-        // Slower than one sample in a second: a whole number of seconds.
-        Ok(whole.filter(|&rate| rate > 0.0).or_else(|| near(step.round().recip())).unwrap_or(found))
+        let step_s = self.number("DELTA_T")?.ok_or_else(|| header("DELTA_T is missing"))?;
+        step::rate(step_s, RATE_ROUNDING)
     }
 
     fn full_scale(&self) -> Result<f64, FormatError> {
@@ -317,18 +310,9 @@ impl Records {
         (1..=channels).map(scale).collect()
     }
 
-    /// A channel is its place in the file: a description that comes again gets its number.
     fn names(&self, channels: usize) -> Option<Vec<String>> {
-        let mut seen = HashSet::new();
-        let name = |n: usize| {
-            let text = self.0.get(&format!("DESC.CHAN_{n}")).filter(|text| !text.is_empty())?;
-            let mut name = text.clone();
-            while !seen.insert(name.clone()) {
-                name = format!("{name} ({n})");
-            }
-            Some(name)
-        };
-        (1..=channels).map(name).collect()
+        let name = |n: usize| self.text(&format!("DESC.CHAN_{n}")).filter(|text| !text.is_empty());
+        Some(labels::distinct((1..=channels).map(name).collect::<Option<Vec<_>>>()?))
     }
 
     fn units(&self, channels: usize) -> Option<Vec<String>> {
@@ -336,10 +320,4 @@ impl Records {
         let units: Vec<String> = (1..=channels).map(unit).collect();
         units.iter().any(|unit| !unit.is_empty()).then_some(units)
     }
-}
-
-/// Text up to the first zero byte, without blanks around it. Bytes after it may be left over from another text.
-fn text(bytes: &[u8]) -> String {
-    let end = memchr::memchr(0, bytes).unwrap_or(bytes.len());
-    encoding_rs::WINDOWS_1252.decode_without_bom_handling(&bytes[..end]).0.trim().to_owned()
 }

@@ -10,7 +10,7 @@ use crate::engine::{Samples, Signal, rounded};
 use crate::formats::rpc3::Reading;
 use crate::formats::{self, ParsedRun, ReadError, Spool, SpooledSamples};
 use crate::http::jobs::word;
-use crate::http::negotiate::{CSV, NPY, RPC3};
+use crate::http::negotiate::{CSV, NPY, RPC3, UFF58};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{body, codes, errors, json};
@@ -25,6 +25,8 @@ pub enum Format {
     Npy,
     /// RPC III time history.
     Rpc3,
+    /// Universal File Format, data sets 58.
+    Uff58,
     /// Sample rate and channels by name.
     Json,
 }
@@ -39,8 +41,9 @@ impl Format {
             Some(CSV) => Ok(Self::Csv),
             Some(NPY) => Ok(Self::Npy),
             Some(RPC3) => Ok(Self::Rpc3),
+            Some(UFF58) => Ok(Self::Uff58),
             Some(json::MEDIA_TYPE) => Ok(Self::Json),
-            other => Err(body::unsupported(other, &[CSV, NPY, RPC3, json::MEDIA_TYPE])),
+            other => Err(body::unsupported(other, &[CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE])),
         }
     }
 
@@ -49,6 +52,7 @@ impl Format {
             Self::Csv => "csv",
             Self::Npy => "npy",
             Self::Rpc3 => "rpc3",
+            Self::Uff58 => "uff58",
             Self::Json => "json",
         }
     }
@@ -60,6 +64,7 @@ impl Format {
             Self::Csv => formats::csv::read_from(file, spool),
             Self::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
             Self::Rpc3 => formats::rpc3::read_from(file, upload.size() as u64, spool, rpc3),
+            Self::Uff58 => formats::uff58::read_from(file, spool),
             Self::Json => formats::json::read_from(file, spool),
         }
     }
@@ -143,8 +148,8 @@ impl RunFile {
         })
     }
 
-    /// Names of the columns: the file's own, else the query's, else the rig's. Descriptions of RPC III are text
-    /// for people, so that the query's names, in the order of the file, come before them.
+    /// Names of the columns: the file's own, else the query's, else the rig's. Descriptions of RPC III and UFF 58 are
+    /// text for people, so that the query's names, in the order of the file, come before them.
     fn names(
         &self,
         format: Format,
@@ -154,7 +159,7 @@ impl RunFile {
     ) -> Answer<Vec<String>> {
         let names = match (own, &self.channels) {
             (Some(own), None) => own,
-            (Some(_), Some(asked)) if format == Format::Rpc3 => asked.clone(),
+            (Some(_), Some(asked)) if matches!(format, Format::Rpc3 | Format::Uff58) => asked.clone(),
             (Some(_), Some(_)) => {
                 return Err(invalid("channels", "is given", "left out for a file that names its channels"));
             }

@@ -9,6 +9,9 @@ pub fn lies() -> Vec<Case> {
     [sizes(), rates(), bombs(), heads()].concat()
 }
 
+/// A data set 58b of 40 GB.
+const BINARY_58: &str = "    58b     1     2          11 39999999996";
+
 fn sizes() -> Vec<Case> {
     let mut cases = Vec::new();
     for shape in [
@@ -40,6 +43,13 @@ fn sizes() -> Vec<Case> {
             Case::file("POST", MODELS, WEIGHTS, file)
                 .named("weights, a header that is not there", "weights.malformed"),
         );
+    }
+    for (kind, numbers) in [("    58", "  1.00000E+00"), (BINARY_58, "1234")] {
+        let head =
+            "u\n\n\n\n\n    1\n         29999999999         1  0.00000E+00  1.00000E-02\n        17\n\n\n\n";
+        let file = format!("    -1\n{kind}\n{head}{numbers}\n    -1\n");
+        let case = Case::file("POST", RUNS, "application/x-uff58", file);
+        cases.push(case.named(&format!("{kind} of 9999999999 numbers"), "uff58.size"));
     }
     for (shape, offsets) in [
         ("[18446744073709551615,18446744073709551615]", "[0,8]"),
@@ -141,6 +151,9 @@ fn bombs() -> Vec<Case> {
         let name = format!("{:02x?} as RPC III", &bytes[..2]);
         let case = Case::file("POST", RUNS, "application/x-rpc3", bytes.clone());
         cases.push(case.named(&name, "rpc3.header"));
+        let name = format!("{:02x?} as UFF 58", &bytes[..2]);
+        let case = Case::file("POST", RUNS, "application/x-uff58", bytes.clone());
+        cases.push(case.named(&name, "uff58.header"));
         for (path, media_type) in [(RUNS, CSV), (RUNS, NPY), (RUNS, JSON), (MODELS, WEIGHTS), (PREDICT, JSON)]
         {
             let name = format!("{:02x?} as {media_type}", &bytes[..2]);
