@@ -1,5 +1,6 @@
 //! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, iterations, tokens.
 
+pub mod columns;
 mod created;
 pub mod diagnosis;
 mod fit_check;
@@ -17,6 +18,7 @@ pub mod run;
 pub mod strict;
 pub mod token;
 pub mod turns;
+pub mod units;
 
 pub use crate::engine::{Quantity, RunKind, Split};
 pub use created::Created;

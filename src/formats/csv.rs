@@ -1,29 +1,39 @@
-//! CSV: a header row of channel names, an optional units row, an optional time column, then one
-//! row per sample.
+//! CSV as laboratories write it: titles, a header row of channel names, an optional units row, an optional time
+//! column, then one row per sample.
 //!
-//! - Cells are separated by a tab, `;` or `,`: the first of these, in this order, that the first
-//!   row has outside quotes. Where the separator is not the comma, `1,5` is a number like `1.5`.
-//! - A file whose first row is all numbers has no header; its channels have no names.
-//! - A units row is a second row without any number; brackets around a unit are left off.
-//! - A time column is one named `time`, `t` or `zeit`, with or without `_s`, `_ms` or a unit in
-//!   brackets, or else the one column with the unit `s`. It must rise in even steps, and gives the
-//!   sample rate.
-//! - A byte order mark, CRLF and empty lines at the end are accepted. An empty line between rows is
-//!   refused, since it may be a lost sample.
+//! - Text is UTF-8, UTF-16 with its byte order mark, or Windows-1252.
+//! - Cells are separated by a tab, `;` or `,`: the first of these, in this order, that the row above the first
+//!   samples has outside quotes, or the one that a first line `sep=;` names.
+//! - Rows above the header are passed over. A file whose first row is all numbers has no header; its channels have
+//!   no names.
+//! - A units row is a row below the header without any number; brackets around a unit are left off.
+//! - Decimals have a point or a comma, the same in the whole file, and thousands may be grouped ([`number`]).
+//! - A time column is one named `time`, `t` or `zeit`, with or without `_s`, `_ms` or a unit in brackets, or else
+//!   the one column with the unit `s`, or columns of date-times. It must rise in even steps, and gives the sample
+//!   rate; times may be rounded.
+//! - CRLF, separators at the end of all rows and empty lines at the end are accepted. An empty line between samples
+//!   is refused, since it may be a lost sample.
 
+mod clock;
+mod head;
+mod layout;
 mod number;
 mod pieces;
 mod rows;
+mod stamp;
 mod time;
 mod write;
 
 use std::io::Read;
 
 use super::error::excerpt;
-use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool, check_channel_count, check_name};
-use number::{number, trim};
+use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool};
+use clock::ClockColumns;
+use head::Head;
+use number::{Fault, Numbers, trim};
 use rows::Rows;
-use time::TimeColumn;
+use stamp::stamp;
+use time::{Rounding, TimeColumn};
 
 pub use pieces::{CsvPieces, TimeOfRows};
 pub use write::{head, rows, write};
@@ -43,53 +53,42 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
 /// As [`read`]; errors of the file system.
 pub fn read_from(file: impl Read, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
     let mut rows = Rows::new(file)?;
-    let mut table = Table {
-        decimal_comma: rows.separator() != b',',
-        times: spool.another(),
-        channels: spool,
-        ..Table::default()
-    };
-    if !rows.next()? {
-        return Err(FormatError::Empty.into());
-    }
-    table.width = rows.cells().len();
-    check_channel_count(table.width as u64)?;
-
-    let header_row = rows.row();
-    let mut more = true;
-    if table.is_header(&rows)? {
-        table.names = Some(names(&rows)?);
-        more = rows.next()?;
-        if more && table.is_units(&rows) {
-            table.check_width(&rows)?;
-            table.units = Some(units(&rows)?);
-            more = rows.next()?;
+    let mut table = Table::begin(&mut rows, spool)?;
+    loop {
+        table.take(&rows)?;
+        if !rows.next()? {
+            return table.finish();
         }
     }
-    let time = match &table.names {
-        Some(names) => TimeColumn::find(names, table.units.as_deref(), header_row)?,
-        None => None,
-    };
-    table.channels.add_columns(table.width - usize::from(time.is_some()));
-    table.times.add_columns(1);
-    table.first_row = rows.row();
-    while more {
-        table.take(&rows, time.as_ref())?;
-        more = rows.next()?;
-    }
-    table.finish(time)
+}
+
+/// The use of a column.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Use {
+    /// The samples of the channel with this index.
+    Channel(usize),
+    Time,
+    /// A date or a time of the day.
+    Stamp,
+}
+
+/// The column or columns that give the sample rate.
+enum Axis {
+    None,
+    Time(TimeColumn),
+    Clock(ClockColumns),
 }
 
 /// The columns read so far.
-#[derive(Default)]
 struct Table {
-    decimal_comma: bool,
-    width: usize,
-    names: Option<Vec<String>>,
-    units: Option<Vec<String>>,
+    numbers: Numbers,
+    head: Head,
+    columns: Vec<Use>,
+    axis: Axis,
     channels: Spool,
     /// One column: the time of each sample, where the file has it.
     times: Spool,
+    rounding: Rounding,
     /// Samples of each channel.
     samples: usize,
     /// Line of the first sample.
@@ -97,117 +96,145 @@ struct Table {
 }
 
 impl Table {
-    /// Whether the first row has names. A mixture of names and numbers is refused: it would lose a sample or
-    /// a name.
-    fn is_header(&self, rows: &Rows<impl Read>) -> Result<bool, FormatError> {
-        let is_number = |cell: &[u8]| number(cell, self.decimal_comma).is_some();
-        let Some(column) = rows.cells().iter().position(is_number) else { return Ok(true) };
-        if rows.cells().iter().all(is_number) {
-            return Ok(false);
-        }
-        let reason = "a header row holds names only, a row of samples numbers only";
-        Err(FormatError::CsvHeader { row: rows.row(), column: column + 1, reason })
-    }
-
-    fn is_units(&self, rows: &Rows<impl Read>) -> bool {
-        let mut cells = rows.cells().iter();
-        cells.clone().all(|cell| number(cell, self.decimal_comma).is_none())
-            && cells.any(|cell| !trim(cell).is_empty())
-    }
-
-    fn check_width(&self, rows: &Rows<impl Read>) -> Result<(), FormatError> {
-        let found = rows.cells().len();
-        if found == self.width {
-            return Ok(());
-        }
-        Err(FormatError::CsvRagged { row: rows.row(), expected: self.width, found })
+    /// A table without samples, the first row of which is the current one.
+    fn begin(rows: &mut Rows<impl Read>, spool: Spool) -> Result<Self, ReadError> {
+        let numbers = Numbers::new(rows.layout().separator);
+        let head = head::read(rows, &numbers)?;
+        let width = head.names.as_ref().map_or_else(|| rows.cells().trimmed_len().max(1), Vec::len);
+        rows.begin_samples(width);
+        let is_stamp = |cell| !numbers.looks_like_one(cell) && stamp(cell).is_some();
+        let mut stamps: Vec<bool> = rows.cells().iter().take(width).map(is_stamp).collect();
+        stamps.resize(width, false);
+        let time = match &head.names {
+            Some(names) => TimeColumn::find(names, head.units.as_deref(), &stamps, head.row)?,
+            None => None,
+        };
+        let axis = match time {
+            Some(time) => Axis::Time(time),
+            None => ClockColumns::find(rows, &stamps)?.map_or(Axis::None, Axis::Clock),
+        };
+        let mut n = 0;
+        let columns = stamps.iter().enumerate().map(|(column, stamp)| match time {
+            _ if *stamp => Use::Stamp,
+            Some(time) if time.column == column => Use::Time,
+            _ => {
+                n += 1;
+                Use::Channel(n - 1)
+            }
+        });
+        let columns = columns.collect();
+        let (mut times, mut channels) = (spool.another(), spool);
+        times.add_columns(1);
+        channels.add_columns(n);
+        let rounding = Rounding::default();
+        Ok(Self {
+            numbers,
+            head,
+            columns,
+            axis,
+            channels,
+            times,
+            rounding,
+            samples: 0,
+            first_row: rows.row(),
+        })
     }
 
     /// Adds one row of samples.
-    fn take(&mut self, rows: &Rows<impl Read>, time: Option<&TimeColumn>) -> Result<(), ReadError> {
+    fn take(&mut self, rows: &Rows<impl Read>) -> Result<(), ReadError> {
         self.check_width(rows)?;
-        for (column, cell) in rows.cells().iter().enumerate() {
-            let Some(value) = number(cell, self.decimal_comma) else {
-                return Err(FormatError::CsvNotANumber {
-                    row: rows.row(),
-                    column: column + 1,
-                    name: self.names.as_ref().map(|n| n[column].clone()),
-                    found: excerpt(&String::from_utf8_lossy(trim(cell))),
-                }
-                .into());
-            };
-            if !value.is_finite() {
-                return Err(FormatError::NonFinite {
-                    channel: self.channel_at(column, time),
-                    sample: self.samples,
-                    row: Some(rows.row()),
-                    column: Some(column + 1),
-                }
-                .into());
+        for (column, cell) in rows.cells().iter().take(self.columns.len()).enumerate() {
+            let place = self.columns[column];
+            if place == Use::Stamp {
+                continue;
             }
-            match time {
-                Some(time) if time.column == column => self.times.push(0, value)?,
-                time => self.channels.push(channel(column, time), value)?,
+            let value = self.value(cell, rows.row(), column)?;
+            match place {
+                Use::Channel(channel) => self.channels.push(channel, value)?,
+                _ => {
+                    self.rounding.add(number::digits(cell).unwrap_or_default());
+                    self.times.push(0, value)?;
+                }
             }
+        }
+        if let Axis::Clock(clock) = &mut self.axis {
+            let (seconds, decimals) = clock.read(rows)?;
+            self.rounding.add_decimals(decimals);
+            self.times.push(0, seconds)?;
         }
         self.samples += 1;
         Ok(())
     }
 
-    fn channel_at(&self, column: usize, time: Option<&TimeColumn>) -> ChannelAt {
-        let name = self.names.as_ref().map(|names| names[column].clone());
-        ChannelAt { index: channel(column, time), name }
+    /// Cells beyond the columns must be empty: the end of a row may have separators.
+    fn check_width(&self, rows: &Rows<impl Read>) -> Result<(), FormatError> {
+        let (cells, expected) = (rows.cells(), self.columns.len());
+        if cells.len() >= expected && cells.trimmed_len() <= expected {
+            return Ok(());
+        }
+        Err(FormatError::CsvRagged { row: rows.row(), expected, found: cells.len() })
     }
 
-    fn finish(mut self, time: Option<TimeColumn>) -> Result<ParsedRun<Spool>, ReadError> {
-        let mut sample_rate_hz = None;
-        if let Some(time) = time {
-            if let Some(names) = &mut self.names {
-                names.remove(time.column);
+    /// The finite number in a cell.
+    fn value(&mut self, cell: &[u8], row: u64, column: usize) -> Result<f64, FormatError> {
+        let name = |column: usize| self.head.names.as_ref().and_then(|names| names.get(column)).cloned();
+        match self.numbers.read(cell, row, column + 1) {
+            Ok(value) if value.is_finite() => Ok(value),
+            Ok(_) => {
+                let index = match self.columns[column] {
+                    Use::Channel(channel) => channel,
+                    _ => column,
+                };
+                let channel = ChannelAt { index, name: name(column) };
+                Err(FormatError::NonFinite {
+                    channel,
+                    sample: self.samples,
+                    row: Some(row),
+                    column: Some(column + 1),
+                })
             }
-            if let Some(units) = &mut self.units {
-                units.remove(time.column);
+            Err(Fault::NotANumber) => Err(FormatError::CsvNotANumber {
+                row,
+                column: column + 1,
+                name: name(column),
+                found: excerpt(&String::from_utf8_lossy(trim(cell))),
+            }),
+            Err(Fault::Ambiguous(cell)) => Err(FormatError::CsvAmbiguousNumber {
+                row: cell.row,
+                column: cell.column,
+                name: name(cell.column - 1),
+                found: excerpt(&cell.text),
+            }),
+        }
+    }
+
+    fn finish(self) -> Result<ParsedRun<Spool>, ReadError> {
+        let rate = match &self.axis {
+            Axis::None => None,
+            Axis::Time(time) => time.sample_rate(&self.times, self.rounding, self.first_row)?,
+            Axis::Clock(clock) => {
+                time::even(&self.times, self.rounding, self.first_row, clock.time_column(), 1.0)?
             }
-            sample_rate_hz = time.sample_rate_hz(&self.times, self.first_row)?;
+        };
+        let of_channels = |texts: Vec<String>| -> Vec<String> {
+            let is_channel = |place: &Use| matches!(place, Use::Channel(_));
+            texts
+                .into_iter()
+                .zip(&self.columns)
+                .filter(|(_, c)| is_channel(c))
+                .map(|(text, _)| text)
+                .collect()
+        };
+        let Head { names, units, .. } = self.head;
+        Ok(ParsedRun {
+            sample_rate_hz: rate.map(|(rate, _)| rate),
+            sample_rate_error: rate.map_or(0.0, |(_, error)| error),
+            names: names.map(of_channels),
+            units: units.map(of_channels),
+            channels: self.channels,
         }
-        let Self { names, units, channels, .. } = self;
-        Ok(ParsedRun { sample_rate_hz, names, units, channels }.check()?)
+        .check()?)
     }
-}
-
-/// Index of a column among those that are not the time.
-fn channel(column: usize, time: Option<&TimeColumn>) -> usize {
-    column - usize::from(time.is_some_and(|time| time.column < column))
-}
-
-/// Channel names of a header row: not empty, each once.
-fn names(rows: &Rows<impl Read>) -> Result<Vec<String>, FormatError> {
-    let mut names: Vec<String> = Vec::with_capacity(rows.cells().len());
-    for (column, cell) in rows.cells().iter().enumerate() {
-        let name = rows.text(cell)?;
-        if name.is_empty() {
-            let reason = "a channel needs a name";
-            return Err(FormatError::CsvHeader { row: rows.row(), column: column + 1, reason });
-        }
-        check_name(name)?;
-        if names.iter().any(|n| n == name) {
-            return Err(FormatError::DuplicateChannel { name: name.into() });
-        }
-        names.push(name.into());
-    }
-    Ok(names)
-}
-
-fn units(rows: &Rows<impl Read>) -> Result<Vec<String>, FormatError> {
-    rows.cells().iter().map(|cell| Ok(without_brackets(rows.text(cell)?).to_owned())).collect()
-}
-
-fn without_brackets(unit: &str) -> &str {
-    [('[', ']'), ('(', ')')]
-        .iter()
-        .find_map(|(open, close)| unit.strip_prefix(*open)?.strip_suffix(*close))
-        .unwrap_or(unit)
-        .trim()
 }
 
 #[cfg(test)]

@@ -123,12 +123,6 @@ pub enum FormatError {
         /// The rate.
         found: f64,
     },
-    /// A text file that is not UTF-8.
-    #[error("row {row}: the text is not UTF-8")]
-    CsvEncoding {
-        /// Line of the file.
-        row: u64,
-    },
     /// A first row that is not a header.
     #[error("row {row}, column {column}: {reason}")]
     CsvHeader {
@@ -142,6 +136,21 @@ pub enum FormatError {
     /// A cell that is no number.
     #[error("row {row}, column {column}: {found:?} is not a number")]
     CsvNotANumber {
+        /// Line of the file.
+        row: u64,
+        /// Cell of the line.
+        column: usize,
+        /// Name of the column.
+        name: Option<String>,
+        /// The cell, cut after 40 characters.
+        found: String,
+    },
+    /// A cell that is one number where its mark begins the decimals, and another where it groups thousands.
+    #[error(
+        "row {row}, column {column}: {found:?} may have decimals or thousands, as other cells of the file show; \
+         export it without marks between thousands"
+    )]
+    CsvAmbiguousNumber {
         /// Line of the file.
         row: u64,
         /// Cell of the line.
@@ -358,9 +367,9 @@ impl FormatError {
             Self::UnequalLengths { .. } => "run.unequal_lengths",
             Self::NonFinite { .. } => "run.non_finite",
             Self::SampleRate { .. } => "run.sample_rate",
-            Self::CsvEncoding { .. } => "csv.encoding",
             Self::CsvHeader { .. } => "csv.header",
             Self::CsvNotANumber { .. } => "csv.not_a_number",
+            Self::CsvAmbiguousNumber { .. } => "csv.ambiguous_number",
             Self::CsvRagged { .. } => "csv.ragged_row",
             Self::CsvLongRow { .. } => "csv.long_row",
             Self::CsvUnevenTime { .. } => "csv.uneven_time",
@@ -393,9 +402,9 @@ impl FormatError {
             | Self::Uff58Unsupported { at, .. }
             | Self::Uff58Size { at, .. }
             | Self::Uff58NotANumber { at, .. } => at.line,
-            Self::CsvEncoding { row }
-            | Self::CsvHeader { row, .. }
+            Self::CsvHeader { row, .. }
             | Self::CsvNotANumber { row, .. }
+            | Self::CsvAmbiguousNumber { row, .. }
             | Self::CsvRagged { row, .. }
             | Self::CsvLongRow { row, .. }
             | Self::CsvUnevenTime { row, .. }
@@ -412,6 +421,7 @@ impl FormatError {
             Self::NonFinite { column, .. } => *column,
             Self::CsvHeader { column, .. }
             | Self::CsvNotANumber { column, .. }
+            | Self::CsvAmbiguousNumber { column, .. }
             | Self::CsvUnevenTime { column, .. }
             | Self::CsvTime { column, .. }
             | Self::Uff58NotANumber { column, .. }
@@ -435,7 +445,7 @@ impl FormatError {
     pub fn channel(&self) -> Option<&str> {
         match self {
             Self::DuplicateChannel { name } => Some(name),
-            Self::CsvNotANumber { name, .. } => name.as_deref(),
+            Self::CsvNotANumber { name, .. } | Self::CsvAmbiguousNumber { name, .. } => name.as_deref(),
             _ => self.channel_at().and_then(|c| c.name.as_deref()),
         }
     }

@@ -6,6 +6,7 @@
 //! Arrays are `[sample, channel]` in files and `[channel][sample]` in memory.
 
 pub mod csv;
+pub mod detect;
 mod error;
 pub mod json;
 mod labels;
@@ -39,6 +40,8 @@ pub const MAX_NAME_BYTES: usize = 4096;
 pub struct ParsedRun<C = Vec<Vec<f64>>> {
     /// Sample rate from the file's field or its time column.
     pub sample_rate_hz: Option<f64>,
+    /// Largest relative error of the sample rate by times that are rounded in the file.
+    pub sample_rate_error: f64,
     /// Channel names, distinct, where the format has them.
     pub names: Option<Vec<String>>,
     /// Units per channel (empty: none given), where the file has them.
@@ -88,8 +91,8 @@ impl ParsedRun<Spool> {
 
     /// The run of a spool in memory.
     pub(crate) fn into_memory(self) -> ParsedRun {
-        let Self { sample_rate_hz, names, units, channels } = self;
-        ParsedRun { sample_rate_hz, names, units, channels: channels.into_columns() }
+        let Self { sample_rate_hz, sample_rate_error, names, units, channels } = self;
+        ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels: channels.into_columns() }
     }
 }
 
@@ -234,7 +237,13 @@ mod tests {
 
     fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun<Spool> {
         let names = Some(names.iter().map(|n| n.to_string()).collect());
-        ParsedRun { sample_rate_hz: None, names, units: None, channels: spooled(channels) }
+        ParsedRun {
+            sample_rate_hz: None,
+            sample_rate_error: 0.0,
+            names,
+            units: None,
+            channels: spooled(channels),
+        }
     }
 
     #[test]
@@ -244,8 +253,15 @@ mod tests {
         assert_eq!(code(run(&["a"], vec![vec![]])), "run.empty");
         assert_eq!(code(run(&["a", "a"], vec![vec![1.0], vec![1.0]])), "run.duplicate_channel");
         let many = spooled(vec![vec![1.0]; MAX_CHANNELS + 1]);
-        let error =
-            ParsedRun { sample_rate_hz: None, names: None, units: None, channels: many }.check().unwrap_err();
+        let error = ParsedRun {
+            sample_rate_hz: None,
+            sample_rate_error: 0.0,
+            names: None,
+            units: None,
+            channels: many,
+        }
+        .check()
+        .unwrap_err();
         assert_eq!(error.code(), "run.too_many_channels");
         assert_eq!(error.limit().unwrap(), "at most 1024 channels");
 

@@ -94,6 +94,7 @@ pub fn read_from(
         padding::strip(&mut spool, header.frame)?;
     }
     let run = ParsedRun {
+        sample_rate_error: 0.0,
         sample_rate_hz: Some(header.sample_rate_hz),
         names: header.names,
         units: header.units,

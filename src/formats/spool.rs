@@ -241,7 +241,19 @@ impl Spool {
 
     /// The columns as channels at this sample rate. They must be equally long and finite.
     pub fn at_rate(self, sample_rate_hz: f64) -> SpooledSamples {
-        SpooledSamples { spool: self, sample_rate_hz }
+        let columns = (0..self.n_columns()).map(|column| (column, 1.0)).collect();
+        SpooledSamples { spool: self, sample_rate_hz, columns }
+    }
+
+    /// Index of the first number of a column that is not finite once it is multiplied by `factor`.
+    ///
+    /// # Errors
+    /// Those of the file.
+    ///
+    /// # Panics
+    /// If there is no such column.
+    pub fn first_overflow(&self, column: usize, factor: f64) -> io::Result<Option<usize>> {
+        self.position(column, |_, value| !(value * factor).is_finite())
     }
 }
 
@@ -250,6 +262,15 @@ impl Spool {
 pub struct SpooledSamples {
     spool: Spool,
     sample_rate_hz: f64,
+    /// Column and factor of each channel.
+    columns: Vec<(usize, f64)>,
+}
+
+impl SpooledSamples {
+    /// The columns with these indices as channels, each multiplied by its factor.
+    pub fn of_columns(self, columns: Vec<(usize, f64)>) -> Self {
+        Self { columns, ..self }
+    }
 }
 
 impl Samples for SpooledSamples {
@@ -258,7 +279,7 @@ impl Samples for SpooledSamples {
     }
 
     fn n_channels(&self) -> usize {
-        self.spool.n_columns()
+        self.columns.len()
     }
 
     fn n_samples(&self) -> usize {
@@ -266,7 +287,13 @@ impl Samples for SpooledSamples {
     }
 
     fn read(&mut self, channel: usize, samples: Range<usize>, to: &mut Vec<f64>) -> io::Result<()> {
-        self.spool.read(channel, samples, to)
+        let (column, factor) = self.columns[channel];
+        let before = to.len();
+        self.spool.read(column, samples, to)?;
+        if factor != 1.0 {
+            to[before..].iter_mut().for_each(|value| *value *= factor);
+        }
+        Ok(())
     }
 }
 

@@ -92,9 +92,9 @@ codes! {
     RUN_NON_FINITE = "run.non_finite", 422, "NaN or infinity";
 
     // Files.
-    CSV_ENCODING = "csv.encoding", 400, "The text is not UTF-8";
     CSV_HEADER = "csv.header", 422, "The header row is not valid";
     CSV_NOT_A_NUMBER = "csv.not_a_number", 422, "A cell is not a number";
+    CSV_AMBIGUOUS_NUMBER = "csv.ambiguous_number", 422, "A mark may begin decimals or group thousands";
     CSV_RAGGED_ROW = "csv.ragged_row", 422, "Rows differ in their number of cells";
     CSV_LONG_ROW = "csv.long_row", 422, "A row is too long";
     CSV_UNEVEN_TIME = "csv.uneven_time", 422, "Time does not rise in even steps";

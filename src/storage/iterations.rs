@@ -63,12 +63,12 @@ impl NewIteration {
             started_at: None,
         };
         let sha256 = Digest::of(&self.samples).as_str().to_owned();
-        PreparedRun::new(scratch, rig, meta, self.drives.clone(), None, drive, sha256).map_err(|error| {
-            match error {
+        PreparedRun::new(scratch, rig, meta, self.drives.clone(), Vec::new(), drive, sha256).map_err(
+            |error| match error {
                 PrepareError::Store(error) => error,
                 PrepareError::Unsuitable(errors) => bad(format!("{errors:?}")),
-            }
-        })
+            },
+        )
     }
 }
 

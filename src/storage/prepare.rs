@@ -56,23 +56,23 @@ impl PreparedRun {
     /// Checks the samples of a file against its rig, and writes them to a file in `scratch`, some at a time.
     /// Takes processor time: call it off the async threads.
     ///
-    /// `channels` name the channels in order; `units`, where the file had some, must be the
-    /// rig's (an empty unit is ignored); `sha256` is that of the uploaded file, hex.
+    /// `channels` name the channels in order; `changes` say how the samples differ from those of the file, a sentence
+    /// each, and become the first warnings of the run; `sha256` is that of the uploaded file, hex.
     ///
     /// # Errors
-    /// Channels that are unknown or come twice, another unit, another sample rate, no samples,
+    /// Channels that are unknown or come twice, another sample rate, no samples,
     /// and what [`RunMeta::check`] finds; the file system's errors.
     pub fn new(
         scratch: &Path,
         rig: &Rig,
         meta: RunMeta,
         channels: Vec<String>,
-        units: Option<Vec<String>>,
+        changes: Vec<String>,
         mut samples: impl Samples,
         sha256: String,
     ) -> Result<Self, PrepareError> {
         let meta = meta.check()?;
-        let units = check_channels(rig, &channels, units.as_deref(), &samples)?;
+        let units = check_channels(rig, &channels, &samples)?;
         if !Signal::same_rate(rig.sample_rate_hz, samples.sample_rate_hz()) {
             let found = samples.sample_rate_hz();
             let limit = format!("{} Hz, the rig's sample rate; found {found} Hz", rig.sample_rate_hz);
@@ -81,7 +81,8 @@ impl PreparedRun {
         if samples.n_samples() == 0 {
             return Err(vec![FieldError::new("", "at least one sample")].into());
         }
-        let quality = Quality::assess(&channels, &mut samples).map_err(failed(scratch))?;
+        let mut quality = Quality::assess(&channels, &mut samples).map_err(failed(scratch))?;
+        quality.warnings.splice(0..0, changes);
         let object = ObjectFile::make(scratch, |file| npy::encode(&mut samples, file))?;
         let samples = samples.n_samples();
         let row = NewRun {
@@ -98,13 +99,27 @@ impl PreparedRun {
         };
         Ok(Self { row, object })
     }
+
+    /// Samples of each channel.
+    pub fn samples(&self) -> u64 {
+        self.row.samples
+    }
+
+    /// Length, s.
+    pub fn duration_s(&self) -> f64 {
+        self.row.duration_s
+    }
+
+    /// Quality figures.
+    pub fn quality(&self) -> &Quality {
+        &self.row.quality
+    }
 }
 
 /// Units of the channels, which must be channels of the rig and as many as there are samples of.
 fn check_channels(
     rig: &Rig,
     channels: &[String],
-    units: Option<&[String]>,
     samples: &impl Samples,
 ) -> Result<Vec<String>, Vec<FieldError>> {
     if channels.len() != samples.n_channels() {
@@ -124,11 +139,6 @@ fn check_channels(
         if seen.insert(name, i).is_some() {
             errors.push(FieldError::new(at, "each channel once").on_channel(name));
         }
-        let unit = units.and_then(|units| units.get(i)).map_or("", |unit| unit.trim());
-        if !unit.is_empty() && unit != channel.unit {
-            let limit = format!("{:?}, the rig's unit; found {unit:?}", channel.unit);
-            errors.push(FieldError::new(format!("/units/{i}"), limit).on_channel(name));
-        }
         found.push(channel.unit.clone());
     }
     if errors.is_empty() { Ok(found) } else { Err(errors) }
@@ -139,21 +149,16 @@ mod tests {
     use super::super::testing::{draft, meta, rig};
     use super::*;
 
-    fn prepare(
-        channels: &[&str],
-        units: Option<&[&str]>,
-        signal: &Signal,
-    ) -> Result<PreparedRun, Vec<FieldError>> {
+    fn prepare(channels: &[&str], signal: &Signal) -> Result<PreparedRun, Vec<FieldError>> {
         let own = |texts: &[&str]| texts.iter().map(|t| (*t).to_owned()).collect::<Vec<_>>();
         let scratch = tempfile::tempdir().unwrap();
         let rig = rig(&draft("bench"));
-        let (names, units) = (own(channels), units.map(own));
-        PreparedRun::new(scratch.path(), &rig, meta(), names, units, signal.clone(), "00".into()).map_err(
-            |error| match error {
+        let names = own(channels);
+        PreparedRun::new(scratch.path(), &rig, meta(), names, Vec::new(), signal.clone(), "00".into())
+            .map_err(|error| match error {
                 PrepareError::Unsuitable(found) => found,
                 PrepareError::Store(error) => panic!("{error}"),
-            },
-        )
+            })
     }
 
     fn signal(rate: f64, channels: &[&[f64]]) -> Signal {
@@ -162,25 +167,25 @@ mod tests {
 
     #[test]
     fn a_subset_of_the_channels_in_any_order_is_a_run() {
-        let run = prepare(&["y", "u"], None, &signal(100.0, &[&[1.0, 2.0], &[3.0, 4.0]])).unwrap().row;
+        let run = prepare(&["y", "u"], &signal(100.0, &[&[1.0, 2.0], &[3.0, 4.0]])).unwrap().row;
         assert_eq!((run.units, run.samples, run.duration_s), (vec!["mm".into(), "kN".into()], 2, 0.02));
     }
 
     #[test]
-    fn unknown_and_repeated_channels_and_other_units_are_named() {
+    fn unknown_and_repeated_channels_are_named() {
         let s = signal(100.0, &[&[1.0], &[2.0], &[3.0]]);
-        let errors = prepare(&["u", "q", "u"], Some(&["N", "", "kN"]), &s).unwrap_err();
+        let errors = prepare(&["u", "q", "u"], &s).unwrap_err();
         let named: Vec<_> =
             errors.iter().map(|e| (e.pointer.as_str(), e.channel.as_deref().unwrap())).collect();
-        assert_eq!(named, [("/units/0", "u"), ("/channels/1", "q"), ("/channels/2", "u")]);
+        assert_eq!(named, [("/channels/1", "q"), ("/channels/2", "u")]);
     }
 
     #[test]
     fn another_sample_rate_and_an_empty_file_are_refused() {
-        let errors = prepare(&["u"], None, &signal(101.0, &[&[1.0]])).unwrap_err();
+        let errors = prepare(&["u"], &signal(101.0, &[&[1.0]])).unwrap_err();
         assert_eq!(errors[0].pointer, "/sample_rate_hz");
-        assert!(prepare(&["u"], None, &signal(100.00005, &[&[1.0]])).is_ok(), "1e-6 relative is one rate");
-        assert!(prepare(&["u"], None, &signal(100.0, &[&[]])).is_err());
-        assert!(prepare(&["u", "y"], None, &signal(100.0, &[&[1.0]])).is_err());
+        assert!(prepare(&["u"], &signal(100.00005, &[&[1.0]])).is_ok(), "1e-6 relative is one rate");
+        assert!(prepare(&["u"], &signal(100.0, &[&[]])).is_err());
+        assert!(prepare(&["u", "y"], &signal(100.0, &[&[1.0]])).is_err());
     }
 }

@@ -117,7 +117,7 @@ impl TestStore {
         let file: Vec<u8> = u.iter().flat_map(|v| v.to_le_bytes()).collect();
         let sha256 = Digest::of(&file).as_str().to_owned();
         let names = vec!["u".into(), "y".into()];
-        PreparedRun::new(&self.scratch_dir(), rig, meta, names, None, signal, sha256).unwrap()
+        PreparedRun::new(&self.scratch_dir(), rig, meta, names, Vec::new(), signal, sha256).unwrap()
     }
 
     pub(crate) async fn upload_with(&self, rig: &Rig, meta: RunMeta, u: &[f64]) -> InsertedRun {

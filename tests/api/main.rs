@@ -23,6 +23,7 @@ mod isa;
 mod iterations;
 mod jobs;
 mod kills;
+mod lab_files;
 mod large_answers;
 mod large_uploads;
 mod logs;

@@ -8,17 +8,24 @@ use std::io::Read;
 
 use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
+use encoding_rs_io::{DecodeReaderBytes, DecodeReaderBytesBuilder};
+
+use super::layout::Layout;
 use super::number::trim;
+use crate::formats::labels::utf8_or_windows_1252;
 use crate::formats::{FormatError, MAX_CHANNELS, PIECE, ReadError};
 
 /// Longest row, bytes: the longest names of as many channels as a file may have take a quarter of it.
 const MAX_ROW_BYTES: usize = 16 << 20;
 
+/// Bytes of a file in which its first samples are looked for.
+const LAYOUT_BYTES: usize = 1 << 20;
+
 /// Reads row after row.
 pub(super) struct Rows<R> {
     bytes: Bytes<R>,
     reader: Reader,
-    separator: u8,
+    layout: Layout,
     /// Text of the current row's cells, one after the other, and the end of each.
     text: Vec<u8>,
     ends: Vec<usize>,
@@ -26,8 +33,8 @@ pub(super) struct Rows<R> {
     len: usize,
     /// Line of the current row, from 1; 0 before the first.
     row: u64,
-    /// Cells of the first row.
-    width: usize,
+    /// Cells of a row of samples, once they have begun.
+    width: Option<usize>,
 }
 
 /// Cells of a row; empty for a row that has too many.
@@ -44,6 +51,20 @@ impl<'r> Cells<'r> {
         self.len
     }
 
+    /// Number of cells without the empty ones at the end.
+    pub(super) fn trimmed_len(self) -> usize {
+        if self.ends.len() < self.len {
+            return self.len;
+        }
+        let mut len = self.len;
+        while len > 0
+            && trim(&self.text[if len > 1 { self.ends[len - 2] } else { 0 }..self.ends[len - 1]]).is_empty()
+        {
+            len -= 1;
+        }
+        len
+    }
+
     /// Their text.
     pub(super) fn iter(self) -> impl Iterator<Item = &'r [u8]> + Clone {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
@@ -58,29 +79,36 @@ impl<R: Read> Rows<R> {
     /// Errors of the file system.
     pub(super) fn new(file: R) -> std::io::Result<Self> {
         let mut bytes = Bytes::new(file)?;
-        let separator = bytes.separator()?;
+        let layout = bytes.layout()?;
+        bytes.pass(layout.declaration);
         Ok(Self {
             bytes,
-            reader: ReaderBuilder::new().delimiter(separator).build(),
-            separator,
+            reader: ReaderBuilder::new().delimiter(layout.separator).build(),
+            layout,
             text: vec![0; 1024],
             // One more than allowed, so that too many are noticed.
             ends: vec![0; MAX_CHANNELS + 1],
             len: 0,
             row: 0,
-            width: 0,
+            width: None,
         })
     }
 
-    /// Separator of cells.
-    pub(super) fn separator(&self) -> u8 {
-        self.separator
+    /// What separates cells, and where the samples begin.
+    pub(super) fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// Says that the current row is the first of the samples, each of which has `width` cells: an empty line between
+    /// them may be a lost sample.
+    pub(super) fn begin_samples(&mut self, width: usize) {
+        self.width = Some(width);
     }
 
     /// Goes to the next row; false at the end.
     ///
     /// # Errors
-    /// `csv.ragged_row` for an empty line between two rows; `csv.long_row`; errors of the file system.
+    /// `csv.ragged_row` for an empty line between two samples; `csv.long_row`; errors of the file system.
     pub(super) fn next(&mut self) -> Result<bool, ReadError> {
         // The csv crate ends a row at the CR of a CRLF.
         if self.bytes.after_cr && self.bytes.peek()? == Some(b'\n') {
@@ -96,10 +124,8 @@ impl<R: Read> Rows<R> {
         if !self.split(line)? {
             return Ok(false);
         }
-        if self.row == 0 {
-            self.width = self.len;
-        } else if empty {
-            return Err(FormatError::CsvRagged { row: empty_line, expected: self.width, found: 0 }.into());
+        if let (true, Some(expected)) = (empty, self.width) {
+            return Err(FormatError::CsvRagged { row: empty_line, expected, found: 0 }.into());
         }
         self.row = line;
         Ok(true)
@@ -146,18 +172,15 @@ impl<R: Read> Rows<R> {
         self.row
     }
 
-    /// Text of a cell of the current row, without surrounding blanks.
-    ///
-    /// # Errors
-    /// `csv.encoding`.
-    pub(super) fn text<'c>(&self, cell: &'c [u8]) -> Result<&'c str, FormatError> {
-        std::str::from_utf8(trim(cell)).map_err(|_| FormatError::CsvEncoding { row: self.row })
+    /// The cells as text, without surrounding blanks.
+    pub(super) fn texts(&self) -> Vec<String> {
+        self.cells().iter().map(utf8_or_windows_1252).collect()
     }
 }
 
 /// A file piece by piece; counts its lines, which end with LF, CR or CRLF.
 struct Bytes<R> {
-    file: R,
+    file: DecodeReaderBytes<R, Vec<u8>>,
     piece: Vec<u8>,
     /// Bytes of the piece that were consumed.
     passed: usize,
@@ -167,8 +190,10 @@ struct Bytes<R> {
 }
 
 impl<R: Read> Bytes<R> {
-    /// A reader after the byte order mark, if there is one.
+    /// A reader after the byte order mark, if there is one. UTF-16, which has one, becomes UTF-8; other bytes stay as
+    /// they are.
     fn new(file: R) -> std::io::Result<Self> {
+        let file = DecodeReaderBytesBuilder::new().utf8_passthru(true).build(file);
         let mut bytes = Self { file, piece: Vec::new(), passed: 0, lines: 0, after_cr: false };
         bytes.more()?;
         if bytes.piece.starts_with(b"\xEF\xBB\xBF") {
@@ -214,25 +239,35 @@ impl<R: Read> Bytes<R> {
         Ok(1 + self.lines + u64::from(lone_cr))
     }
 
-    /// The first of tab, `;` and `,` that the first row has outside quotes; `;` where it has none, so that a
-    /// single column may have decimal commas. Reads the first row into memory, unless it is too long.
-    fn separator(&mut self) -> std::io::Result<u8> {
-        const SEPARATORS: [u8; 3] = *b"\t;,";
+    /// The layout by the beginning of the file, or by its first row where no samples are near. Reads that much into
+    /// memory.
+    fn layout(&mut self) -> std::io::Result<Layout> {
+        let mut whole = false;
+        loop {
+            if let Some(layout) = Layout::of(self.left(), whole) {
+                return Ok(layout);
+            }
+            if self.piece.len() > LAYOUT_BYTES {
+                let row = self.first_row()?;
+                return Ok(Layout::of_first_row(row));
+            }
+            whole = !self.more()?;
+        }
+    }
+
+    /// The first row that is not empty, read into memory unless it is too long.
+    fn first_row(&mut self) -> std::io::Result<&[u8]> {
         let (mut at, mut quoted, mut begun) = (self.passed, false, false);
-        let mut found = [false; 3];
         while at < MAX_ROW_BYTES && (at < self.piece.len() || self.more()?) {
             let byte = self.piece[at];
-            at += 1;
             begun |= !byte.is_ascii_whitespace();
-            match byte {
-                _ if !begun => {}
-                b'"' => quoted = !quoted,
-                b'\r' | b'\n' if !quoted => break,
-                _ if quoted => {}
-                _ => SEPARATORS.iter().zip(&mut found).for_each(|(&s, found)| *found |= s == byte),
+            quoted ^= byte == b'"';
+            if begun && !quoted && matches!(byte, b'\r' | b'\n') {
+                break;
             }
+            at += 1;
         }
-        Ok(found.iter().position(|&f| f).map_or(b';', |i| SEPARATORS[i]))
+        Ok(&self.piece[self.passed..at])
     }
 }
 
@@ -280,6 +315,7 @@ mod tests {
             let file = ["a", "1", "", "", "2"].join(end);
             let mut between = Rows::new(file.as_bytes()).unwrap();
             assert!(between.next().unwrap() && between.next().unwrap());
+            between.begin_samples(1);
             let Err(ReadError::Format(error)) = between.next() else { panic!("an empty line") };
             assert_eq!(error, FormatError::CsvRagged { row: 3, expected: 1, found: 0 }, "{end:?}");
         }
@@ -310,18 +346,22 @@ mod tests {
     }
 
     #[test]
-    fn the_first_row_says_what_separates() {
-        for (first, separator) in [
-            ("a,b", b','),
-            ("a;b", b';'),
-            ("a\tb", b'\t'),
-            ("a", b';'),
-            ("\"a;b\",c", b','),
-            ("1,5;2,5", b';'),
-        ] {
-            let file = format!("{first}\n1;1,1\t1");
-            assert_eq!(Rows::new(file.as_bytes()).unwrap().separator(), separator, "{first}");
+    fn utf_16_reads_as_its_text() {
+        let text = "u;Weg [µm]\r\n1,5;2\r\n";
+        let utf16 = |bytes: fn(u16) -> [u8; 2]| -> Vec<u8> {
+            std::iter::once('\u{feff}').chain(text.chars()).flat_map(|c| bytes(c as u16)).collect()
+        };
+        for file in [utf16(u16::to_le_bytes), utf16(u16::to_be_bytes), text.as_bytes().to_vec()] {
+            let mut rows = Rows::new(Pieces(&file)).unwrap();
+            assert!(rows.next().unwrap());
+            assert_eq!(
+                (rows.layout().separator, rows.texts()),
+                (b';', vec!["u".into(), "Weg [µm]".to_owned()])
+            );
         }
+        let mut rows = Rows::new(&b"Weg [\xb5m]\n1\n"[..]).unwrap();
+        assert!(rows.next().unwrap());
+        assert_eq!(rows.texts(), ["Weg [µm]"]);
     }
 
     #[test]
@@ -335,6 +375,7 @@ mod tests {
                     assert!(rows.next().unwrap());
                     assert_eq!(rows.row(), line, "{filling} {end:?}");
                 }
+                rows.begin_samples(1);
                 let Err(ReadError::Format(error)) = rows.next() else { panic!("an empty line") };
                 assert_eq!(error.row(), Some(4), "{filling} {end:?}");
             }

@@ -14,24 +14,40 @@ pub(super) struct TimeColumn {
 /// Number of steps, spread over the file, from which the usual step is found.
 const STEPS: usize = 10_000;
 
-/// Largest deviation of a step, relative to it.
+/// Largest deviation of a step, relative to it, but for the rounding of its digits.
 const TOLERANCE: f64 = 1e-3;
 
+/// Largest deviation that is put down to times of single precision, relative to the step.
+const SINGLE: f64 = 0.1;
+
+/// Fewest rows whose uneven steps are put down to rounding.
+const ROUNDED_FROM_ROWS: usize = 20;
+
+/// Share of the steps that rounding makes uneven, at least.
+const ROUNDED_SHARE: f64 = 0.02;
+
 impl TimeColumn {
-    /// The time column of a file with these names and units; `row` is the header's.
+    /// The time column of a file with these names and units, apart from the columns of date-times (`stamps`); `row`
+    /// is the header's.
     ///
     /// # Errors
     /// `csv.time_column` when two columns claim to be it, or its unit is neither s nor ms.
     pub(super) fn find(
         names: &[String],
         units: Option<&[String]>,
+        stamps: &[bool],
         row: u64,
     ) -> Result<Option<Self>, FormatError> {
         let refuse = |column: usize, reason| Err(FormatError::CsvTime { row, column: column + 1, reason });
-        let named: Vec<_> =
-            names.iter().enumerate().filter_map(|(i, name)| Some((i, unit_of_time(name)?))).collect();
+        let is_stamp = |column: &usize| stamps.get(*column).copied().unwrap_or_default();
+        let named: Vec<_> = names
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| !is_stamp(i))
+            .filter_map(|(i, name)| Some((i, unit_of_time(name)?)))
+            .collect();
         let by_unit: Vec<_> =
-            units.unwrap_or_default().iter().enumerate().filter(|(_, u)| *u == "s").collect();
+            units.unwrap_or_default().iter().enumerate().filter(|(i, u)| *u == "s" && !is_stamp(i)).collect();
         let (column, unit) = match (&named[..], &by_unit[..]) {
             ([(column, unit)], _) => (*column, *unit),
             ([], [(column, _)]) => (*column, None),
@@ -52,57 +68,153 @@ impl TimeColumn {
         }
     }
 
-    /// Sample rate of evenly spaced `times` (one column, in the unit of the time column); `None` for a single
-    /// one.
+    /// Sample rate of evenly spaced `times` (one column, in the unit of the time column), and its largest relative
+    /// error by rounded times; `None` for a single one.
     ///
     /// # Errors
-    /// `csv.uneven_time` with the row of the first step that is not the step of most rows;
-    /// `first_row` is the row of the first sample. Errors of the file system.
-    pub(super) fn sample_rate_hz(&self, times: &Spool, first_row: u64) -> Result<Option<f64>, ReadError> {
-        let n = times.len(0);
-        if n < 2 {
-            return Ok(None);
-        }
-        let (first, last) = (times.at(0, 0)?, times.at(0, n - 1)?);
-        let step = (last - first) / (n - 1) as f64;
-        // Compared with the grid and not step by step: rounded times may not drift.
-        let off = |i: usize, t: f64| {
-            let distance = (t - (first + i as f64 * step)).abs();
-            distance.is_nan() || distance > TOLERANCE * step
-        };
-        let even = step > 0.0 && step.is_finite() && times.position(0, off)?.is_none();
-        let rate = 1.0 / (step * self.scale);
-        if even && rate.is_finite() {
-            return Ok(Some(rate));
-        }
-        let every = n / STEPS + 1;
-        let (mut steps, mut before) = (Vec::new(), first);
-        times.position(0, |i, t| {
-            if i > 0 && (i - 1) % every == 0 {
-                steps.push(t - before);
-            }
-            before = t;
-            false
-        })?;
-        let middle = steps.len() / 2;
-        let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
-        before = first;
-        let uneven = times.position(0, |i, t| {
-            let step = t - before;
-            before = t;
-            i > 0 && (step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs())
-        })?;
-        // When every step is within the limit the times drift, and the last row is the farthest off.
-        let place = uneven.unwrap_or(n - 1);
-        Err(FormatError::CsvUnevenTime {
-            // Rows of samples are consecutive lines, since a number holds no line end.
-            row: first_row + place as u64,
-            column: self.column + 1,
-            step_s: usual * self.scale,
-            found_s: (times.at(0, place)? - times.at(0, place - 1)?) * self.scale,
-        }
-        .into())
+    /// As [`even`].
+    pub(super) fn sample_rate(
+        &self,
+        times: &Spool,
+        rounding: Rounding,
+        first_row: u64,
+    ) -> Result<Option<(f64, f64)>, ReadError> {
+        even(times, rounding, first_row, self.column, self.scale)
     }
+}
+
+/// The digits that the times of a file are written with: the most behind the mark, and the most from the first that
+/// is not zero.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Rounding {
+    decimals: i32,
+    significant: i32,
+}
+
+impl Rounding {
+    /// Takes the digits of one more time.
+    pub(super) fn add(&mut self, (decimals, significant): (i32, i32)) {
+        self.decimals = self.decimals.max(decimals);
+        self.significant = self.significant.max(significant);
+    }
+
+    /// Times with this many digits behind the mark.
+    pub(super) fn add_decimals(&mut self, decimals: i32) {
+        self.add((decimals, i32::from(i16::MAX)));
+    }
+
+    /// The last digit of a time: fixed digits behind the mark have one for all, a fixed number of digits has a
+    /// coarser one for larger times.
+    fn last_digit(self, time: f64) -> f64 {
+        let leading = if time == 0.0 { 0.0 } else { time.abs().log10().floor() };
+        let significant = 10f64.powf(leading + 1.0 - f64::from(self.significant));
+        significant.max(10f64.powi(-self.decimals))
+    }
+}
+
+/// The rate of times that rise in even steps of `scale` seconds a unit, and its largest relative error by rounded
+/// times.
+///
+/// # Errors
+/// `csv.uneven_time` with the row of the first step that is not the step of most rows; `first_row` is the row of
+/// the first sample, `column` the index of the time column. Errors of the file system.
+pub(super) fn even(
+    times: &Spool,
+    rounding: Rounding,
+    first_row: u64,
+    column: usize,
+    scale: f64,
+) -> Result<Option<(f64, f64)>, ReadError> {
+    let n = times.len(0);
+    if n < 2 {
+        return Ok(None);
+    }
+    let grid = Grid { first: times.at(0, 0)?, last: times.at(0, n - 1)?, n };
+    let step = grid.step();
+    let rate = 1.0 / (step * scale);
+    if step > 0.0 && step.is_finite() && rate.is_finite() {
+        // Compared with the grid and not step by step: rounded times may not drift.
+        // Times of single precision are as far off as their last bit.
+        let exact = |t: f64| TOLERANCE * step + (f64::from(f32::EPSILON) / 2.0 * t.abs()).min(SINGLE * step);
+        if times.position(0, |i, t| grid.is_off(i, t, exact(t)))?.is_none() {
+            return Ok(Some((rate, 0.0)));
+        }
+        let last_digit = rounding.last_digit(grid.last);
+        let rounded = |t: f64| exact(t) + rounding.last_digit(t) + last_digit;
+        if n >= ROUNDED_FROM_ROWS
+            && times.position(0, |i, t| grid.is_off(i, t, rounded(t)))?.is_none()
+            && is_rounded(times, rounding, usual_step(times, &grid)?)?
+        {
+            return Ok(Some((rate, last_digit / (grid.last - grid.first))));
+        }
+    }
+    let usual = usual_step(times, &grid)?;
+    let mut before = grid.first;
+    let uneven = times.position(0, |i, t| {
+        let step = t - before;
+        before = t;
+        i > 0 && (step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs())
+    })?;
+    // When every step is within the limit the times drift, and the last row is the farthest off.
+    let place = uneven.unwrap_or(n - 1);
+    Err(FormatError::CsvUnevenTime {
+        // Rows of samples are consecutive lines, since a number holds no line end.
+        row: first_row + place as u64,
+        column: column + 1,
+        step_s: usual * scale,
+        found_s: (times.at(0, place)? - times.at(0, place - 1)?) * scale,
+    }
+    .into())
+}
+
+/// Even times from the first to the last.
+struct Grid {
+    first: f64,
+    last: f64,
+    n: usize,
+}
+
+impl Grid {
+    fn step(&self) -> f64 {
+        (self.last - self.first) / (self.n - 1) as f64
+    }
+
+    fn is_off(&self, index: usize, time: f64, tolerance: f64) -> bool {
+        let distance = (time - (self.first + index as f64 * self.step())).abs();
+        distance.is_nan() || distance > tolerance
+    }
+}
+
+/// The step that half of the rows stay below.
+fn usual_step(times: &Spool, grid: &Grid) -> Result<f64, ReadError> {
+    let every = grid.n / STEPS + 1;
+    let (mut steps, mut before) = (Vec::new(), grid.first);
+    times.position(0, |i, t| {
+        if i > 0 && (i - 1) % every == 0 {
+            steps.push(t - before);
+        }
+        before = t;
+        false
+    })?;
+    let middle = steps.len() / 2;
+    Ok(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Whether rounding explains uneven steps. Where the digits resolve the usual step, a rounded step is off again and
+/// again, and a lost sample is off once.
+fn is_rounded(times: &Spool, rounding: Rounding, usual: f64) -> Result<bool, ReadError> {
+    let (mut resolved, mut off, mut before) = (0_usize, 0_usize, None);
+    times.position(0, |_, t| {
+        if let Some(before) = before.replace(t) {
+            let digit = rounding.last_digit(t);
+            if digit <= 1.001 * usual {
+                resolved += 1;
+                off += usize::from((t - before - usual).abs() > digit / 2.0);
+            }
+        }
+        false
+    })?;
+    Ok(off == 0 || off as f64 >= ROUNDED_SHARE * resolved as f64)
 }
 
 /// `Some` for the name of a time column, with the unit that the name holds, if any.
@@ -115,7 +227,7 @@ fn unit_of_time(name: &str) -> Option<Option<&'static str>> {
             None => (lower.as_str(), None),
         },
     };
-    if !matches!(stem, "time" | "t" | "zeit") {
+    if !matches!(stem, "time" | "t" | "zeit" | "zeitkanal" | "time channel") {
         return None;
     }
     match unit {
@@ -132,7 +244,7 @@ mod tests {
 
     fn find(names: &[&str], units: Option<&[&str]>) -> Result<Option<TimeColumn>, FormatError> {
         let own = |list: &[&str]| list.iter().map(|s| s.to_string()).collect::<Vec<_>>();
-        TimeColumn::find(&own(names), units.map(own).as_deref(), 1)
+        TimeColumn::find(&own(names), units.map(own).as_deref(), &[], 1)
     }
 
     #[test]
@@ -167,7 +279,64 @@ mod tests {
         let mut spool = Spool::in_memory();
         spool.add_columns(1);
         spool.extend(0, times.iter().copied()).unwrap();
-        column.sample_rate_hz(&spool, first_row).map_err(ReadError::of_bytes)
+        let found = column.sample_rate(&spool, Rounding { decimals: 300, significant: 17 }, first_row);
+        found.map(|found| found.map(|(rate, _)| rate)).map_err(ReadError::of_bytes)
+    }
+
+    /// The rate of `n` times at `rate_hz` as `format` writes them, and its error.
+    fn written(
+        n: usize,
+        rate_hz: f64,
+        lost: Option<usize>,
+        format: impl Fn(f64) -> String,
+    ) -> Option<(f64, f64)> {
+        let (mut spool, mut rounding) = (Spool::in_memory(), Rounding::default());
+        spool.add_columns(1);
+        for i in (0..n).filter(|&i| Some(i) != lost) {
+            let text = format(i as f64 / rate_hz);
+            rounding.add(super::super::number::digits(text.as_bytes()).unwrap());
+            spool.push(0, text.parse().unwrap()).unwrap();
+        }
+        SECONDS.sample_rate(&spool, rounding, 1).ok().flatten()
+    }
+
+    /// Four digits, as a spreadsheet's general format has them.
+    fn four_digits(t: f64) -> String {
+        let scientific = format!("{t:.3e}");
+        let exponent: i32 = scientific.split_once('e').unwrap().1.parse().unwrap();
+        format!("{t:.*}", (3 - exponent).max(0) as usize)
+    }
+
+    #[test]
+    fn times_rounded_to_a_few_digits_give_the_rate_within_its_error() {
+        for rate_hz in [512.0, 1000.0, 2048.0, 819.2] {
+            for (format, digit) in [
+                (&(|t: f64| format!("{t:.4}")) as &dyn Fn(f64) -> String, 1e-4),
+                (&|t: f64| format!("{t:.3}"), 1e-3),
+                (&four_digits, 1e-2),
+                (&|t: f64| format!("{}", t as f32), 1e-6),
+            ] {
+                let n = 30_000;
+                let (found, error) = written(n, rate_hz, None, format).unwrap();
+                assert!((found / rate_hz - 1.0).abs() <= error + 1e-7, "{rate_hz} {digit}: {found} {error}");
+                assert!(error <= 1.01 * digit * rate_hz / (n - 1) as f64, "{rate_hz} {digit}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lost_sample_is_found_among_rounded_times_that_resolve_the_step() {
+        for rate_hz in [512.0, 1000.0, 2048.0] {
+            for lost in [1, 400, 15_000, 29_998] {
+                assert_eq!(
+                    written(30_000, rate_hz, Some(lost), |t| format!("{t:.5}")),
+                    None,
+                    "{rate_hz} {lost}"
+                );
+            }
+        }
+        assert_eq!(written(1000, 1000.0, Some(500), |t| format!("{t:.3}")), None);
+        assert_eq!(written(1000, 1.0, Some(500), |t| format!("{t}")), None);
     }
 
     #[test]

@@ -2,8 +2,7 @@
 
 use std::io::Write;
 
-use super::number::number;
-use super::without_brackets;
+use super::head::{is_value, without_brackets};
 use crate::formats::{ChannelAt, FormatError};
 
 /// Writes `[channel][sample]` under a header row, and a units row where any of `units` is not
@@ -45,7 +44,7 @@ pub fn head(names: &[String], units: Option<&[String]>, columns: usize) -> Resul
         let channel = ChannelAt { index: columns, name: names.get(columns).cloned() };
         return Err(FormatError::UnequalLengths { channel, expected: columns, found: names.len() });
     }
-    if let Some(index) = names.iter().position(|n| number(n.as_bytes(), true).is_some()) {
+    if let Some(index) = names.iter().position(|n| is_value(n)) {
         let reason = "a channel name that is a number would read back as a sample";
         return Err(FormatError::CsvHeader { row: 1, column: index + 1, reason });
     }
@@ -82,9 +81,5 @@ pub fn rows(file: &mut Vec<u8>, columns: &[&[f64]]) {
 
 /// A unit in a form that reads back: the reader removes brackets, and takes numbers for samples.
 fn unit_cell(unit: &str) -> String {
-    if number(unit.as_bytes(), true).is_some() || without_brackets(unit) != unit {
-        format!("[{unit}]")
-    } else {
-        unit.to_owned()
-    }
+    if is_value(unit) || without_brackets(unit) != unit { format!("[{unit}]") } else { unit.to_owned() }
 }

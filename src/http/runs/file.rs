@@ -1,20 +1,34 @@
 //! Turns an uploaded file into a run: format, names and sample rate, all checked against the rig.
 
+use std::io::Read;
 use std::path::Path;
 
+use super::understood::Understood;
 use super::upload::{self, Upload};
 use crate::domain::Rig;
+use crate::domain::columns::{Column, ColumnFault, assign};
 use crate::domain::run::RunMeta;
 use crate::engine::resample::{ResampleError, resample_pieces};
 use crate::engine::{Samples, Signal, rounded};
+use crate::formats::detect::{self, Detected};
 use crate::formats::rpc3::Reading;
-use crate::formats::{self, ParsedRun, ReadError, Spool, SpooledSamples};
+use crate::formats::{self, ChannelAt, FormatError, ParsedRun, ReadError, Spool, SpooledSamples};
 use crate::http::jobs::word;
 use crate::http::negotiate::{CSV, NPY, RPC3, UFF58};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{body, codes, errors, json};
 use crate::storage::{PrepareError, PreparedRun};
+
+/// Media types that say nothing of a file: those of unknown bytes, of any text, of CSV on a PC with a spreadsheet
+/// program, and of curl's `--data-binary`.
+const GENERAL: [&str; 5] = [
+    "application/octet-stream",
+    "text/plain",
+    "text/tab-separated-values",
+    "application/vnd.ms-excel",
+    "application/x-www-form-urlencoded",
+];
 
 /// Formats of run files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,18 +46,42 @@ pub enum Format {
 }
 
 impl Format {
-    /// By media type.
+    /// By media type; `None` for one that any file may have, as programs send it that know no better.
     ///
     /// # Errors
     /// `content_type.unsupported`.
-    pub fn of(media_type: Option<&str>) -> Answer<Self> {
+    pub fn of(media_type: Option<&str>) -> Answer<Option<Self>> {
         match media_type {
-            Some(CSV) => Ok(Self::Csv),
-            Some(NPY) => Ok(Self::Npy),
-            Some(RPC3) => Ok(Self::Rpc3),
-            Some(UFF58) => Ok(Self::Uff58),
-            Some(json::MEDIA_TYPE) => Ok(Self::Json),
+            Some(CSV) => Ok(Some(Self::Csv)),
+            Some(NPY) => Ok(Some(Self::Npy)),
+            Some(RPC3) => Ok(Some(Self::Rpc3)),
+            Some(UFF58) => Ok(Some(Self::Uff58)),
+            Some(json::MEDIA_TYPE) => Ok(Some(Self::Json)),
+            None => Ok(None),
+            Some(general) if GENERAL.contains(&general) => Ok(None),
             other => Err(body::unsupported(other, &[CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE])),
+        }
+    }
+
+    /// By the first bytes of a file.
+    ///
+    /// # Errors
+    /// `content_type.unsupported` for formats that are known and not read.
+    fn detect(upload: &Upload) -> Answer<Self> {
+        let mut start = Vec::new();
+        let read = upload.open().and_then(|file| file.take(detect::BYTES as u64).read_to_end(&mut start));
+        read.map_err(upload::disk)?;
+        match detect::detect(&start) {
+            Detected::Npy => Ok(Self::Npy),
+            Detected::Rpc3 => Ok(Self::Rpc3),
+            Detected::Uff58 => Ok(Self::Uff58),
+            Detected::Json => Ok(Self::Json),
+            Detected::Other => Ok(Self::Csv),
+            Detected::NotRead(name) => {
+                let offered = [CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE].join(", ");
+                let detail = format!("The file is {name}. Export it as CSV; {offered} are read.");
+                Err(Problem::new(codes::CONTENT_TYPE_UNSUPPORTED, detail).with(FieldError::new("", offered)))
+            }
         }
     }
 
@@ -76,11 +114,19 @@ pub struct RunFile {
     channels: Option<Vec<String>>,
     sample_rate_hz: Option<f64>,
     resample: bool,
+    ignore: Vec<String>,
     rpc3: Reading,
 }
 
+/// A run that is ready for the store, and the way from its file.
+#[derive(Debug)]
+pub struct ReadFile {
+    pub run: PreparedRun,
+    pub understood: Understood,
+}
+
 impl RunFile {
-    /// Takes `channels`, `sample_rate_hz`, `resample`, `padding` and `scale`.
+    /// Takes `channels`, `sample_rate_hz`, `resample`, `ignore`, `padding` and `scale`.
     ///
     /// # Errors
     /// `query.invalid`.
@@ -96,7 +142,10 @@ impl RunFile {
             padding: word(params, "padding", "strip or keep")?.unwrap_or_default(),
             scale: word(params, "scale", "count or full_scale")?.unwrap_or_default(),
         };
-        Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")?, rpc3 })
+        let ignore = params.all("ignore");
+        let ignore =
+            ignore.iter().flat_map(|text| text.split(',')).map(|name| name.trim().to_owned()).collect();
+        Ok(Self { channels, sample_rate_hz, resample: params.flag("resample")?, ignore, rpc3 })
     }
 
     /// Reads the file and makes it a run of `rig`, by way of files in `scratch`. Takes processor time: call it
@@ -108,13 +157,14 @@ impl RunFile {
         self,
         rig: &Rig,
         meta: RunMeta,
-        format: Format,
+        format: Option<Format>,
         upload: Upload,
         scratch: &Path,
-    ) -> Answer<PreparedRun> {
+    ) -> Answer<ReadFile> {
         // Errors of the query are reported before the file is parsed.
-        check_channels(self.channels.iter().flatten(), rig)?;
-        self.rate(None, rig)?;
+        self.check_channels(rig)?;
+        self.rate(None, 0.0, rig)?;
+        let format = format.map_or_else(|| Format::detect(&upload), Ok)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
         let parsed = format.read(&upload, scratch, self.rpc3).map_err(|error| match error {
@@ -125,26 +175,40 @@ impl RunFile {
                 problem
             }
         })?;
-        let ParsedRun { sample_rate_hz, names, units, channels } = parsed;
+        let ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels } = parsed;
         let names = self.names(format, names, channels.n_columns(), rig_names)?;
-        check_channels(&names, rig)?;
-        let rate = self.rate(sample_rate_hz, rig)?;
+        let columns = assign(&names, units.as_deref(), rig, &self.ignore).map_err(unassigned)?;
+        let taken = taken(&columns, &channels)?;
+        let rate = self.rate(sample_rate_hz, sample_rate_error, rig)?;
         let sha256 = upload.sha256();
         // Its room on the disk is free for the copies.
         drop(upload);
-        let mut samples = channels.at_rate(rate);
-        if !Signal::same_rate(rate, rig.sample_rate_hz) {
+        let channel_names: Vec<String> = columns.iter().filter_map(|column| column.channel.clone()).collect();
+        let mut samples = channels.at_rate(rate).of_columns(taken);
+        let is_resampled = !Signal::same_rate(rate, rig.sample_rate_hz);
+        if is_resampled {
             samples = resampled(samples, rig.sample_rate_hz, scratch).map_err(|error| match error {
-                ResampleError::Engine(error) => errors::engine(&error, &names, ""),
+                ResampleError::Engine(error) => errors::engine(&error, &channel_names, ""),
                 ResampleError::Io(error) => upload::disk(error),
             })?;
         }
-        PreparedRun::new(scratch, rig, meta, names, units, samples, sha256).map_err(|error| match error {
+        let changes = changes(&columns, rig, is_resampled.then_some(rate));
+        let run = PreparedRun::new(scratch, rig, meta, channel_names, changes, samples, sha256);
+        let run = run.map_err(|error| match error {
             PrepareError::Store(error) => error.into(),
-            PrepareError::Unsuitable(found) => {
-                Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found))
-                    .with_all(found)
-            }
+            PrepareError::Unsuitable(found) => unsuitable(found),
+        })?;
+        let understood = Understood::of(format.as_str(), rate, columns, &run);
+        Ok(ReadFile { run, understood })
+    }
+
+    /// Checks that the names of the query are channels of the rig or columns to leave out.
+    fn check_channels(&self, rig: &Rig) -> Answer<()> {
+        let names = self.channels.as_deref().unwrap_or_default();
+        assign(names, None, rig, &self.ignore).map(drop).or_else(|fault| match fault {
+            ColumnFault::Unknown(_) => Err(unassigned(fault)),
+            // The file's own faults come first.
+            ColumnFault::Unsuitable(_) => Ok(()),
         })
     }
 
@@ -175,8 +239,8 @@ impl RunFile {
     }
 
     /// Sample rate of the file: its own, else the query's, else the rig's. It may differ from the rig's
-    /// only with `resample`.
-    fn rate(&self, own: Option<f64>, rig: &Rig) -> Answer<f64> {
+    /// only with `resample`. The file's own may be off by the share `error`.
+    fn rate(&self, own: Option<f64>, error: f64, rig: &Rig) -> Answer<f64> {
         let refuse = |found: f64, expected: f64| {
             let limit = format!("{} Hz", rounded(expected, 10));
             let detail = format!(
@@ -185,6 +249,8 @@ impl RunFile {
             );
             Problem::new(codes::RUN_SAMPLE_RATE, detail).with(FieldError::new("", limit))
         };
+        let exact = self.sample_rate_hz.unwrap_or(rig.sample_rate_hz);
+        let own = own.map(|own| if (own - exact).abs() <= error * exact { exact } else { own });
         let rate = match (own, self.sample_rate_hz) {
             (Some(own), Some(asked)) if !Signal::same_rate(own, asked) => return Err(refuse(own, asked)),
             (own, asked) => own.or(asked).unwrap_or(rig.sample_rate_hz),
@@ -208,13 +274,49 @@ fn resampled(
     Ok(spool.at_rate(to_hz))
 }
 
-fn check_channels<'a>(names: impl IntoIterator<Item = &'a String>, rig: &Rig) -> Answer<()> {
-    match names.into_iter().find(|name| rig.channel(name).is_none()) {
-        None => Ok(()),
-        Some(name) => {
-            let detail = format!("The rig has no channel {name:?}.");
-            Err(Problem::new(codes::RUN_UNKNOWN_CHANNEL, detail)
-                .with(FieldError::new("", "a channel of the rig").on_channel(name)))
+/// Index and factor of the columns that are channels.
+fn taken(columns: &[Column], samples: &Spool) -> Answer<Vec<(usize, f64)>> {
+    let mut taken = Vec::new();
+    for (index, column) in columns.iter().enumerate().filter(|(_, column)| column.channel.is_some()) {
+        if column.factor != 1.0
+            && let Some(sample) = samples.first_overflow(index, column.factor).map_err(upload::disk)?
+        {
+            let channel = ChannelAt { index, name: Some(column.name.clone()) };
+            let error = FormatError::NonFinite { channel, sample, row: None, column: None };
+            return Err(errors::format(&error, &[]));
         }
+        taken.push((index, column.factor));
     }
+    if taken.is_empty() {
+        return Err(errors::format(&FormatError::NoChannels, &[]));
+    }
+    Ok(taken)
+}
+
+/// What the run has otherwise than its file, a sentence each.
+fn changes(columns: &[Column], rig: &Rig, resampled_from: Option<f64>) -> Vec<String> {
+    let of_columns = columns.iter().filter_map(|column| column.change(rig));
+    let of_rate = resampled_from.map(|rate| {
+        format!("Resampled from {} Hz to {} Hz.", rounded(rate, 10), rounded(rig.sample_rate_hz, 10))
+    });
+    of_columns.chain(of_rate).collect()
+}
+
+fn unassigned(fault: ColumnFault) -> Problem {
+    match fault {
+        ColumnFault::Unknown(found) => {
+            let names: Vec<String> =
+                found.iter().filter_map(|e| e.channel.as_ref()).map(|name| format!("{name:?}")).collect();
+            let detail = match &names[..] {
+                [one] => format!("The rig has no channel {one}."),
+                _ => format!("The rig has no channels {}.", names.join(", ")),
+            };
+            Problem::new(codes::RUN_UNKNOWN_CHANNEL, detail).with_all(found)
+        }
+        ColumnFault::Unsuitable(found) => unsuitable(found),
+    }
+}
+
+fn unsuitable(found: Vec<FieldError>) -> Problem {
+    Problem::new(codes::RUN_INVALID, errors::summary("The run does not suit the rig", &found)).with_all(found)
 }

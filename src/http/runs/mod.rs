@@ -2,6 +2,7 @@
 
 pub mod data;
 mod file;
+mod understood;
 pub mod upload;
 
 use axum::body::Body;
@@ -49,13 +50,18 @@ pub async fn upload(
 ) -> Answer {
     let meta = meta(&mut params)?;
     let file = RunFile::take(&mut params)?;
+    let is_dry = params.flag("dry_run")?;
     params.finish()?;
     let format = Format::of(body::media_type(&headers).as_deref())?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
     let scratch = http.store.scratch_dir();
-    let run = http.off_thread(class, move || file.prepare(&rig, meta, format, upload, &scratch)).await??;
+    let read = http.off_thread(class, move || file.prepare(&rig, meta, format, upload, &scratch)).await??;
+    if is_dry {
+        return json::answer(&read.understood);
+    }
+    let run = read.run;
     match http.store.insert_run(&id, run, caller.token_id(), key.stored(), http.now()).await? {
         RunInsert::Inserted(inserted) => {
             if !inserted.jobs.is_empty() {

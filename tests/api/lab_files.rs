@@ -1,0 +1,106 @@
+//! Files as laboratories export them: other names, units and types, columns to leave out, dry runs.
+
+use serde_json::{Value, json};
+
+use crate::support::{TestApp, bench, f8, npy};
+
+const RUNS: &str = "/v1/rigs/bench/runs";
+
+async fn runs(app: &TestApp) -> usize {
+    app.get(RUNS).await.expect(200).json()["items"].as_array().expect("items").len()
+}
+
+#[tokio::test]
+async fn a_german_export_is_understood_and_then_stored() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let rows = ["0,00;1.250,5;-2,25;21,5", "0,01;-500,25;3;21,5", "0,02;0;0,3;21,25"].join("\r\n");
+    let head = "Pr\u{fc}fstand 3;;;\r\nZeit [s];U [N];y (mm);\u{d6}ltemperatur [\u{b0}C]";
+    // The first 256 characters of Unicode are those of Windows-1252, but for 32 that the text does not have.
+    let windows_1252: Vec<u8> = format!("{head}\r\n{rows}\r\n").chars().map(|c| c as u8).collect();
+    let excel = "application/vnd.ms-excel";
+
+    let refused = app.post_file(RUNS, excel, windows_1252.clone()).await.problem(422, "run.unknown_channel");
+    assert_eq!(refused["errors"][0]["channel"], "\u{d6}ltemperatur [\u{b0}C]");
+
+    for ignore in ["*", "%C3%96ltemperatur"] {
+        let path = format!("{RUNS}?ignore={ignore}&dry_run=true");
+        let understood = app.post_file(&path, excel, windows_1252.clone()).await.expect(200).json();
+        assert_eq!((&understood["format"], &understood["samples"]), (&json!("csv"), &json!(3)));
+        let column = |name: &str, unit: &str, channel: Value, factor: f64| json!({"name": name, "unit": unit, "channel": channel, "factor": factor});
+        assert_eq!(
+            understood["columns"],
+            json!([
+                column("U [N]", "N", json!("u"), 1e-3),
+                column("y (mm)", "mm", json!("y"), 1.0),
+                column("\u{d6}ltemperatur [\u{b0}C]", "\u{b0}C", Value::Null, 1.0),
+            ])
+        );
+        assert_eq!(runs(&app).await, 0, "a dry run stores nothing");
+    }
+
+    let stored = app.post_file(&format!("{RUNS}?ignore=*"), excel, windows_1252).await.expect(201);
+    let run = stored.json();
+    assert_eq!(run["units"], json!(["kN", "mm"]));
+    let warnings: Vec<&str> =
+        run["quality"]["warnings"].as_array().expect("warnings").iter().filter_map(Value::as_str).collect();
+    assert_eq!(warnings[0], "u: converted from N to kN, times 0.001.");
+    assert!(warnings[1].contains("left out"), "{warnings:?}");
+    let data = app.get(&format!("{}/data", stored.header("location"))).await.expect(200).json();
+    assert_eq!(data["channels"]["y"], json!([-2.25, 3.0, 0.3]));
+    let u: Vec<f64> = serde_json::from_value(data["channels"]["u"].clone()).expect("numbers");
+    for (found, expected) in u.iter().zip([1.2505, -0.50025, 0.0]) {
+        assert!((found - expected).abs() < 1e-15, "{found}");
+    }
+}
+
+#[tokio::test]
+async fn the_first_bytes_tell_what_the_type_does_not() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let array = npy("<f8", false, "(2, 2)", &f8(&[0.0, 1.0, 2.0, 3.0]));
+    let json_file = json!({"sample_rate_hz": 100.0, "channels": {"u": [1.0, 2.0]}}).to_string();
+    for (file, format) in
+        [(array, "npy"), (json_file.into_bytes(), "json"), (b"u,y\n1,2\n3,4\n".to_vec(), "csv")]
+    {
+        for media_type in ["application/octet-stream", "text/plain", "application/x-www-form-urlencoded"] {
+            let path = format!("{RUNS}?dry_run");
+            let understood = app.post_file(&path, media_type, file.clone()).await.expect(200).json();
+            assert_eq!(understood["format"], format, "{media_type}");
+        }
+    }
+    for file in ["PK\u{3}\u{4}", "MATLAB 5.0 MAT-file"] {
+        let refused = app.post_file(RUNS, "application/octet-stream", file).await;
+        refused.problem(415, "content_type.unsupported");
+    }
+}
+
+#[tokio::test]
+async fn units_of_another_quantity_and_columns_that_say_too_much_are_refused() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    for (file, code, channel) in [
+        ("u,y\nkN,V\n1,2\n", "run.invalid", "y"),
+        ("u,U [N]\n1,2\n", "run.invalid", "U [N]"),
+        ("u,y\nMN,mm\n1e306,2\n", "run.non_finite", "u"),
+    ] {
+        let refused = app.post_file(RUNS, "text/csv", file).await.problem(422, code);
+        assert_eq!(refused["errors"][0]["channel"], channel, "{file}");
+    }
+    let nothing = app.post_file(&format!("{RUNS}?ignore=u,y"), "text/csv", "u,y\n1,2\n").await;
+    nothing.problem(422, "run.no_channels");
+    assert_eq!(runs(&app).await, 0);
+}
+
+#[tokio::test]
+async fn times_rounded_by_a_program_are_of_the_rigs_rate() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let rows = |step: f64| -> String {
+        (0..500).map(|i| format!("{:.1},{}\n", f64::from(i) * step, i % 7)).collect()
+    };
+    let file = format!("time,u\n{}", rows(0.01));
+    assert_eq!(app.post_file(RUNS, "text/csv", file).await.expect(201).json()["samples"], 500);
+    let slower = format!("time,u\n{}", rows(0.02));
+    app.post_file(RUNS, "text/csv", slower).await.problem(422, "run.sample_rate");
+}
