@@ -103,9 +103,9 @@ async fn another_sample_rate_and_an_uneven_time_column_are_refused() {
 }
 
 #[tokio::test]
-async fn another_unit_than_the_rigs_is_refused() {
+async fn a_unit_of_another_quantity_is_refused() {
     let bench = Bench::new().await;
-    let place = bench.csv("u,y\nN,mm\n1,2\n", 422, "run.invalid").await;
+    let place = bench.csv("u,y\nV,mm\n1,2\n", 422, "run.invalid").await;
     assert_eq!((&place["channel"], &place["pointer"]), (&json!("u"), &json!("/units/0")));
 }
 

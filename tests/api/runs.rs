@@ -121,7 +121,7 @@ async fn a_run_comes_in_as_uff58() {
     let unnamed = uff58("NONE", "kN", u) + &uff58("NONE", "mm", y);
     let in_order = app.post_file(path, UFF58, unnamed).await.expect(201);
     assert_eq!(in_order.json()["channels"], json!(["u", "y"]));
-    app.post_file(path, UFF58, uff58("u", "N", u)).await.problem(422, "run.invalid");
+    app.post_file(path, UFF58, uff58("u", "V", u)).await.problem(422, "run.invalid");
 
     app.post_file(path, UFF58, &file.as_bytes()[..file.len() - 7]).await.problem(400, "uff58.size");
     app.post_file(path, UFF58, file.replace("    1\n", "    4\n")).await.problem(422, "uff58.unsupported");

@@ -48,10 +48,7 @@ pub(super) fn read(rows: &mut Rows<impl Read>, numbers: &Numbers) -> Result<Head
     while more {
         let is_above = match first_samples {
             Some(first) => rows.row() < first,
-            None => {
-                above.is_empty()
-                    || above.len() == 1 && !rows.cells().iter().any(|c| numbers.looks_like_one(c))
-            }
+            None => above.is_empty() || above.len() == 1 && may_hold_units(rows, numbers),
         };
         if is_above || above.is_empty() {
             check_channel_count(rows.cells().len() as u64)?;
@@ -77,6 +74,12 @@ pub(super) fn read(rows: &mut Rows<impl Read>, numbers: &Numbers) -> Result<Head
     let samples = rows.texts();
     let width = trimmed(samples.clone()).len()..=samples.len();
     Ok(head(&above, &width, rows.row())?)
+}
+
+/// Whether the current row has no number. The cells of a row that is too long are not known.
+fn may_hold_units(rows: &Rows<impl Read>, numbers: &Numbers) -> bool {
+    let mut cells = rows.cells().iter().peekable();
+    cells.peek().is_some() && cells.all(|cell| !numbers.looks_like_one(cell))
 }
 
 /// Names and units among the rows above samples that have as many cells as `width` says, without and with the empty
