@@ -7,7 +7,7 @@
 //! - Rows above the header are passed over. A file whose first row is all numbers has no header; its channels have
 //!   no names.
 //! - A units row is a row below the header without any number; brackets around a unit are left off.
-//! - Decimals have a point or a comma, the same in the whole file, and thousands may be grouped ([`number`]).
+//! - Decimals have a point or a comma, the same in the whole file, and thousands may be grouped.
 //! - A time column is one named `time`, `t` or `zeit`, with or without `_s`, `_ms` or a unit in brackets, or else
 //!   the one column with the unit `s`, or columns of date-times. It must rise in even steps, and gives the sample
 //!   rate; times may be rounded.
@@ -231,7 +231,7 @@ impl Table {
             sample_rate_error: rate.map_or(0.0, |(_, error)| error),
             names: names.map(of_channels),
             units: units.map(of_channels),
-            channels: self.channels,
+            ..ParsedRun::of(self.channels)
         }
         .check()?)
     }

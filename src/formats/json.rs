@@ -45,14 +45,7 @@ fn parse<'de>(
     match read {
         Ok((sample_rate_hz, names)) => {
             let (sample_rate_hz, names) = (Some(sample_rate_hz), Some(names));
-            Ok(ParsedRun {
-                sample_rate_hz,
-                sample_rate_error: 0.0,
-                names,
-                units: None,
-                channels: place.spool,
-            }
-            .check()?)
+            Ok(ParsedRun { sample_rate_hz, names, ..ParsedRun::of(place.spool) }.check()?)
         }
         Err(error) if error.is_io() => {
             // What is too long for the parser is the file's fault.

@@ -48,9 +48,23 @@ pub struct ParsedRun<C = Vec<Vec<f64>>> {
     pub units: Option<Vec<String>>,
     /// `[channel][sample]`: at least one of each, equally long, finite.
     pub channels: C,
+    /// What the reader left out, or what of the file may be meant otherwise: a sentence each.
+    pub notes: Vec<String>,
 }
 
 impl ParsedRun<Spool> {
+    /// A run of which the file tells the samples only.
+    pub(crate) fn of(channels: Spool) -> Self {
+        Self {
+            sample_rate_hz: None,
+            sample_rate_error: 0.0,
+            names: None,
+            units: None,
+            channels,
+            notes: Vec::new(),
+        }
+    }
+
     /// Checks the rules that all formats share.
     ///
     /// # Errors
@@ -91,8 +105,15 @@ impl ParsedRun<Spool> {
 
     /// The run of a spool in memory.
     pub(crate) fn into_memory(self) -> ParsedRun {
-        let Self { sample_rate_hz, sample_rate_error, names, units, channels } = self;
-        ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels: channels.into_columns() }
+        let Self { sample_rate_hz, sample_rate_error, names, units, channels, notes } = self;
+        ParsedRun {
+            sample_rate_hz,
+            sample_rate_error,
+            names,
+            units,
+            channels: channels.into_columns(),
+            notes,
+        }
     }
 }
 
@@ -237,13 +258,7 @@ mod tests {
 
     fn run(names: &[&str], channels: Vec<Vec<f64>>) -> ParsedRun<Spool> {
         let names = Some(names.iter().map(|n| n.to_string()).collect());
-        ParsedRun {
-            sample_rate_hz: None,
-            sample_rate_error: 0.0,
-            names,
-            units: None,
-            channels: spooled(channels),
-        }
+        ParsedRun { names, ..ParsedRun::of(spooled(channels)) }
     }
 
     #[test]
@@ -253,15 +268,7 @@ mod tests {
         assert_eq!(code(run(&["a"], vec![vec![]])), "run.empty");
         assert_eq!(code(run(&["a", "a"], vec![vec![1.0], vec![1.0]])), "run.duplicate_channel");
         let many = spooled(vec![vec![1.0]; MAX_CHANNELS + 1]);
-        let error = ParsedRun {
-            sample_rate_hz: None,
-            sample_rate_error: 0.0,
-            names: None,
-            units: None,
-            channels: many,
-        }
-        .check()
-        .unwrap_err();
+        let error = ParsedRun::of(many).check().unwrap_err();
         assert_eq!(error.code(), "run.too_many_channels");
         assert_eq!(error.limit().unwrap(), "at most 1024 channels");
 

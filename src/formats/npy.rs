@@ -95,8 +95,7 @@ fn numbers(header: &Header, data: impl Read, mut spool: Spool) -> Result<ParsedR
         (Dtype::I4, false) => values(header, data, to, |b| f64::from(i32::from_le_bytes(b))),
         (Dtype::I4, true) => values(header, data, to, |b| f64::from(i32::from_be_bytes(b))),
     }?;
-    Ok(ParsedRun { sample_rate_hz: None, sample_rate_error: 0.0, names: None, units: None, channels: spool }
-        .check()?)
+    Ok(ParsedRun::of(spool).check()?)
 }
 
 /// Numbers of `N` bytes, sorted into channels.

@@ -90,17 +90,37 @@ pub fn read_from(
             values(&header, file, to, |b, _| f64::from(f32::from_be_bytes(b)))
         }
     }?;
+    let mut notes = Vec::from_iter(doubtful_scale(&header, reading.scale));
     if reading.padding == Padding::Strip && !header.exact {
+        let before = spool.len(0);
         padding::strip(&mut spool, header.frame)?;
+        let stripped = before - spool.len(0);
+        if stripped > 0 {
+            notes.push(format!(
+                "The last {stripped} samples of the file were left out as padding of its last frame."
+            ));
+        }
     }
     let run = ParsedRun {
-        sample_rate_error: 0.0,
         sample_rate_hz: Some(header.sample_rate_hz),
         names: header.names,
         units: header.units,
-        channels: spool,
+        notes,
+        ..ParsedRun::of(spool)
     };
     Ok(run.check()?)
+}
+
+/// A warning where no channel has a scale of its own: some programs mean the full scale by 1, others counts.
+fn doubtful_scale(header: &Header, convention: ScaleConvention) -> Option<String> {
+    let integers = matches!(header.numbers, Numbers::Integers { .. });
+    let doubtful =
+        integers && convention == ScaleConvention::Count && header.scales.iter().all(|&s| s == 1.0);
+    doubtful.then(|| {
+        "SCALE is 1 for every channel, so that the values are counts of the converter. If the program means the full \
+         scale by it, upload the file with scale=full_scale."
+            .to_owned()
+    })
 }
 
 /// Numbers of `N` bytes, sorted into channels; `number` is told the channel.

@@ -100,7 +100,12 @@ async fn times_rounded_by_a_program_are_of_the_rigs_rate() {
         (0..500).map(|i| format!("{:.1},{}\n", f64::from(i) * step, i % 7)).collect()
     };
     let file = format!("time,u\n{}", rows(0.01));
-    assert_eq!(app.post_file(RUNS, "text/csv", file).await.expect(201).json()["samples"], 500);
+    let run = app.post_file(RUNS, "text/csv", file).await.expect(201).json();
+    assert_eq!(run["samples"], 500);
+    assert_eq!(
+        run["quality"]["warnings"][0],
+        "The times in the file are rounded: they give its sample rate within 2 %."
+    );
     let slower = format!("time,u\n{}", rows(0.02));
     app.post_file(RUNS, "text/csv", slower).await.problem(422, "run.sample_rate");
 }

@@ -93,6 +93,18 @@ fn a_scale_may_be_that_of_the_full_scale() {
 }
 
 #[test]
+fn a_scale_of_one_for_every_channel_is_told_unless_the_reader_was_told_its_meaning() {
+    let notes = |records: &[(&'static str, &'static str)], scale| {
+        let file = file(&two_with(records), &little(&counts()));
+        read(&file, Reading { scale, ..Reading::default() }).unwrap().notes
+    };
+    let (ones, one) = (&[("SCALE.CHAN_1", "1"), ("SCALE.CHAN_2", "1.0")][..], &[("SCALE.CHAN_1", "1")][..]);
+    assert!(notes(ones, ScaleConvention::Count)[0].starts_with("SCALE is 1 for every channel"));
+    assert!(notes(one, ScaleConvention::Count).is_empty());
+    assert!(notes(ones, ScaleConvention::FullScale).is_empty());
+}
+
+#[test]
 fn half_frames_at_both_ends_hold_no_data() {
     let records = two_with(&[("HALF_FRAMES", "YES")]);
     let run = read(&file(&records, &little(&counts())), Reading::default()).unwrap();
@@ -122,6 +134,9 @@ fn padding_is_left_out_unless_it_is_asked_for_or_the_true_length_is_given() {
         let file = padded(fill);
         assert_eq!((len(&file, Padding::Strip), len(&file, Padding::Keep)), (40, 64), "{fill:?}");
     }
+    let notes = |padding| read(&padded([0, 0]), Reading { padding, ..Reading::default() }).unwrap().notes;
+    let left_out = "The last 24 samples of the file were left out as padding of its last frame.";
+    assert_eq!((notes(Padding::Strip), notes(Padding::Keep)), (vec![left_out.to_owned()], vec![]));
     // A channel that goes on ends nothing.
     let file_of = |samples: &'static str| {
         let records = two_with(&[

@@ -53,11 +53,10 @@ impl Channels {
     pub(super) fn run(self, channels: Spool) -> ParsedRun<Spool> {
         let units = self.units.iter().any(|unit| !unit.is_empty()).then_some(self.units);
         ParsedRun {
-            sample_rate_error: 0.0,
             sample_rate_hz: self.axis.map(|axis| axis.sample_rate_hz),
             names: names(self.ids, self.nodes),
             units,
-            channels,
+            ..ParsedRun::of(channels)
         }
     }
 }

@@ -175,7 +175,7 @@ impl RunFile {
                 problem
             }
         })?;
-        let ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels } = parsed;
+        let ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels, notes } = parsed;
         let names = self.names(format, names, channels.n_columns(), rig_names)?;
         let columns = assign(&names, units.as_deref(), rig, &self.ignore).map_err(unassigned)?;
         let taken = taken(&columns, &channels)?;
@@ -192,7 +192,12 @@ impl RunFile {
                 ResampleError::Io(error) => upload::disk(error),
             })?;
         }
-        let changes = changes(&columns, rig, is_resampled.then_some(rate));
+        let mut changes = changes(&columns, rig, is_resampled.then_some(rate));
+        changes.extend(notes);
+        changes.extend((sample_rate_error > 0.0).then(|| {
+            let share = rounded(100.0 * sample_rate_error, 2);
+            format!("The times in the file are rounded: they give its sample rate within {share} %.")
+        }));
         let run = PreparedRun::new(scratch, rig, meta, channel_names, changes, samples, sha256);
         let run = run.map_err(|error| match error {
             PrepareError::Store(error) => error.into(),
