@@ -23,16 +23,28 @@ pub struct Column {
 }
 
 impl Column {
-    /// What was changed on the way into the run, a sentence, if anything was.
-    pub fn change(&self, rig: &Rig) -> Option<String> {
-        let Some(channel) = &self.channel else {
-            return Some(format!("Column {:?} was left out.", self.name));
-        };
-        if self.factor == 1.0 {
-            return None;
-        }
+    /// The conversion of its values, a sentence, if there is one.
+    pub fn conversion(&self, rig: &Rig) -> Option<String> {
+        let channel = self.channel.as_ref().filter(|_| self.factor != 1.0)?;
         let (unit, own) = (self.unit.as_deref()?, &rig.channel(channel)?.unit);
         Some(format!("{channel}: converted from {unit} to {own}, times {}.", self.factor))
+    }
+}
+
+/// The columns that are left out, in a sentence whose length is bounded, if there are any.
+pub fn left_out(columns: &[Column]) -> Option<String> {
+    const NAMED: usize = 8;
+    const CHARS: usize = 40;
+    let names: Vec<&str> =
+        columns.iter().filter(|column| column.channel.is_none()).map(|column| column.name.as_str()).collect();
+    let short = |name: &&str| format!("{:?}", name.chars().take(CHARS).collect::<String>());
+    let named: Vec<String> = names.iter().take(NAMED).map(short).collect();
+    let named = named.join(", ");
+    match names.len() {
+        0 => None,
+        1 => Some(format!("Column {named} was left out.")),
+        n if n <= NAMED => Some(format!("Columns {named} were left out.")),
+        n => Some(format!("Columns {named} and {} more were left out.", n - NAMED)),
     }
 }
 
@@ -213,7 +225,13 @@ mod tests {
             let channels: Vec<_> = found.iter().map(|c| c.channel.as_deref()).collect();
             assert_eq!(channels, [None, Some("y"), None], "{ignore:?}");
             assert_eq!(found[0].unit.as_deref(), Some("°C"));
+            let told = left_out(&found).unwrap();
+            assert_eq!(told, r#"Columns "temp [°C]", "oil" were left out."#);
         }
+        assert_eq!(left_out(&[]), None);
+        let many: Vec<String> = (0..1000).map(|i| format!("{i}{}", "x".repeat(4000))).collect();
+        let told = left_out(&assign(&many, None, &rig(), &own(&["*"])).unwrap()).unwrap();
+        assert!(told.len() < 500 && told.ends_with("and 992 more were left out."), "{told}");
         assert!(
             matches!(assign(&names, None, &rig(), &own(&["temp"])), Err(ColumnFault::Unknown(f)) if f.len() == 1)
         );

@@ -23,6 +23,9 @@ const SINGLE: f64 = 0.1;
 /// Fewest rows whose uneven steps are put down to rounding.
 const ROUNDED_FROM_ROWS: usize = 20;
 
+/// Largest share of the sample rate that rounding may leave open.
+const ROUNDED_MOST: f64 = 0.1;
+
 /// Share of the steps that rounding makes uneven, at least.
 const ROUNDED_SHARE: f64 = 0.02;
 
@@ -142,6 +145,7 @@ pub(super) fn even(
         let last_digit = rounding.last_digit(grid.last);
         let rounded = |t: f64| exact(t) + rounding.last_digit(t) + last_digit;
         if n >= ROUNDED_FROM_ROWS
+            && last_digit <= ROUNDED_MOST * (grid.last - grid.first)
             && times.position(0, |i, t| grid.is_off(i, t, rounded(t)))?.is_none()
             && is_rounded(times, rounding, usual_step(times, &grid)?)?
         {

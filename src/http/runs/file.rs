@@ -6,7 +6,7 @@ use std::path::Path;
 use super::understood::Understood;
 use super::upload::{self, Upload};
 use crate::domain::Rig;
-use crate::domain::columns::{Column, ColumnFault, assign};
+use crate::domain::columns::{Column, ColumnFault, assign, left_out};
 use crate::domain::run::RunMeta;
 use crate::engine::resample::{ResampleError, resample_pieces};
 use crate::engine::{Samples, Signal, rounded};
@@ -300,7 +300,7 @@ fn taken(columns: &[Column], samples: &Spool) -> Answer<Vec<(usize, f64)>> {
 
 /// What the run has otherwise than its file, a sentence each.
 fn changes(columns: &[Column], rig: &Rig, resampled_from: Option<f64>) -> Vec<String> {
-    let of_columns = columns.iter().filter_map(|column| column.change(rig));
+    let of_columns = columns.iter().filter_map(|column| column.conversion(rig)).chain(left_out(columns));
     let of_rate = resampled_from.map(|rate| {
         format!("Resampled from {} Hz to {} Hz.", rounded(rate, 10), rounded(rig.sample_rate_hz, 10))
     });
