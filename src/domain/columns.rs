@@ -75,40 +75,32 @@ pub fn assign(
         let (stem, bracketed) = split_unit(name);
         let in_row =
             units.and_then(|units| units.get(i)).map(|unit| unit.trim()).filter(|unit| !unit.is_empty());
-        let left_out = |unit: Option<&str>| Column {
-            name: name.clone(),
-            unit: unit.map(str::to_owned),
-            channel: None,
-            factor: 1.0,
-        };
-        if listed(name) || listed(stem) {
-            columns.push(left_out(in_row.or(bracketed)));
+        let found = if listed(name) || listed(stem) { None } else { find(rig, name, stem) };
+        if found.is_none() && !listed(name) && !listed(stem) && !listed(ALL_OTHERS) {
+            let limit = "a channel of the rig, or a column that `ignore` names";
+            unknown.push(FieldError::new("", limit).on_channel(name));
             continue;
         }
-        let Some((channel, whole)) = find(rig, name, stem) else {
-            if listed(ALL_OTHERS) {
-                columns.push(left_out(in_row.or(bracketed)));
-            } else {
-                let limit = "a channel of the rig, or a column that `ignore` names";
-                unknown.push(FieldError::new("", limit).on_channel(name));
-            }
-            continue;
+        let unit = in_row.or(bracketed.filter(|_| !found.is_some_and(|(_, whole)| whole)));
+        let channel = found.map(|(channel, _)| channel);
+        let factor = match (unit, channel) {
+            (Some(unit), Some(channel)) => units::factor(unit, &channel.unit),
+            _ => Some(1.0),
         };
-        let unit = in_row.or(bracketed.filter(|_| !whole));
-        let factor = unit.map_or(Some(1.0), |unit| units::factor(unit, &channel.unit));
-        if factor.is_none() {
+        if let (None, Some(channel)) = (factor, channel) {
             let found = unit.unwrap_or_default();
             let limit =
                 format!("{:?}, the rig's unit, or one of the same quantity; found {found:?}", channel.unit);
             unsuitable.push(FieldError::new(format!("/units/{i}"), limit).on_channel(name));
         }
-        if columns.iter().any(|c: &Column| c.channel.as_ref() == Some(&channel.name)) {
+        let channel = channel.map(|channel| channel.name.clone());
+        if channel.is_some() && columns.iter().any(|c: &Column| c.channel == channel) {
             unsuitable.push(FieldError::new(format!("/channels/{i}"), "each channel once").on_channel(name));
         }
         columns.push(Column {
             name: name.clone(),
             unit: unit.map(str::to_owned),
-            channel: Some(channel.name.clone()),
+            channel,
             factor: factor.unwrap_or(1.0),
         });
     }
@@ -143,14 +135,13 @@ fn split_unit(name: &str) -> (&str, Option<&str>) {
 
 #[cfg(test)]
 mod tests {
-    use jiff::Timestamp;
     use serde_json::json;
 
-    use super::super::rig::RigDraft;
+    use super::super::rig::tests::{draft, rig as rig_of};
     use super::*;
 
     fn rig() -> Rig {
-        let draft: RigDraft = serde_json::from_value(json!({
+        rig_of(draft(json!({
             "id": "bench", "sample_rate_hz": 100.0,
             "channels": [
                 {"name": "drive_x", "unit": "kN", "role": "drive"},
@@ -158,18 +149,7 @@ mod tests {
                 {"name": "Y", "unit": "counts", "role": "response"},
                 {"name": "y", "unit": "mm", "role": "response"}
             ]
-        }))
-        .unwrap();
-        Rig {
-            id: draft.id,
-            name: draft.name,
-            sample_rate_hz: draft.sample_rate_hz,
-            channels: draft.channels,
-            fit_policy: None,
-            created_at: Timestamp::UNIX_EPOCH,
-            updated_at: Timestamp::UNIX_EPOCH,
-            revision: 1,
-        }
+        })))
     }
 
     fn own(texts: &[&str]) -> Vec<String> {

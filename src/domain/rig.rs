@@ -293,12 +293,12 @@ fn merge(target: &mut Value, patch: &Value) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use serde_json::json;
 
     use super::*;
 
-    fn draft(body: Value) -> RigDraft {
+    pub(in super::super) fn draft(body: Value) -> RigDraft {
         serde_json::from_value(body).unwrap()
     }
 
@@ -315,7 +315,7 @@ mod tests {
         })
     }
 
-    fn rig(draft: RigDraft) -> Rig {
+    pub(in super::super) fn rig(draft: RigDraft) -> Rig {
         Rig {
             id: draft.id,
             name: draft.name,

@@ -6,8 +6,8 @@
 //! Arrays are `[sample, channel]` in files and `[channel][sample]` in memory.
 
 pub mod csv;
-pub mod detect;
 mod error;
+mod format;
 pub mod json;
 mod labels;
 pub mod npy;
@@ -20,6 +20,7 @@ pub mod uff58;
 use std::collections::HashSet;
 
 pub use error::{ChannelAt, FormatError, ReadError, UffPlace};
+pub use format::Format;
 pub use spool::{Spool, SpooledSamples};
 
 /// Most channels of a file: a bound on memory per byte (each channel is a vector of its own), far

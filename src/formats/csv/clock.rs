@@ -63,7 +63,7 @@ impl ClockColumns {
     pub(super) fn read(&mut self, rows: &Rows<impl Read>) -> Result<(f64, i32), FormatError> {
         let refuse =
             |column: usize, reason| Err(FormatError::CsvTime { row: rows.row(), column: column + 1, reason });
-        let at = |column: usize| rows.cells().iter().nth(column).and_then(stamp);
+        let at = |column: usize| rows.cells().get(column).and_then(stamp);
         let Some((clock, own_day)) = at(self.time).and_then(|found| Some((found.clock?, found.day))) else {
             return refuse(self.time, "the cell holds no time of the day");
         };

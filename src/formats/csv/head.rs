@@ -71,8 +71,7 @@ pub(super) fn read(rows: &mut Rows<impl Read>, numbers: &Numbers) -> Result<Head
     if !more {
         return Err(FormatError::Empty.into());
     }
-    let samples = rows.texts();
-    let width = trimmed(samples.clone()).len()..=samples.len();
+    let width = rows.cells().trimmed_len()..=rows.cells().len();
     Ok(head(&above, &width, rows.row())?)
 }
 

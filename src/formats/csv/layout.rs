@@ -9,13 +9,16 @@ use super::stamp::stamp;
 /// Separators, the first of which a line has being the file's.
 const SEPARATORS: [u8; 3] = *b"\t;,";
 
+/// Separator where a row has none: a single column may have decimal commas.
+const SINGLE_COLUMN: u8 = b';';
+
 /// Most line ends within the quotes of a row.
 const MAX_LINES_OF_ROW: usize = 16;
 
 /// The layout of a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Layout {
-    /// Separator of cells; `;` where there is a single column, so that it may have decimal commas.
+    /// Separator of cells.
     pub(super) separator: u8,
     /// Line of the first samples, from 1, if there is one among those looked at.
     pub(super) first_samples: Option<u64>,
@@ -34,13 +37,13 @@ impl Layout {
             return None;
         }
         let first_samples = first.map(|line| line as u64 + 1);
-        let separator = declared.unwrap_or_else(|| separator(above(text, &lines, first.unwrap_or(0))));
-        Some(Self { separator, first_samples, declaration })
+        let separator = declared.or_else(|| separator(above(text, &lines, first.unwrap_or(0))));
+        Some(Self { separator: separator.unwrap_or(SINGLE_COLUMN), first_samples, declaration })
     }
 
     /// The layout by the first row of a file that has no samples near its beginning.
     pub(super) fn of_first_row(row: &[u8]) -> Self {
-        Self { separator: separator(row), first_samples: None, declaration: 0 }
+        Self { separator: separator(row).unwrap_or(SINGLE_COLUMN), first_samples: None, declaration: 0 }
     }
 }
 
@@ -99,7 +102,7 @@ fn above<'t>(text: &'t [u8], lines: &Lines, line: usize) -> &'t [u8] {
         let is_whole = |first: &usize| from(*first).iter().filter(|&&b| b == b'"').count() % 2 == 0;
         let first = (last.saturating_sub(MAX_LINES_OF_ROW)..=last).rev().find(is_whole).unwrap_or(last);
         row = from(first);
-        if has_separator(row) {
+        if separator(row).is_some() {
             return row;
         }
         end = first;
@@ -134,22 +137,15 @@ fn holds_samples(line: &[u8]) -> bool {
         let cell = trim(cell);
         let cell = cell.strip_prefix(b"\"").unwrap_or(cell);
         let cell = trim(cell.strip_suffix(b"\"").unwrap_or(cell));
-        found |= numbers.looks_like_one(cell);
-        cell.is_empty() || numbers.looks_like_one(cell) || stamp(cell).is_some()
+        let is_number = numbers.looks_like_one(cell);
+        found |= is_number;
+        cell.is_empty() || is_number || stamp(cell).is_some()
     };
     line.split(|b| SEPARATORS.contains(b)).all(cell) && found
 }
 
-/// The first of the separators that a row has outside quotes; `;` where it has none.
-fn separator(row: &[u8]) -> u8 {
-    first_separator(row).unwrap_or(b';')
-}
-
-fn has_separator(row: &[u8]) -> bool {
-    first_separator(row).is_some()
-}
-
-fn first_separator(row: &[u8]) -> Option<u8> {
+/// The first of the separators that a row has outside quotes.
+fn separator(row: &[u8]) -> Option<u8> {
     let (mut quoted, mut found) = (false, [false; SEPARATORS.len()]);
     for &byte in row {
         quoted ^= byte == b'"';

@@ -73,9 +73,8 @@ impl Numbers {
                 }
                 (_, 0) => ',',
                 (0, _) => '.',
-                _ => text
-                    .rfind(['.', ','])
-                    .map_or('.', |at| if text[at..].starts_with('.') { '.' } else { ',' }),
+                _ if text.rfind('.') > text.rfind(',') => '.',
+                _ => ',',
             },
         };
         let value = with_decimal(&text, decimal).ok_or(Fault::NotANumber)?;

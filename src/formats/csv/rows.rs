@@ -56,13 +56,15 @@ impl<'r> Cells<'r> {
         if self.ends.len() < self.len {
             return self.len;
         }
-        let mut len = self.len;
-        while len > 0
-            && trim(&self.text[if len > 1 { self.ends[len - 2] } else { 0 }..self.ends[len - 1]]).is_empty()
-        {
-            len -= 1;
-        }
-        len
+        let is_full = |&index: &usize| self.get(index).is_some_and(|cell| !trim(cell).is_empty());
+        (0..self.len).rev().find(is_full).map_or(0, |last| last + 1)
+    }
+
+    /// The text of one; `None` behind the last.
+    pub(super) fn get(self, index: usize) -> Option<&'r [u8]> {
+        let end = *self.ends.get(index)?;
+        let start = index.checked_sub(1).map_or(0, |before| self.ends[before]);
+        Some(&self.text[start..end])
     }
 
     /// Their text.

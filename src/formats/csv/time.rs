@@ -135,6 +135,7 @@ pub(super) fn even(
     let grid = Grid { first: times.at(0, 0)?, last: times.at(0, n - 1)?, n };
     let step = grid.step();
     let rate = 1.0 / (step * scale);
+    let mut usual = None;
     if step > 0.0 && step.is_finite() && rate.is_finite() {
         // Compared with the grid and not step by step: rounded times may not drift.
         // Times of single precision are as far off as their last bit.
@@ -147,12 +148,12 @@ pub(super) fn even(
         if n >= ROUNDED_FROM_ROWS
             && last_digit <= ROUNDED_MOST * (grid.last - grid.first)
             && times.position(0, |i, t| grid.is_off(i, t, rounded(t)))?.is_none()
-            && is_rounded(times, rounding, usual_step(times, &grid)?)?
+            && is_rounded(times, rounding, *usual.insert(usual_step(times, &grid)?))?
         {
             return Ok(Some((rate, last_digit / (grid.last - grid.first))));
         }
     }
-    let usual = usual_step(times, &grid)?;
+    let usual = usual.map_or_else(|| usual_step(times, &grid), Ok)?;
     let mut before = grid.first;
     let uneven = times.position(0, |i, t| {
         let step = t - before;

@@ -10,9 +10,8 @@ use crate::domain::columns::{Column, ColumnFault, assign, left_out};
 use crate::domain::run::RunMeta;
 use crate::engine::resample::{ResampleError, resample_pieces};
 use crate::engine::{Samples, Signal, rounded};
-use crate::formats::detect::{self, Detected};
 use crate::formats::rpc3::Reading;
-use crate::formats::{self, ChannelAt, FormatError, ParsedRun, ReadError, Spool, SpooledSamples};
+use crate::formats::{self, ChannelAt, Format, FormatError, ParsedRun, ReadError, Spool, SpooledSamples};
 use crate::http::jobs::word;
 use crate::http::negotiate::{CSV, NPY, RPC3, UFF58};
 use crate::http::params::{Params, invalid};
@@ -30,81 +29,55 @@ const GENERAL: [&str; 5] = [
     "application/x-www-form-urlencoded",
 ];
 
-/// Formats of run files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Text with a header row.
-    Csv,
-    /// NumPy array.
-    Npy,
-    /// RPC III time history.
-    Rpc3,
-    /// Universal File Format, data sets 58.
-    Uff58,
-    /// Sample rate and channels by name.
-    Json,
+/// Media types of the formats that are read.
+const OFFERED: [&str; 5] = [CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE];
+
+/// The format by media type; `None` for one that any file may have, as programs send it that know no better.
+///
+/// # Errors
+/// `content_type.unsupported`.
+pub fn format(media_type: Option<&str>) -> Answer<Option<Format>> {
+    match media_type {
+        Some(CSV) => Ok(Some(Format::Csv)),
+        Some(NPY) => Ok(Some(Format::Npy)),
+        Some(RPC3) => Ok(Some(Format::Rpc3)),
+        Some(UFF58) => Ok(Some(Format::Uff58)),
+        Some(json::MEDIA_TYPE) => Ok(Some(Format::Json)),
+        None => Ok(None),
+        Some(general) if GENERAL.contains(&general) => Ok(None),
+        other => Err(body::unsupported(other, &OFFERED)),
+    }
 }
 
-impl Format {
-    /// By media type; `None` for one that any file may have, as programs send it that know no better.
-    ///
-    /// # Errors
-    /// `content_type.unsupported`.
-    pub fn of(media_type: Option<&str>) -> Answer<Option<Self>> {
-        match media_type {
-            Some(CSV) => Ok(Some(Self::Csv)),
-            Some(NPY) => Ok(Some(Self::Npy)),
-            Some(RPC3) => Ok(Some(Self::Rpc3)),
-            Some(UFF58) => Ok(Some(Self::Uff58)),
-            Some(json::MEDIA_TYPE) => Ok(Some(Self::Json)),
-            None => Ok(None),
-            Some(general) if GENERAL.contains(&general) => Ok(None),
-            other => Err(body::unsupported(other, &[CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE])),
-        }
-    }
+/// The format by the first bytes of a file.
+///
+/// # Errors
+/// `content_type.unsupported` for formats that are known and not read.
+fn detect(upload: &Upload) -> Answer<Format> {
+    let mut start = Vec::new();
+    let read = upload.open().and_then(|file| file.take(Format::START as u64).read_to_end(&mut start));
+    read.map_err(upload::disk)?;
+    Format::detect(&start).map_err(|name| {
+        let offered = OFFERED.join(", ");
+        let detail = format!("The file is {name}. Export it as CSV; {offered} are read.");
+        Problem::new(codes::CONTENT_TYPE_UNSUPPORTED, detail).with(FieldError::new("", offered))
+    })
+}
 
-    /// By the first bytes of a file.
-    ///
-    /// # Errors
-    /// `content_type.unsupported` for formats that are known and not read.
-    fn detect(upload: &Upload) -> Answer<Self> {
-        let mut start = Vec::new();
-        let read = upload.open().and_then(|file| file.take(detect::BYTES as u64).read_to_end(&mut start));
-        read.map_err(upload::disk)?;
-        match detect::detect(&start) {
-            Detected::Npy => Ok(Self::Npy),
-            Detected::Rpc3 => Ok(Self::Rpc3),
-            Detected::Uff58 => Ok(Self::Uff58),
-            Detected::Json => Ok(Self::Json),
-            Detected::Other => Ok(Self::Csv),
-            Detected::NotRead(name) => {
-                let offered = [CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE].join(", ");
-                let detail = format!("The file is {name}. Export it as CSV; {offered} are read.");
-                Err(Problem::new(codes::CONTENT_TYPE_UNSUPPORTED, detail).with(FieldError::new("", offered)))
-            }
-        }
-    }
-
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::Npy => "npy",
-            Self::Rpc3 => "rpc3",
-            Self::Uff58 => "uff58",
-            Self::Json => "json",
-        }
-    }
-
-    /// Reads piece by piece into a spool in `scratch`, so that a file of any size takes the same memory.
-    fn read(self, upload: &Upload, scratch: &Path, rpc3: Reading) -> Result<ParsedRun<Spool>, ReadError> {
-        let (file, spool) = (upload.open()?, Spool::in_file(scratch));
-        match self {
-            Self::Csv => formats::csv::read_from(file, spool),
-            Self::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
-            Self::Rpc3 => formats::rpc3::read_from(file, upload.size() as u64, spool, rpc3),
-            Self::Uff58 => formats::uff58::read_from(file, spool),
-            Self::Json => formats::json::read_from(file, spool),
-        }
+/// Reads piece by piece into a spool in `scratch`, so that a file of any size takes the same memory.
+fn parse(
+    format: Format,
+    upload: &Upload,
+    scratch: &Path,
+    rpc3: Reading,
+) -> Result<ParsedRun<Spool>, ReadError> {
+    let (file, spool) = (upload.open()?, Spool::in_file(scratch));
+    match format {
+        Format::Csv => formats::csv::read_from(file, spool),
+        Format::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
+        Format::Rpc3 => formats::rpc3::read_from(file, upload.size() as u64, spool, rpc3),
+        Format::Uff58 => formats::uff58::read_from(file, spool),
+        Format::Json => formats::json::read_from(file, spool),
     }
 }
 
@@ -164,10 +137,10 @@ impl RunFile {
         // Errors of the query are reported before the file is parsed.
         self.check_channels(rig)?;
         self.rate(None, 0.0, rig)?;
-        let format = format.map_or_else(|| Format::detect(&upload), Ok)?;
+        let format = format.map_or_else(|| detect(&upload), Ok)?;
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
-        let parsed = format.read(&upload, scratch, self.rpc3).map_err(|error| match error {
+        let parsed = parse(format, &upload, scratch, self.rpc3).map_err(|error| match error {
             ReadError::Io(error) => upload::disk(error),
             ReadError::Format(error) => {
                 let problem = errors::format(&error, named);
@@ -192,12 +165,7 @@ impl RunFile {
                 ResampleError::Io(error) => upload::disk(error),
             })?;
         }
-        let mut changes = changes(&columns, rig, is_resampled.then_some(rate));
-        changes.extend(notes);
-        changes.extend((sample_rate_error > 0.0).then(|| {
-            let share = rounded(100.0 * sample_rate_error, 2);
-            format!("The times in the file are rounded: they give its sample rate within {share} %.")
-        }));
+        let changes = changes(&columns, rig, is_resampled.then_some(rate), notes, sample_rate_error);
         let run = PreparedRun::new(scratch, rig, meta, channel_names, changes, samples, sha256);
         let run = run.map_err(|error| match error {
             PrepareError::Store(error) => error.into(),
@@ -298,13 +266,23 @@ fn taken(columns: &[Column], samples: &Spool) -> Answer<Vec<(usize, f64)>> {
     Ok(taken)
 }
 
-/// What the run has otherwise than its file, a sentence each.
-fn changes(columns: &[Column], rig: &Rig, resampled_from: Option<f64>) -> Vec<String> {
+/// What the run has otherwise than its file, and what the file leaves open, a sentence each.
+fn changes(
+    columns: &[Column],
+    rig: &Rig,
+    resampled_from: Option<f64>,
+    notes: Vec<String>,
+    sample_rate_error: f64,
+) -> Vec<String> {
     let of_columns = columns.iter().filter_map(|column| column.conversion(rig)).chain(left_out(columns));
     let of_rate = resampled_from.map(|rate| {
         format!("Resampled from {} Hz to {} Hz.", rounded(rate, 10), rounded(rig.sample_rate_hz, 10))
     });
-    of_columns.chain(of_rate).collect()
+    let of_times = (sample_rate_error > 0.0).then(|| {
+        let share = rounded(100.0 * sample_rate_error, 2);
+        format!("The times in the file are rounded: they give its sample rate within {share} %.")
+    });
+    of_columns.chain(of_rate).chain(notes).chain(of_times).collect()
 }
 
 fn unassigned(fault: ColumnFault) -> Problem {

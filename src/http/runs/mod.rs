@@ -21,7 +21,7 @@ use crate::http::paths::{OfRig, OfRun, no_rig, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{Shared, body, codes, errors, json, rigs};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
-use file::{Format, RunFile};
+use file::RunFile;
 
 const KINDS: &str = "noise, service, sine, sweep or other";
 const SPLITS: &str = "training, validation or test";
@@ -52,7 +52,7 @@ pub async fn upload(
     let file = RunFile::take(&mut params)?;
     let is_dry = params.flag("dry_run")?;
     params.finish()?;
-    let format = Format::of(body::media_type(&headers).as_deref())?;
+    let format = file::format(body::media_type(&headers).as_deref())?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());

@@ -1,0 +1,87 @@
+//! The formats of measurement files, and which one a file has by its first bytes.
+
+/// Formats that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text with a header row.
+    Csv,
+    /// NumPy array.
+    Npy,
+    /// RPC III time history.
+    Rpc3,
+    /// Universal File Format, data sets 58.
+    Uff58,
+    /// Sample rate and channels by name.
+    Json,
+}
+
+impl Format {
+    /// Bytes that tell the format.
+    pub const START: usize = 512;
+
+    /// The format by the first [`Format::START`] bytes of a file; text where they tell nothing.
+    ///
+    /// # Errors
+    /// The name of a format that is known and not read.
+    pub fn detect(start: &[u8]) -> Result<Self, &'static str> {
+        let text = start.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(start);
+        let first_line =
+            text.trim_ascii_start().split(|b| matches!(b, b'\r' | b'\n')).next().unwrap_or_default();
+        if start.starts_with(b"\x93NUMPY") {
+            Ok(Self::Npy)
+        } else if start.starts_with(b"FORMAT\0") {
+            Ok(Self::Rpc3)
+        } else if start.starts_with(b"\xD0\xCF\x11\xE0") {
+            Err("a workbook of Excel")
+        } else if start.starts_with(b"PK\x03\x04") {
+            Err("a zip archive, such as a workbook of Excel")
+        } else if start.starts_with(b"MATLAB ") {
+            Err("a MAT file")
+        } else if start.starts_with(b"\x89HDF\r\n") {
+            Err("an HDF5 file")
+        } else if first_line.starts_with(b"{") {
+            Ok(Self::Json)
+        } else if first_line.trim_ascii() == b"-1" && text.starts_with(b" ") {
+            Ok(Self::Uff58)
+        } else {
+            Ok(Self::Csv)
+        }
+    }
+
+    /// The format's name in answers and metrics.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Npy => "npy",
+            Self::Rpc3 => "rpc3",
+            Self::Uff58 => "uff58",
+            Self::Json => "json",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_bytes_tell_the_format() {
+        for (start, found) in [
+            (&b"\x93NUMPY\x01\0"[..], Ok(Format::Npy)),
+            (b"FORMAT\0\0\0", Ok(Format::Rpc3)),
+            (b"    -1\n    58\n", Ok(Format::Uff58)),
+            (b"\n    -1\r\n    58\r\n", Ok(Format::Csv)),
+            (b"  \n{\"channels\"", Ok(Format::Json)),
+            (b"\xEF\xBB\xBF{", Ok(Format::Json)),
+            (b"PK\x03\x04", Err("a zip archive, such as a workbook of Excel")),
+            (b"\xD0\xCF\x11\xE0\xA1", Err("a workbook of Excel")),
+            (b"MATLAB 5.0 MAT-file", Err("a MAT file")),
+            (b"\x89HDF\r\n\x1a\n", Err("an HDF5 file")),
+            (b"u,y\n1,2\n", Ok(Format::Csv)),
+            (b"-1\n2\n", Ok(Format::Csv)),
+            (b"", Ok(Format::Csv)),
+        ] {
+            assert_eq!(Format::detect(start), found, "{}", String::from_utf8_lossy(start));
+        }
+    }
+}
