@@ -27,13 +27,14 @@ mod write;
 use std::io::Read;
 
 use super::error::excerpt;
+use super::times::Rounding;
 use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool};
 use clock::ClockColumns;
 use head::Head;
 use number::{Fault, Numbers, trim};
 use rows::Rows;
 use stamp::stamp;
-use time::{Rounding, TimeColumn};
+use time::TimeColumn;
 
 pub use pieces::{CsvPieces, TimeOfRows};
 pub use write::{head, rows, write};

@@ -15,6 +15,7 @@ mod pieces;
 pub mod rpc3;
 mod spool;
 mod step;
+mod times;
 pub mod uff58;
 
 use std::collections::HashSet;

@@ -1,5 +1,6 @@
 //! The time column and the sample rate that it gives.
 
+use crate::formats::times::{Even, Rounding, rate};
 use crate::formats::{FormatError, ReadError, Spool};
 
 /// A column of times.
@@ -10,24 +11,6 @@ pub(super) struct TimeColumn {
     /// Seconds per unit.
     scale: f64,
 }
-
-/// Number of steps, spread over the file, from which the usual step is found.
-const STEPS: usize = 10_000;
-
-/// Largest deviation of a step, relative to it, but for the rounding of its digits.
-const TOLERANCE: f64 = 1e-3;
-
-/// Largest deviation that is put down to times of single precision, relative to the step.
-const SINGLE: f64 = 0.1;
-
-/// Fewest rows whose uneven steps are put down to rounding.
-const ROUNDED_FROM_ROWS: usize = 20;
-
-/// Largest share of the sample rate that rounding may leave open.
-const ROUNDED_MOST: f64 = 0.1;
-
-/// Share of the steps that rounding makes uneven, at least.
-const ROUNDED_SHARE: f64 = 0.02;
 
 impl TimeColumn {
     /// The time column of a file with these names and units, apart from the columns of date-times (`stamps`); `row`
@@ -86,37 +69,8 @@ impl TimeColumn {
     }
 }
 
-/// The digits that the times of a file are written with: the most behind the mark, and the most from the first that
-/// is not zero.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Rounding {
-    decimals: i32,
-    significant: i32,
-}
-
-impl Rounding {
-    /// Takes the digits of one more time.
-    pub(super) fn add(&mut self, (decimals, significant): (i32, i32)) {
-        self.decimals = self.decimals.max(decimals);
-        self.significant = self.significant.max(significant);
-    }
-
-    /// Times with this many digits behind the mark.
-    pub(super) fn add_decimals(&mut self, decimals: i32) {
-        self.add((decimals, i32::from(i16::MAX)));
-    }
-
-    /// The last digit of a time: fixed digits behind the mark have one for all, a fixed number of digits has a
-    /// coarser one for larger times.
-    fn last_digit(self, time: f64) -> f64 {
-        let leading = if time == 0.0 { 0.0 } else { time.abs().log10().floor() };
-        let significant = 10f64.powf(leading + 1.0 - f64::from(self.significant));
-        significant.max(10f64.powi(-self.decimals))
-    }
-}
-
 /// The rate of times that rise in even steps of `scale` seconds a unit, and its largest relative error by rounded
-/// times.
+/// times; `None` for a single one.
 ///
 /// # Errors
 /// `csv.uneven_time` with the row of the first step that is not the step of most rows; `first_row` is the row of
@@ -128,98 +82,18 @@ pub(super) fn even(
     column: usize,
     scale: f64,
 ) -> Result<Option<(f64, f64)>, ReadError> {
-    let n = times.len(0);
-    if n < 2 {
-        return Ok(None);
-    }
-    let grid = Grid { first: times.at(0, 0)?, last: times.at(0, n - 1)?, n };
-    let step = grid.step();
-    let rate = 1.0 / (step * scale);
-    let mut usual = None;
-    if step > 0.0 && step.is_finite() && rate.is_finite() {
-        // Compared with the grid and not step by step: rounded times may not drift.
-        // Times of single precision are as far off as their last bit.
-        let exact = |t: f64| TOLERANCE * step + (f64::from(f32::EPSILON) / 2.0 * t.abs()).min(SINGLE * step);
-        if times.position(0, |i, t| grid.is_off(i, t, exact(t)))?.is_none() {
-            return Ok(Some((rate, 0.0)));
+    match rate(times, rounding, scale)? {
+        Even::Single => Ok(None),
+        Even::Rate { rate_hz, error } => Ok(Some((rate_hz, error))),
+        Even::Not { sample, usual_s, found_s } => Err(FormatError::CsvUnevenTime {
+            // Rows of samples are consecutive lines, since a number holds no line end.
+            row: first_row + sample as u64,
+            column: column + 1,
+            step_s: usual_s,
+            found_s,
         }
-        let last_digit = rounding.last_digit(grid.last);
-        let rounded = |t: f64| exact(t) + rounding.last_digit(t) + last_digit;
-        if n >= ROUNDED_FROM_ROWS
-            && last_digit <= ROUNDED_MOST * (grid.last - grid.first)
-            && times.position(0, |i, t| grid.is_off(i, t, rounded(t)))?.is_none()
-            && is_rounded(times, rounding, *usual.insert(usual_step(times, &grid)?))?
-        {
-            return Ok(Some((rate, last_digit / (grid.last - grid.first))));
-        }
+        .into()),
     }
-    let usual = usual.map_or_else(|| usual_step(times, &grid), Ok)?;
-    let mut before = grid.first;
-    let uneven = times.position(0, |i, t| {
-        let step = t - before;
-        before = t;
-        i > 0 && (step <= 0.0 || (step - usual).abs() > TOLERANCE * usual.abs())
-    })?;
-    // When every step is within the limit the times drift, and the last row is the farthest off.
-    let place = uneven.unwrap_or(n - 1);
-    Err(FormatError::CsvUnevenTime {
-        // Rows of samples are consecutive lines, since a number holds no line end.
-        row: first_row + place as u64,
-        column: column + 1,
-        step_s: usual * scale,
-        found_s: (times.at(0, place)? - times.at(0, place - 1)?) * scale,
-    }
-    .into())
-}
-
-/// Even times from the first to the last.
-struct Grid {
-    first: f64,
-    last: f64,
-    n: usize,
-}
-
-impl Grid {
-    fn step(&self) -> f64 {
-        (self.last - self.first) / (self.n - 1) as f64
-    }
-
-    fn is_off(&self, index: usize, time: f64, tolerance: f64) -> bool {
-        let distance = (time - (self.first + index as f64 * self.step())).abs();
-        distance.is_nan() || distance > tolerance
-    }
-}
-
-/// The step that half of the rows stay below.
-fn usual_step(times: &Spool, grid: &Grid) -> Result<f64, ReadError> {
-    let every = grid.n / STEPS + 1;
-    let (mut steps, mut before) = (Vec::new(), grid.first);
-    times.position(0, |i, t| {
-        if i > 0 && (i - 1) % every == 0 {
-            steps.push(t - before);
-        }
-        before = t;
-        false
-    })?;
-    let middle = steps.len() / 2;
-    Ok(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-/// Whether rounding explains uneven steps. Where the digits resolve the usual step, a rounded step is off again and
-/// again, and a lost sample is off once.
-fn is_rounded(times: &Spool, rounding: Rounding, usual: f64) -> Result<bool, ReadError> {
-    let (mut resolved, mut off, mut before) = (0_usize, 0_usize, None);
-    times.position(0, |_, t| {
-        if let Some(before) = before.replace(t) {
-            let digit = rounding.last_digit(t);
-            if digit <= 1.001 * usual {
-                resolved += 1;
-                off += usize::from((t - before - usual).abs() > digit / 2.0);
-            }
-        }
-        false
-    })?;
-    Ok(off == 0 || off as f64 >= ROUNDED_SHARE * resolved as f64)
 }
 
 /// `Some` for the name of a time column, with the unit that the name holds, if any.
@@ -284,7 +158,7 @@ mod tests {
         let mut spool = Spool::in_memory();
         spool.add_columns(1);
         spool.extend(0, times.iter().copied()).unwrap();
-        let found = column.sample_rate(&spool, Rounding { decimals: 300, significant: 17 }, first_row);
+        let found = column.sample_rate(&spool, Rounding::NONE, first_row);
         found.map(|found| found.map(|(rate, _)| rate)).map_err(ReadError::of_bytes)
     }
 
