@@ -353,6 +353,44 @@ pub enum FormatError {
         /// Byte of the line.
         column: usize,
     },
+    /// A file whose structure is not that of MAT, version 5.
+    #[error("MAT file: {0}")]
+    Mat(String),
+    /// An archive that is not one of NumPy's.
+    #[error("NPZ archive: {0}")]
+    Npz(String),
+    /// A file whose structure is not that of HDF5.
+    #[error("HDF5 file: {0}")]
+    Hdf5(String),
+    /// A variable (an array of a MAT, NPZ or HDF5 file) that is not read.
+    #[error("variable {name:?} {reason}")]
+    Variable {
+        /// First 40 characters of its name.
+        name: String,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A vector of times whose steps are not even.
+    #[error(
+        "the times of variable {variable:?} are not even: {} s before sample {sample}, {} s elsewhere",
+        short(*found_s), short(*step_s)
+    )]
+    VariableUnevenTime {
+        /// Its name.
+        variable: String,
+        /// The sample after the step.
+        sample: usize,
+        /// The step of most samples.
+        step_s: f64,
+        /// The step found.
+        found_s: f64,
+    },
+    /// A compressed file that becomes too large.
+    #[error("unpacked, the file is larger than {limit} bytes, the most for one of its size")]
+    Unpacked {
+        /// The most bytes.
+        limit: u64,
+    },
 }
 
 impl FormatError {
@@ -386,6 +424,12 @@ impl FormatError {
             Self::Uff58Unsupported { .. } | Self::Uff58Unlike { .. } => "uff58.unsupported",
             Self::Uff58Size { .. } => "uff58.size",
             Self::Uff58NotANumber { .. } => "uff58.not_a_number",
+            Self::Mat(_) => "mat.invalid",
+            Self::Npz(_) => "npz.invalid",
+            Self::Hdf5(_) => "hdf5.invalid",
+            Self::Variable { .. } => "variables.unsupported",
+            Self::VariableUnevenTime { .. } => "variables.uneven_time",
+            Self::Unpacked { .. } => "file.unpacked_size",
             Self::Json { .. } => "json.invalid",
             Self::JsonUnknownKey { .. } => "json.unknown_field",
             Self::JsonDuplicateKey { .. } => "json.duplicate_field",
@@ -444,7 +488,8 @@ impl FormatError {
     /// Name of the channel, where the file names it.
     pub fn channel(&self) -> Option<&str> {
         match self {
-            Self::DuplicateChannel { name } => Some(name),
+            Self::DuplicateChannel { name } | Self::Variable { name, .. } => Some(name),
+            Self::VariableUnevenTime { variable, .. } => Some(variable),
             Self::CsvNotANumber { name, .. } | Self::CsvAmbiguousNumber { name, .. } => name.as_deref(),
             _ => self.channel_at().and_then(|c| c.name.as_deref()),
         }
@@ -458,7 +503,9 @@ impl FormatError {
     /// Sample, from 0.
     pub fn sample(&self) -> Option<usize> {
         match self {
-            Self::NonFinite { sample, .. } | Self::JsonNotANumber { sample, .. } => Some(*sample),
+            Self::NonFinite { sample, .. }
+            | Self::JsonNotANumber { sample, .. }
+            | Self::VariableUnevenTime { sample, .. } => Some(*sample),
             _ => None,
         }
     }
@@ -472,7 +519,8 @@ impl FormatError {
             Self::SampleRate { .. } => Some("a positive, finite number of hertz".into()),
             Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),
             Self::CsvLongRow { limit, .. } => Some(format!("at most {limit} bytes")),
-            Self::CsvUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
+            Self::Unpacked { limit } => Some(format!("{limit} bytes")),
+            Self::CsvUnevenTime { step_s, .. } | Self::VariableUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
             Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
             Self::Rpc3Unsupported { expected, .. } => Some((*expected).to_owned()),

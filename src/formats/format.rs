@@ -7,8 +7,14 @@ pub enum Format {
     Csv,
     /// NumPy array.
     Npy,
+    /// Archive of NumPy arrays.
+    Npz,
     /// RPC III time history.
     Rpc3,
+    /// Workspace of MATLAB, version 5.
+    Mat,
+    /// HDF5, which MAT of version 7.3 is too.
+    Hdf5,
     /// Universal File Format, data sets 58.
     Uff58,
     /// Sample rate and channels by name.
@@ -34,11 +40,11 @@ impl Format {
         } else if start.starts_with(b"\xD0\xCF\x11\xE0") {
             Err("a workbook of Excel")
         } else if start.starts_with(b"PK\x03\x04") {
-            Err("a zip archive, such as a workbook of Excel")
+            if is_npz(start) { Ok(Self::Npz) } else { Err("a zip archive, such as a workbook of Excel") }
+        } else if start.starts_with(b"\x89HDF\r\n") || start.starts_with(b"MATLAB 7.3 MAT-file") {
+            Ok(Self::Hdf5)
         } else if start.starts_with(b"MATLAB ") {
-            Err("a MAT file")
-        } else if start.starts_with(b"\x89HDF\r\n") {
-            Err("an HDF5 file")
+            Ok(Self::Mat)
         } else if first_line.starts_with(b"{") {
             Ok(Self::Json)
         } else if first_line.trim_ascii() == b"-1" && text.starts_with(b" ") {
@@ -53,11 +59,21 @@ impl Format {
         match self {
             Self::Csv => "csv",
             Self::Npy => "npy",
+            Self::Npz => "npz",
+            Self::Mat => "mat",
+            Self::Hdf5 => "hdf5",
             Self::Rpc3 => "rpc3",
             Self::Uff58 => "uff58",
             Self::Json => "json",
         }
     }
+}
+
+/// Whether the first entry of a zip archive is an array of NumPy.
+fn is_npz(start: &[u8]) -> bool {
+    let Some(&[low, high]) = start.get(26..28) else { return false };
+    let name = start.get(30..30 + usize::from(u16::from_le_bytes([low, high])));
+    name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
 #[cfg(test)]
@@ -75,8 +91,10 @@ mod tests {
             (b"\xEF\xBB\xBF{", Ok(Format::Json)),
             (b"PK\x03\x04", Err("a zip archive, such as a workbook of Excel")),
             (b"\xD0\xCF\x11\xE0\xA1", Err("a workbook of Excel")),
-            (b"MATLAB 5.0 MAT-file", Err("a MAT file")),
-            (b"\x89HDF\r\n\x1a\n", Err("an HDF5 file")),
+            (b"PK\x03\x04\x14\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0u.npy", Ok(Format::Npz)),
+            (b"MATLAB 5.0 MAT-file", Ok(Format::Mat)),
+            (b"MATLAB 7.3 MAT-file", Ok(Format::Hdf5)),
+            (b"\x89HDF\r\n\x1a\n", Ok(Format::Hdf5)),
             (b"u,y\n1,2\n", Ok(Format::Csv)),
             (b"-1\n2\n", Ok(Format::Csv)),
             (b"", Ok(Format::Csv)),

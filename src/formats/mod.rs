@@ -8,15 +8,21 @@
 pub mod csv;
 mod error;
 mod format;
+pub mod hdf5;
 pub mod json;
 mod labels;
+pub mod mat;
 pub mod npy;
+pub mod npz;
+mod numbers;
 mod pieces;
 pub mod rpc3;
 mod spool;
 mod step;
 mod times;
 pub mod uff58;
+mod unpacked;
+mod variables;
 
 use std::collections::HashSet;
 

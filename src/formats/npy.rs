@@ -13,6 +13,7 @@ use realfft::num_complex::Complex64;
 
 use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool};
 
+pub(super) use header::ArrayHead;
 pub use header::{Header, header};
 pub use pieces::NpyPieces;
 

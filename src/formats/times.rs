@@ -172,3 +172,29 @@ fn is_rounded(times: &Spool, rounding: Rounding, usual: f64) -> io::Result<bool>
     })?;
     Ok(off == 0 || off as f64 >= ROUNDED_SHARE * resolved as f64)
 }
+
+/// `Some` for the name of a time column, with the unit that the name holds, if any.
+pub(super) fn unit_of_time(name: &str) -> Option<Option<&'static str>> {
+    let lower = name.to_lowercase();
+    let (stem, unit) = match lower.split_once(['[', '(']) {
+        Some((stem, unit)) => (stem.trim(), Some(unit.trim_end_matches([']', ')']).trim())),
+        None => match lower.rsplit_once('_') {
+            Some((stem, unit)) => (stem, Some(unit)),
+            None => (lower.as_str(), None),
+        },
+    };
+    if !matches!(stem, "time" | "t" | "zeit" | "zeitkanal" | "time channel") {
+        return None;
+    }
+    match unit {
+        None => Some(None),
+        Some("s" | "sec") => Some(Some("s")),
+        Some("ms") => Some(Some("ms")),
+        Some(_) => None,
+    }
+}
+
+/// Seconds a unit of times by the name of their column or variable; `None` for a name of something else.
+pub(super) fn seconds_by_name(name: &str) -> Option<f64> {
+    unit_of_time(name).map(|unit| if unit == Some("ms") { 1e-3 } else { 1.0 })
+}

@@ -107,6 +107,12 @@ codes! {
     RPC3_HEADER = "rpc3.header", 400, "The RPC III header cannot be read";
     RPC3_UNSUPPORTED = "rpc3.unsupported", 422, "A kind of RPC III file that is not supported";
     RPC3_SIZE = "rpc3.size", 400, "The RPC III header and the size of the file disagree";
+    MAT_INVALID = "mat.invalid", 400, "The structure of the MAT file cannot be read";
+    NPZ_INVALID = "npz.invalid", 400, "The NPZ archive cannot be read";
+    HDF5_INVALID = "hdf5.invalid", 400, "The structure of the HDF5 file cannot be read";
+    VARIABLES_UNSUPPORTED = "variables.unsupported", 422, "A variable of the file is no channel and no label";
+    VARIABLES_UNEVEN_TIME = "variables.uneven_time", 422, "The times of the file are not even";
+    FILE_UNPACKED_SIZE = "file.unpacked_size", 413, "The file is too large when it is unpacked";
     UFF58_HEADER = "uff58.header", 400, "A record of the UFF file cannot be read";
     UFF58_UNSUPPORTED = "uff58.unsupported", 422, "A kind of UFF file that is not supported";
     UFF58_SIZE = "uff58.size", 400, "A UFF data set has another size than its header declares";

@@ -18,10 +18,13 @@ use crate::telemetry::{self, names, process};
 const MAX_RIGS: u32 = 1000;
 
 /// Formats of uploads: the label in the metrics, and the prefix of their own problem codes.
-const FORMATS: [(&str, &str); 6] = [
+const FORMATS: [(&str, &str); 9] = [
     ("csv", "csv."),
     ("npy", "npy."),
     ("rpc3", "rpc3."),
+    ("npz", "npz."),
+    ("mat", "mat."),
+    ("hdf5", "hdf5."),
     ("uff58", "uff58."),
     ("json", "json."),
     ("safetensors", "weights."),

@@ -12,6 +12,15 @@ pub const CSV: &str = "text/csv";
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";
 
+/// Media type of archives of NumPy arrays.
+pub const NPZ: &str = "application/x-npz";
+
+/// Media type of MATLAB's files of any version.
+pub const MAT: &str = "application/x-matlab-data";
+
+/// Media type of HDF5.
+pub const HDF5: &str = "application/x-hdf5";
+
 /// Media type of RPC III time histories.
 pub const RPC3: &str = "application/x-rpc3";
 

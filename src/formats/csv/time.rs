@@ -1,6 +1,6 @@
 //! The time column and the sample rate that it gives.
 
-use crate::formats::times::{Even, Rounding, rate};
+use crate::formats::times::{Even, Rounding, rate, unit_of_time};
 use crate::formats::{FormatError, ReadError, Spool};
 
 /// A column of times.
@@ -93,27 +93,6 @@ pub(super) fn even(
             found_s,
         }
         .into()),
-    }
-}
-
-/// `Some` for the name of a time column, with the unit that the name holds, if any.
-fn unit_of_time(name: &str) -> Option<Option<&'static str>> {
-    let lower = name.to_lowercase();
-    let (stem, unit) = match lower.split_once(['[', '(']) {
-        Some((stem, unit)) => (stem.trim(), Some(unit.trim_end_matches([']', ')']).trim())),
-        None => match lower.rsplit_once('_') {
-            Some((stem, unit)) => (stem, Some(unit)),
-            None => (lower.as_str(), None),
-        },
-    };
-    if !matches!(stem, "time" | "t" | "zeit" | "zeitkanal" | "time channel") {
-        return None;
-    }
-    match unit {
-        None => Some(None),
-        Some("s" | "sec") => Some(Some("s")),
-        Some("ms") => Some(Some("ms")),
-        Some(_) => None,
     }
 }
 

@@ -1,10 +1,11 @@
 //! The header of an NPY file, checked against the bytes after it.
 
+use std::io::Read;
 use std::ops::Range;
 
 use super::{Dtype, Order};
 use crate::formats::error::excerpt;
-use crate::formats::{FormatError, check_channel_count};
+use crate::formats::{FormatError, ReadError, check_channel_count};
 
 /// The content of an NPY header; its sizes agree with the bytes after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,6 +112,39 @@ fn dtype(descr: &str) -> Result<(Dtype, bool), FormatError> {
         _ => return Err(refuse()),
     };
     Ok((dtype, big_endian))
+}
+
+/// The header of an array in an archive, whose sizes nothing is compared with yet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct ArrayHead {
+    /// Type of the elements, as `<f8`.
+    pub(crate) descr: String,
+    /// Order of the array.
+    pub(crate) order: Order,
+    /// Its size in each dimension; none for a single element.
+    pub(crate) shape: Vec<u64>,
+}
+
+impl ArrayHead {
+    /// Reads the header of a file up to its data.
+    ///
+    /// # Errors
+    /// `npy.header`, `npy.dtype`; those of the file as `fault` makes them.
+    pub(crate) fn read(
+        file: &mut impl Read,
+        fault: impl Fn(std::io::Error) -> ReadError,
+    ) -> Result<Self, ReadError> {
+        let mut start = [0; START];
+        file.read_exact(&mut start).map_err(&fault)?;
+        let text = text(&start, u64::MAX)?;
+        // The text of version 1.0 begins with the last bytes of the start.
+        let mut rest = vec![0; text.end.saturating_sub(START)];
+        file.read_exact(&mut rest).map_err(&fault)?;
+        let text = [&start[text.start..], &rest[..]].concat();
+        let text = String::from_utf8(text).map_err(|_| FormatError::NpyHeader("the header is not text"))?;
+        let Fields { descr, fortran, shape } = Fields::parse(&text)?;
+        Ok(Self { descr, order: if fortran { Order::Fortran } else { Order::C }, shape })
+    }
 }
 
 /// The three fields of a header, before their values are checked.

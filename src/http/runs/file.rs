@@ -13,7 +13,7 @@ use crate::engine::{Samples, Signal, rounded};
 use crate::formats::rpc3::Reading;
 use crate::formats::{self, ChannelAt, Format, FormatError, ParsedRun, ReadError, Spool, SpooledSamples};
 use crate::http::jobs::word;
-use crate::http::negotiate::{CSV, NPY, RPC3, UFF58};
+use crate::http::negotiate::{CSV, HDF5, MAT, NPY, NPZ, RPC3, UFF58};
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{body, codes, errors, json};
@@ -30,7 +30,7 @@ const GENERAL: [&str; 5] = [
 ];
 
 /// Media types of the formats that are read.
-const OFFERED: [&str; 5] = [CSV, NPY, RPC3, UFF58, json::MEDIA_TYPE];
+const OFFERED: [&str; 8] = [CSV, NPY, NPZ, RPC3, MAT, HDF5, UFF58, json::MEDIA_TYPE];
 
 /// The format by media type; `None` for one that any file may have, as programs send it that know no better.
 ///
@@ -41,6 +41,9 @@ pub fn format(media_type: Option<&str>) -> Answer<Option<Format>> {
         Some(CSV) => Ok(Some(Format::Csv)),
         Some(NPY) => Ok(Some(Format::Npy)),
         Some(RPC3) => Ok(Some(Format::Rpc3)),
+        Some(NPZ) => Ok(Some(Format::Npz)),
+        Some(MAT) => Ok(Some(Format::Mat)),
+        Some(HDF5) => Ok(Some(Format::Hdf5)),
         Some(UFF58) => Ok(Some(Format::Uff58)),
         Some(json::MEDIA_TYPE) => Ok(Some(Format::Json)),
         None => Ok(None),
@@ -76,6 +79,9 @@ fn parse(
         Format::Csv => formats::csv::read_from(file, spool),
         Format::Npy => formats::npy::read_from(file, upload.size() as u64, spool),
         Format::Rpc3 => formats::rpc3::read_from(file, upload.size() as u64, spool, rpc3),
+        Format::Npz => formats::npz::read_from(file, upload.size() as u64, spool),
+        Format::Mat => formats::mat::read_from(file, upload.size() as u64, spool),
+        Format::Hdf5 => formats::hdf5::read_from(file, upload.size() as u64, spool),
         Format::Uff58 => formats::uff58::read_from(file, spool),
         Format::Json => formats::json::read_from(file, spool),
     }
@@ -137,7 +143,12 @@ impl RunFile {
         // Errors of the query are reported before the file is parsed.
         self.check_channels(rig)?;
         self.rate(None, 0.0, rig)?;
-        let format = format.map_or_else(|| detect(&upload), Ok)?;
+        let format = match format {
+            // Version 7.3 is another format under the same media type.
+            Some(Format::Mat) if matches!(detect(&upload), Ok(Format::Hdf5)) => Format::Hdf5,
+            Some(format) => format,
+            None => detect(&upload)?,
+        };
         let rig_names: Vec<String> = rig.channels.iter().map(|c| c.name.clone()).collect();
         let named = self.channels.as_ref().unwrap_or(&rig_names);
         let parsed = parse(format, &upload, scratch, self.rpc3).map_err(|error| match error {
