@@ -1,5 +1,7 @@
 //! A small rig, a model of it and files of runs.
 
+use std::io::{Cursor, Write};
+
 use realfft::num_complex::Complex64;
 use rigcast::engine::Signal;
 use rigcast::engine::frf::Frf;
@@ -116,6 +118,66 @@ pub fn uff58(samples: usize, channels: usize, binary: bool) -> Vec<u8> {
         file.extend(b"    -1\n");
     }
     file
+}
+
+/// Both channels and their rate as an archive of NumPy arrays.
+pub fn npz(samples: usize, packed: bool) -> Vec<u8> {
+    let method = if packed { zip::CompressionMethod::Deflated } else { zip::CompressionMethod::Stored };
+    let options = zip::write::SimpleFileOptions::default().compression_method(method);
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (channel, name) in ["u.npy", "y.npy"].into_iter().enumerate() {
+        let values = (0..samples).map(|i| sample(channel, i)).collect::<Vec<_>>();
+        let array = npy::write(&[values], Dtype::F8, Order::C).expect("finite");
+        archive.start_file(name, options).expect("a name");
+        archive.write_all(&array).expect("memory");
+    }
+    archive.start_file("fs.npy", options).expect("a name");
+    let head = "{'descr': '<f8', 'fortran_order': False, 'shape': (), }\n";
+    let head = [&b"\x93NUMPY\x01\0"[..], &(head.len() as u16).to_le_bytes(), head.as_bytes()].concat();
+    archive.write_all(&[head, 100f64.to_le_bytes().to_vec()].concat()).expect("memory");
+    archive.finish().expect("memory").into_inner()
+}
+
+/// Both channels, their rate and their units as a MAT file of version 5, in a struct.
+pub fn mat(samples: usize) -> Vec<u8> {
+    fn element(kind: u32, data: &[u8]) -> Vec<u8> {
+        let mut bytes = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+        bytes.extend(data);
+        bytes.resize(bytes.len().next_multiple_of(8), 0);
+        bytes
+    }
+    fn array(class: u32, rows: usize, columns: usize, name: &str, content: &[u8]) -> Vec<u8> {
+        let flags = element(6, &[class.to_le_bytes(), [0; 4]].concat());
+        let shape = element(5, &[(rows as u32).to_le_bytes(), (columns as u32).to_le_bytes()].concat());
+        element(14, &[flags, shape, element(1, name.as_bytes()), content.to_vec()].concat())
+    }
+    let doubles = |values: &[f64]| element(9, &values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+    let channel = |c: usize, name: &str| {
+        let values: Vec<f64> = (0..samples).map(|i| sample(c, i)).collect();
+        array(6, samples, 1, name, &doubles(&values))
+    };
+    let text = |text: &str| array(4, 1, text.len(), "", &element(16, text.as_bytes()));
+    let units = array(1, 1, 2, "units", &[text("kN"), text("mm")].concat());
+    let fields = [element(5, &8_u32.to_le_bytes()), element(1, b"u\0\0\0\0\0\0\0"), channel(0, "")].concat();
+    let mut file = format!("{:124}\0\x01IM", "MATLAB 5.0 MAT-file").into_bytes();
+    file.extend([array(2, 1, 1, "run", &fields), channel(1, "y"), units].concat());
+    file.extend(array(6, 1, 1, "fs", &doubles(&[100.0])));
+    file
+}
+
+/// Both channels as datasets with units, and their rate.
+pub fn hdf5(samples: usize, chunks: bool) -> Vec<u8> {
+    let mut file = hdf5_pure::FileBuilder::new();
+    file.set_attr("fs", hdf5_pure::AttrValue::F64(100.0));
+    for (channel, (name, unit)) in [("u", "kN"), ("y", "mm")].into_iter().enumerate() {
+        let values: Vec<f64> = (0..samples).map(|i| sample(channel, i)).collect();
+        let data = file.create_dataset(name).with_f64_data(&values).with_shape(&[samples as u64]);
+        data.set_attr("unit", hdf5_pure::AttrValue::String(unit.into()));
+        if chunks {
+            data.with_chunks(&[16]).with_deflate(6);
+        }
+    }
+    file.finish().expect("memory")
 }
 
 /// A run of both channels as JSON.

@@ -39,6 +39,12 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
             named("binary", &fixtures::uff58(8, 1, true)),
             named("two", &[fixtures::uff58(3, 2, false), fixtures::uff58(3, 2, true)].concat()),
         ],
+        "npz" => vec![
+            named("stored", &fixtures::npz(3, false)),
+            named("packed", &fixtures::npz(300, true)),
+        ],
+        "mat" => vec![named("two", &fixtures::mat(5)), named("long", &fixtures::mat(100))],
+        "hdf5" => vec![named("plain", &fixtures::hdf5(5, false)), named("chunks", &fixtures::hdf5(100, true))],
         "run_json" => vec![named("run", &fixtures::json(4))],
         "weights" => [ModelKind::Frf, ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2]
             .map(|kind| named(kind.as_str(), &fixtures::weights(kind)))

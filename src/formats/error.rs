@@ -520,7 +520,9 @@ impl FormatError {
             Self::CsvRagged { expected, .. } => Some(format!("{expected} cells")),
             Self::CsvLongRow { limit, .. } => Some(format!("at most {limit} bytes")),
             Self::Unpacked { limit } => Some(format!("{limit} bytes")),
-            Self::CsvUnevenTime { step_s, .. } | Self::VariableUnevenTime { step_s, .. } => Some(format!("steps of {} s within 0.1 %", short(*step_s))),
+            Self::CsvUnevenTime { step_s, .. } | Self::VariableUnevenTime { step_s, .. } => {
+                Some(format!("steps of {} s within 0.1 %", short(*step_s)))
+            }
             Self::NpyDtype { .. } => Some("float32, float64, int16 or int32".into()),
             Self::NpyShape { .. } => Some("[samples, channels] or [samples]".into()),
             Self::Rpc3Unsupported { expected, .. } => Some((*expected).to_owned()),

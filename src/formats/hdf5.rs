@@ -50,7 +50,8 @@ pub fn read_from(file: File, len: u64, spool: Spool) -> Result<ParsedRun<Spool>,
 }
 
 fn read_file(file: &hdf5_pure::File, len: u64, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
-    let mut reader = Reader { variables: Variables::new(spool), limit: limit(len), left: limit(len), objects: 0 };
+    let mut reader =
+        Reader { variables: Variables::new(spool), limit: limit(len), left: limit(len), objects: 0 };
     reader.group(&file.root(), "", 0)?;
     reader.variables.finish()
 }
@@ -85,7 +86,9 @@ impl Reader {
                 Some("struct") | None if !attributes.contains_key("MATLAB_sparse") => {
                     self.group(&inner, &path, depth + 1)?;
                 }
-                Some(class) if !attributes.contains_key("MATLAB_sparse") => return Err(refused(&path, class).into()),
+                Some(class) if !attributes.contains_key("MATLAB_sparse") => {
+                    return Err(refused(&path, class).into());
+                }
                 _ => return Err(unsupported(&path, "is a sparse matrix: save full(...) of it").into()),
             }
         }
@@ -144,7 +147,9 @@ impl Reader {
             (Some(class @ ("cell" | "function_handle" | "struct" | "string")), _) => {
                 return Err(refused(path, class).into());
             }
-            _ if attributes.contains_key("MATLAB_object_decode") => return Err(refused(path, "object").into()),
+            _ if attributes.contains_key("MATLAB_object_decode") => {
+                return Err(refused(path, "object").into());
+            }
             (_, DType::String | DType::VariableLengthString) => {
                 if Variables::is_label(path) {
                     let texts = self.strings(dataset, path)?;
@@ -318,7 +323,10 @@ fn matlab_class(attributes: &std::collections::HashMap<String, AttrValue>) -> Op
 }
 
 fn refused(path: &str, class: &str) -> FormatError {
-    unsupported(path, format!("is of MATLAB's class {}: save arrays of numbers, and text as char", excerpt(class)))
+    unsupported(
+        path,
+        format!("is of MATLAB's class {}: save arrays of numbers, and text as char", excerpt(class)),
+    )
 }
 
 fn long_text(path: &str) -> FormatError {

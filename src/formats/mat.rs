@@ -6,6 +6,7 @@
 
 mod element;
 mod matrix;
+mod pieces;
 
 use std::io::{self, Read};
 
@@ -15,6 +16,8 @@ use super::unpacked::{self, Budget};
 use super::variables::Variables;
 use super::{FormatError, ParsedRun, ReadError, Spool};
 use element::{COMPRESSED, Elements, MATRIX};
+
+pub use pieces::MatPieces;
 
 /// Bytes of the header.
 const HEADER: usize = 128;

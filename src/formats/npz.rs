@@ -101,14 +101,19 @@ fn array(name: &str, mut file: impl Read, variables: &mut Variables) -> Result<(
                     return Err(unsupported(name, "is text of bytes: save it as str").into());
                 }
                 None => {
-                    let reason = format!("has the dtype {}: integers and floats are read", excerpt(&header.descr));
+                    let reason =
+                        format!("has the dtype {}: integers and floats are read", excerpt(&header.descr));
                     return Err(unsupported(name, reason).into());
                 }
             }
         }
     }
     if io::copy(&mut file, &mut io::sink()).map_err(fault)? > 0 {
-        return Err(invalid(format!("the array {:?} has more bytes than its shape {shape:?}", excerpt(name))).into());
+        return Err(invalid(format!(
+            "the array {:?} has more bytes than its shape {shape:?}",
+            excerpt(name)
+        ))
+        .into());
     }
     Ok(())
 }
@@ -155,18 +160,17 @@ fn texts(
     }
     let size = characters.checked_mul(4).map(|size| size as u64);
     let bytes = shape.iter().try_fold(size.unwrap_or(u64::MAX), |bytes, &n| bytes.checked_mul(n));
-    let Some(bytes) = bytes.and_then(|bytes| usize::try_from(bytes).ok()).filter(|&b| b <= MAX_TEXT_BYTES) else {
+    let Some(bytes) = bytes.and_then(|bytes| usize::try_from(bytes).ok()).filter(|&b| b <= MAX_TEXT_BYTES)
+    else {
         return Err(unsupported(name, format!("is text of more than {MAX_TEXT_BYTES} bytes")).into());
     };
     let mut data = vec![0; bytes];
     file.read_exact(&mut data).map_err(fault)?;
     let (points, _) = data.as_chunks::<4>();
-    let character = |&point: &[u8; 4]| {
-        char::from_u32(u32::from_le_bytes(point)).unwrap_or(char::REPLACEMENT_CHARACTER)
-    };
-    let text = |points: &[[u8; 4]]| -> String {
-        points.iter().map(character).take_while(|&c| c != '\0').collect()
-    };
+    let character =
+        |&point: &[u8; 4]| char::from_u32(u32::from_le_bytes(point)).unwrap_or(char::REPLACEMENT_CHARACTER);
+    let text =
+        |points: &[[u8; 4]]| -> String { points.iter().map(character).take_while(|&c| c != '\0').collect() };
     let texts = match characters {
         0 => Vec::new(),
         _ => points.chunks(characters).map(text).collect(),
@@ -189,7 +193,12 @@ fn archive(error: zip::result::ZipError) -> ReadError {
 
 /// An error of reading: of the archive where its bytes are the reason, else of the file system.
 fn fault(error: io::Error) -> ReadError {
-    super::unpacked::fault(error, "the archive ends inside an array", "an entry of the archive is damaged", invalid)
+    super::unpacked::fault(
+        error,
+        "the archive ends inside an array",
+        "an entry of the archive is damaged",
+        invalid,
+    )
 }
 
 #[cfg(test)]

@@ -86,9 +86,15 @@ pub(super) enum Use {
     /// It has no numbers, or none that a run has.
     Nothing,
     /// `rows` numbers for each of `columns` channels, the first of them the spool's column `first`.
-    Channels { first: usize, rows: usize, columns: usize },
+    Channels {
+        first: usize,
+        rows: usize,
+        columns: usize,
+    },
     /// As many times.
-    Times { rows: usize },
+    Times {
+        rows: usize,
+    },
     /// One number: the sample rate, or the time between two samples.
     Rate,
     Step,
@@ -138,7 +144,10 @@ impl Variables {
             && let Some(scale) = times::seconds_by_name(leaf(path))
         {
             if let Some(first) = &self.times {
-                return Err(unsupported(path, format!("is a second vector of times beside {:?}", first.path)));
+                return Err(unsupported(
+                    path,
+                    format!("is a second vector of times beside {:?}", first.path),
+                ));
             }
             let mut values = self.channels.another();
             values.add_columns(1);
@@ -317,7 +326,8 @@ impl Rate {
 /// Names of the channels: those of the arrays, with a number for each column of several. None for a single array of
 /// several channels and for NumPy's `arr_0`, `arr_1`, ..., which say nothing of them.
 fn names(arrays: &[Array]) -> Option<Vec<String>> {
-    let is_numbered = |array: &Array| array.path.strip_prefix("arr_").is_some_and(|n| n.parse::<u32>().is_ok());
+    let is_numbered =
+        |array: &Array| array.path.strip_prefix("arr_").is_some_and(|n| n.parse::<u32>().is_ok());
     if matches!(arrays, [array] if array.columns > 1) || arrays.iter().all(is_numbered) {
         return None;
     }

@@ -87,6 +87,14 @@ fn quality(ranges: &[Range], offer: &str) -> f32 {
         .map_or(0.0, |(_, q)| q)
 }
 
+/// The problem of samples that a MAT file of version 5 cannot hold.
+pub fn too_large_for_mat() -> Problem {
+    let limit = "less than 2 GiB of samples";
+    let detail = "The samples are 2 GiB or more, which a MAT file of version 5 cannot hold. Ask for less \
+                  of them, or for another format.";
+    Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", limit))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

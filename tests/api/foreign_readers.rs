@@ -25,6 +25,17 @@ json.dump({
 }, sys.stdout)
 ";
 
+/// Names, units, rate and samples of a MAT file, as JSON.
+const SCIPY: &str = "
+import json, sys
+import scipy.io
+file = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
+json.dump({
+    'names': list(file['names']), 'units': list(file['units']), 'fs': file['fs'],
+    'samples': file['data'].T.tolist(),
+}, sys.stdout)
+";
+
 /// A file of one or more channels at 1000 Hz, whose samples it prints as JSON.
 const PYUFF: &str = "
 import json, sys
@@ -42,6 +53,79 @@ for index, (name, values) in enumerate(samples.items()):
         'orddenom_spec_data_type': 0, 'x': time, 'data': values,
     }, 'add')
 json.dump({name: values.tolist() for name, values in samples.items()}, sys.stdout)
+";
+
+/// A file of two channels at 1000 Hz in one of the forms in which programs save arrays, whose samples it prints as JSON.
+const ARRAYS: &str = "
+import json, sys
+import h5py, scipy.io
+import numpy as np
+path, form = sys.argv[1:]
+time = np.arange(1003) / 1000
+u, y = 3.5 * np.sin(40 * time), 1e-7 * np.cos(70 * time) - 2.0
+both = np.stack([u, y], axis=1)
+cell = np.array(['u', 'y'], dtype=object)
+
+def matlab_73(variables):
+    # As MATLAB writes version 7.3: a block of text before the file, dimensions turned round, classes as attributes.
+    with h5py.File(path, 'w', userblock_size=512) as file:
+        references = file.create_group('#refs#')
+        def char(at, name, text):
+            data = at.create_dataset(name, data=np.array([[ord(c)] for c in text], dtype=np.uint16))
+            data.attrs['MATLAB_class'] = np.bytes_('char')
+            return data
+        for name, value in variables.items():
+            if isinstance(value, list):
+                cells = [char(references, f'{name}{i}', text).ref for i, text in enumerate(value)]
+                data = file.create_dataset(name, data=np.array([cells], dtype=h5py.ref_dtype).T, dtype=h5py.ref_dtype)
+                data.attrs['MATLAB_class'] = np.bytes_('cell')
+            else:
+                value = np.atleast_2d(value).T
+                data = file.create_dataset(name, data=value, chunks=value.shape, compression='gzip')
+                data.attrs['MATLAB_class'] = np.bytes_('double')
+    with open(path, 'r+b') as file:
+        file.write(b'MATLAB 7.3 MAT-file, Platform: GLNXA64'.ljust(124) + bytes([0, 2]) + b'IM')
+
+def hdf5(**options):
+    with h5py.File(path, 'w') as file:
+        file.attrs['fs'] = 1000.0
+        for name, unit, values in (('u', 'kN', u), ('y', 'mm', y)):
+            file.create_dataset('run/' + name, data=values, **options).attrs['unit'] = unit
+
+def hdf5_matrix():
+    with h5py.File(path, 'w', libver='latest') as file:
+        file['data'] = both
+        file['time'] = time
+        file['names'] = ['u', 'y']
+        file['units'] = ['kN', 'mm']
+
+save = lambda **more: lambda: scipy.io.savemat(path, more.pop('variables'), **more)
+column = {'u': u[:, None], 'y': y[:, None], 't': time[:, None]}
+matrix = {'data': both, 'names': cell, 'units': np.array(['kN', 'mm']), 'fs': 1000.0}
+{
+    'npz': lambda: np.savez(path, u=u, y=y, t=time),
+    'npz_compressed': lambda: np.savez_compressed(path, u=u, y=y, dt=0.001),
+    'npz_matrix': lambda: np.savez(path, data=np.asfortranarray(both), names=['u', 'y'], units=['kN', 'mm'], fs=1000),
+    'npz_numbered': lambda: np.savez(path, u, y),
+    'mat': save(variables=column),
+    'mat_rows': save(variables={'u': u, 'y': y, 'fs': 1000}, oned_as='row', do_compression=True),
+    'mat_matrix': save(variables=matrix),
+    'mat_struct': save(variables={'run': column}, do_compression=True),
+    'mat_73': lambda: matlab_73({'u': u, 'y': y, 'fs': 1000.0}),
+    'mat_73_matrix': lambda: matlab_73({'data': both, 'names': ['u', 'y'], 'fs': 1000.0}),
+    'hdf5': hdf5,
+    'hdf5_packed': lambda: hdf5(chunks=(100,), compression='gzip', shuffle=True, fletcher32=True),
+    'hdf5_big_endian': lambda: hdf5(dtype='>f8'),
+    'hdf5_matrix': hdf5_matrix,
+    'complex.npz': lambda: np.savez(path, u=u, y=y + 1j),
+    'complex.mat': save(variables={'u': u, 'y': y + 1j}),
+    'complex.h5': lambda: h5py.File(path, 'w').create_dataset('y', data=y + 1j).file.close(),
+    'objects.npz': lambda: np.savez(path, u=cell),
+    'cell.mat': save(variables={'u': u, 'cell': cell}),
+    'cell.h5': lambda: matlab_73({'u': u, 'cell': ['u', 'y']}),
+    'uneven.npz': lambda: np.savez(path, u=u, y=y, t=np.where(time > 0.5, time + 0.01, time)),
+}[form]()
+json.dump({'u': u.tolist(), 'y': y.tolist()}, sys.stdout)
 ";
 
 /// Python with the packages that read measurement files; nothing where they are not installed.
@@ -122,4 +206,86 @@ async fn files_of_pyuff_come_in_with_the_samples_that_it_wrote() {
             assert!(found.iter().zip(&expected).all(same), "{form}, {name}");
         }
     }
+}
+
+/// A file of `ARRAYS` in this form, and its samples.
+fn arrays(form: &str) -> Option<(Vec<u8>, Value)> {
+    let directory = tempfile::tempdir().expect("a directory");
+    // NumPy adds the ending otherwise.
+    let path = directory.path().join("run.npz");
+    let path =
+        if form.starts_with("mat") || form.ends_with(".mat") { path.with_extension("mat") } else { path };
+    let written = printed(ARRAYS, &path, &[form])?;
+    Some((std::fs::read(path).expect("written"), written))
+}
+
+#[tokio::test]
+async fn files_of_numpy_scipy_and_h5py_come_in_with_the_samples_that_they_wrote() {
+    let app = TestApp::start();
+    let mut rig = bench();
+    rig["sample_rate_hz"] = 1000.0.into();
+    app.rig(&rig).await;
+    for (form, media_type) in [
+        ("npz", "application/x-npz"),
+        ("npz_compressed", "application/x-npz"),
+        ("npz_matrix", "application/x-npz"),
+        ("npz_numbered", "application/x-npz"),
+        ("mat", "application/x-matlab-data"),
+        ("mat_rows", "application/x-matlab-data"),
+        ("mat_matrix", "application/x-matlab-data"),
+        ("mat_struct", "application/x-matlab-data"),
+        ("mat_73", "application/x-matlab-data"),
+        ("mat_73_matrix", "application/x-matlab-data"),
+        ("hdf5", "application/x-hdf5"),
+        ("hdf5_packed", "application/x-hdf5"),
+        ("hdf5_big_endian", "application/x-hdf5"),
+        ("hdf5_matrix", "application/x-hdf5"),
+    ] {
+        let Some((file, written)) = arrays(form) else { return };
+        // A run of equal samples is told to be the same one, and stored.
+        for media_type in [media_type, "application/octet-stream"] {
+            let created = app.post_file("/v1/rigs/bench/runs", media_type, file.clone()).await.expect(201);
+            let data = app.get(&format!("{}/data", created.header("location"))).await.expect(200).json();
+            assert_eq!(data["sample_rate_hz"], 1000.0, "{form}");
+            for name in ["u", "y"] {
+                assert_eq!(numbers(&data["channels"][name]), numbers(&written[name]), "{form}, {name}");
+            }
+        }
+    }
+    for (form, code) in [
+        ("complex.npz", "variables.unsupported"),
+        ("complex.mat", "variables.unsupported"),
+        ("complex.h5", "variables.unsupported"),
+        ("objects.npz", "variables.unsupported"),
+        ("cell.mat", "variables.unsupported"),
+        ("cell.h5", "variables.unsupported"),
+        ("uneven.npz", "variables.uneven_time"),
+    ] {
+        let Some((file, _)) = arrays(form) else { return };
+        let answer = app.post_file("/v1/rigs/bench/runs", "application/octet-stream", file).await;
+        answer.problem(422, code);
+    }
+}
+
+#[tokio::test]
+async fn scipy_reads_our_mat_files() {
+    const MAT: &str = "application/x-matlab-data";
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let created = app.post_file("/v1/rigs/bench/runs", "text/csv", noise_csv(5000, 1)).await.expect(201);
+    let path = format!("{}/data", created.header("location"));
+    let file = app.call("GET", &path).header("accept", MAT).send().await.expect(200).bytes;
+    let Some(read) = read_with(SCIPY, &file) else { return };
+    let data = app.get(&path).await.expect(200).json();
+    assert_eq!(
+        (&read["names"], &read["units"]),
+        (&serde_json::json!(["u", "y"]), &serde_json::json!(["kN", "mm"]))
+    );
+    assert_eq!(read["fs"], data["sample_rate_hz"]);
+    for (index, name) in ["u", "y"].into_iter().enumerate() {
+        assert_eq!(numbers(&read["samples"][index]), numbers(&data["channels"][name]), "{name}");
+    }
+    // It comes in again as it went out.
+    let again = app.post_file("/v1/rigs/bench/runs", MAT, file).await.expect(201);
+    assert_eq!(app.get(&format!("{}/data", again.header("location"))).await.expect(200).json(), data);
 }

@@ -69,9 +69,14 @@ async fn the_first_bytes_tell_what_the_type_does_not() {
             assert_eq!(understood["format"], format, "{media_type}");
         }
     }
-    for file in ["PK\u{3}\u{4}", "MATLAB 5.0 MAT-file"] {
-        let refused = app.post_file(RUNS, "application/octet-stream", file).await;
-        refused.problem(415, "content_type.unsupported");
+    for (file, status, code) in [
+        (&b"PK\x03\x04"[..], 415, "content_type.unsupported"),
+        (b"\xD0\xCF\x11\xE0", 415, "content_type.unsupported"),
+        (b"MATLAB 5.0 MAT-file", 400, "mat.invalid"),
+        (b"MATLAB 7.3 MAT-file", 400, "hdf5.invalid"),
+        (b"\x89HDF\r\n\x1a\n", 400, "hdf5.invalid"),
+    ] {
+        app.post_file(RUNS, "application/octet-stream", file).await.problem(status, code);
     }
 }
 

@@ -45,9 +45,10 @@ impl<'a> Elements<'a> {
 
     /// Counts bytes that are read next.
     fn take(&mut self, bytes: u64) -> Result<(), FormatError> {
-        self.left = self.left.checked_sub(bytes).ok_or_else(|| {
-            invalid(format!("an element of {bytes} bytes has {} up to its end", self.left))
-        })?;
+        self.left = self
+            .left
+            .checked_sub(bytes)
+            .ok_or_else(|| invalid(format!("an element of {bytes} bytes has {} up to its end", self.left)))?;
         Ok(())
     }
 
@@ -64,9 +65,7 @@ impl<'a> Elements<'a> {
         let kind = self.word(first);
         match kind >> 16 {
             0 => Ok(Tag { kind, bytes: u64::from(self.word(second)), small: None }),
-            bytes @ 1..=4 => {
-                Ok(Tag { kind: kind & 0xFFFF, bytes: u64::from(bytes), small: Some(second) })
-            }
+            bytes @ 1..=4 => Ok(Tag { kind: kind & 0xFFFF, bytes: u64::from(bytes), small: Some(second) }),
             bytes => Err(invalid(format!("a small element declares {bytes} bytes")).into()),
         }
     }
@@ -99,7 +98,9 @@ impl<'a> Elements<'a> {
     /// The data of an element of at most `most` bytes.
     pub(super) fn data(&mut self, tag: Tag, most: usize) -> Result<Vec<u8>, ReadError> {
         if tag.bytes > most as u64 {
-            return Err(invalid(format!("an element has {} bytes, at most {most} are read", tag.bytes)).into());
+            return Err(
+                invalid(format!("an element has {} bytes, at most {most} are read", tag.bytes)).into()
+            );
         }
         let mut data = Vec::new();
         self.pieces(tag, |piece| {

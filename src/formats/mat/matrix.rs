@@ -111,7 +111,9 @@ fn content(
         ),
         6..=15 if array.is_complex => refuse("holds complex numbers: save its real part or its magnitude"),
         6..=15 => numbers(element, array, path, variables),
-        class => Err(invalid(format!("variable {path:?} is of class {class}, which version 5 has not")).into()),
+        class => {
+            Err(invalid(format!("variable {path:?} is of class {class}, which version 5 has not")).into())
+        }
     }
 }
 
@@ -129,8 +131,7 @@ fn numbers(
     let declared = array.shape.iter().try_fold(size, |bytes, &n| bytes.checked_mul(n));
     if declared != Some(tag.bytes) {
         let found = tag.bytes / size;
-        let reason =
-            format!("variable {path:?} declares the size {:?} and has {found} numbers", array.shape);
+        let reason = format!("variable {path:?} declares the size {:?} and has {found} numbers", array.shape);
         return Err(invalid(reason).into());
     }
     let at = variables.begin(path, &array.shape)?;
@@ -254,7 +255,9 @@ fn text(element: &mut Elements<'_>, array: &Array) -> Result<Vec<String>, ReadEr
         4 | 17 => {
             let (pairs, _) = data.as_chunks::<2>();
             let unit = |&b: &[u8; 2]| if big_endian { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) };
-            char::decode_utf16(pairs.iter().map(unit)).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
+            char::decode_utf16(pairs.iter().map(unit))
+                .map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER))
+                .collect()
         }
         16 => String::from_utf8_lossy(&data).chars().collect(),
         1 | 2 => data.iter().copied().map(char::from).collect(),

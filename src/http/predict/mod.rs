@@ -20,7 +20,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::body::signals::header_names;
 use super::deadline::Deadline;
-use super::negotiate::{self, CSV, NPY, RPC3};
+use super::negotiate::{self, CSV, MAT, NPY, RPC3};
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
@@ -48,7 +48,7 @@ pub async fn predict(
     match found.as_deref() {
         Some(json::MEDIA_TYPE) => {
             params.finish()?;
-            let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY, CSV, RPC3])?;
+            let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY, CSV, RPC3, MAT])?;
             let request: PredictRequest = json::take_signals(&headers, request, &http).await?;
             stages.end("receive");
             let (rig, model) = find(&http, &id, request.model).await?;
@@ -80,7 +80,7 @@ pub async fn predict(
         }
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
-            let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE, CSV, RPC3])?;
+            let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE, CSV, RPC3, MAT])?;
             let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes, http.limits.pace)?
                 .collect()
                 .await?;

@@ -9,12 +9,13 @@ use axum::response::IntoResponse;
 
 use crate::domain::{Role, Run};
 use crate::formats::csv::{CsvPieces, TimeOfRows};
+use crate::formats::mat::MatPieces;
 use crate::formats::npy::NpyPieces;
 use crate::formats::rpc3::Rpc3Pieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::body::signal_pieces::JsonPieces;
 use crate::http::body::signals::header_names;
-use crate::http::negotiate::{self, CSV, NPY, RPC3};
+use crate::http::negotiate::{self, CSV, MAT, NPY, RPC3};
 use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfRun, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -31,7 +32,7 @@ pub async fn show(
     let to_s = seconds(&mut params, "to_s")?;
     let wanted = params.one("channels")?;
     params.finish()?;
-    let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, NPY, RPC3])?;
+    let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, NPY, RPC3, MAT])?;
     let run = http.store.run(&rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
     let columns = columns(&run, wanted.as_deref())?;
     let range = stretch(&run, from_s, to_s)?;
@@ -46,7 +47,7 @@ pub async fn show(
     put(HeaderName::from_static("rigcast-sample-rate-hz"), run.sample_rate_hz.to_string())?;
     let open = http.store.open_samples(&run, columns.clone(), range.clone());
     let samples = http.read_in_time(open).await?;
-    let units = || columns.iter().map(|&c| run.units[c].clone()).collect();
+    let units = || columns.iter().map(|&c| run.units[c].clone()).collect::<Vec<String>>();
     let pieces: Pieces = match media_type {
         NPY => {
             let pieces = NpyPieces::new(samples);
@@ -56,6 +57,12 @@ pub async fn show(
         CSV => {
             let time = TimeOfRows::beside(&names, range.start);
             Box::new(CsvPieces::new(names, units(), time, samples).map_err(Problem::internal)?)
+        }
+        MAT => {
+            let pieces =
+                MatPieces::new(&names, &units(), samples).ok_or_else(negotiate::too_large_for_mat)?;
+            put(CONTENT_LENGTH, pieces.size().to_string())?;
+            Box::new(pieces)
         }
         RPC3 => {
             let rig = http.store.rig(&rig).await?.ok_or_else(|| no_run(&id.to_string()))?;

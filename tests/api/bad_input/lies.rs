@@ -142,12 +142,25 @@ fn bombs() -> Vec<Case> {
         "application/gzip",
     ];
     for media_type in types {
-        for path in [RUNS, PREDICT, MODELS] {
+        let elsewhere = if media_type.starts_with("application/x-") {
+            &[PREDICT, MODELS][..]
+        } else {
+            &[RUNS, PREDICT, MODELS]
+        };
+        for &path in elsewhere {
             let case = Case::file("POST", path, media_type, zip.clone());
             cases.push(case.named(&format!("{media_type} at {path}"), "content_type.unsupported"));
         }
     }
     for bytes in [&gzip, &zip] {
+        for (media_type, code) in [
+            ("application/x-npz", "npz.invalid"),
+            ("application/x-hdf5", "hdf5.invalid"),
+            ("application/x-matlab-data", "mat.invalid"),
+        ] {
+            let name = format!("{:02x?} as {media_type}", &bytes[..2]);
+            cases.push(Case::file("POST", RUNS, media_type, bytes.clone()).named(&name, code));
+        }
         let name = format!("{:02x?} as RPC III", &bytes[..2]);
         let case = Case::file("POST", RUNS, "application/x-rpc3", bytes.clone());
         cases.push(case.named(&name, "rpc3.header"));

@@ -19,7 +19,7 @@ use crate::engine::{EngineError, Signal, rounded};
 use crate::formats;
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
-use crate::http::negotiate::{CSV, NPY, RPC3};
+use crate::http::negotiate::{CSV, MAT, NPY, RPC3};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{codes, errors};
 use crate::models::LoadedModel;
@@ -133,7 +133,7 @@ impl PredictionTask {
         let begun = Begun { rig, loaded, prediction, trust, target, include, damage, memory, deadline };
         let (written, size) = match media_type {
             NPY => npy::write(begun, stages).map(|(written, size)| (written, Some(size)))?,
-            CSV | RPC3 => file::write(begun, media_type, stages)?,
+            CSV | RPC3 | MAT => file::write(begun, media_type, stages)?,
             _ => (json::write(begun, stages)?, None),
         };
         Ok(Computed { written, size, media_type, samples, inside })
