@@ -229,8 +229,9 @@ fn variables_that_are_no_channels_are_refused_by_name() {
 fn sample_rates_that_disagree_are_refused() {
     let given = |name: &str, value: f64| LITTLE.variable(name, [1, 1], &[value]);
     let u = LITTLE.variable("u", [3, 1], &[0.0; 3]);
-    let rate =
-        |more: &[Vec<u8>]| read(&LITTLE.of(&[&[u.clone()], more].concat())).map(|run| run.sample_rate_hz);
+    let rate = |more: &[Vec<u8>]| {
+        read(&LITTLE.of(&[std::slice::from_ref(&u), more].concat())).map(|run| run.sample_rate_hz)
+    };
     assert_eq!(rate(&[given("dt", 4.882_812_5e-4)]), Ok(Some(2048.0)));
     assert_eq!(rate(&[given("Fs", 100.0), given("dt", 0.01)]), Ok(Some(100.0)));
     assert_eq!(rate(&[given("fs", 100.0), given("dt", 0.02)]).unwrap_err().code(), "variables.unsupported");
