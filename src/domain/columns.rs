@@ -57,8 +57,8 @@ pub enum ColumnFault {
     Unsuitable(Vec<FieldError>),
 }
 
-/// Finds the channel of each column by its name: as it stands; without a unit in brackets behind it; by either of
-/// these whatever the case of its letters, where one channel only is meant. `ignore` names columns to leave out, or
+/// Finds the channel of each column by its name: as it stands, as the channel's or as one of its aliases; without a
+/// unit in brackets behind it; by either of these whatever the case of its letters, where one channel only is meant. `ignore` names columns to leave out, or
 /// [`ALL_OTHERS`]. `units` are those of the file, where it has some; an empty one is none.
 ///
 /// # Errors
@@ -112,14 +112,22 @@ pub fn assign(
 
 /// The channel that a name means, and whether the name with its brackets is the channel's.
 fn find<'r>(rig: &'r Rig, name: &str, stem: &str) -> Option<(&'r Channel, bool)> {
+    let called = |wanted: &str| {
+        let aliased =
+            || rig.channels.iter().find(|channel| channel.aliases.iter().any(|alias| alias == wanted));
+        rig.channel(wanted).or_else(aliased)
+    };
     let alike = |wanted: &str| {
         let wanted = wanted.to_lowercase();
-        let mut found = rig.channels.iter().filter(|channel| channel.name.to_lowercase() == wanted);
+        let is_meant = |channel: &&Channel| {
+            std::iter::once(&channel.name).chain(&channel.aliases).any(|name| name.to_lowercase() == wanted)
+        };
+        let mut found = rig.channels.iter().filter(is_meant);
         found.next().filter(|_| found.next().is_none())
     };
-    rig.channel(name)
+    called(name)
         .map(|channel| (channel, true))
-        .or_else(|| Some((rig.channel(stem)?, false)))
+        .or_else(|| Some((called(stem)?, false)))
         .or_else(|| Some((alike(name)?, true)))
         .or_else(|| Some((alike(stem)?, false)))
 }

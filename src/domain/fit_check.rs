@@ -150,6 +150,7 @@ mod tests {
             quantity: Default::default(),
             axis: None,
             group: None,
+            aliases: Vec::new(),
         };
         vec![channel("u", Role::Drive), channel("y", Role::Response), channel("z", Role::Response)]
     }

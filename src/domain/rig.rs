@@ -1,6 +1,6 @@
 //! Rigs: a sample rate, named channels, and the fits that arriving runs start.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -16,6 +16,9 @@ use crate::engine::wording::plain;
 
 /// Most channels of a rig.
 pub const MAX_CHANNELS: usize = 128;
+
+/// Most aliases of a channel.
+const MAX_ALIASES: usize = 32;
 
 /// Lowest sample rate. At much lower rates the length of a short run overflows.
 pub const MIN_SAMPLE_RATE_HZ: f64 = 1e-6;
@@ -58,6 +61,15 @@ pub struct Channel {
     /// Three channels of one group are, in order, x, y and z for Multi-Rain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
+    /// Names that measurement files have for it; none is a name or an alias of another channel.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub aliases: Vec<String>,
+}
+
+/// Whether two lists of channels are the same but for their aliases, which only the reading of files uses.
+pub fn same_but_for_aliases(a: &[Channel], b: &[Channel]) -> bool {
+    let bare = |channel: &Channel| Channel { aliases: Vec::new(), ..channel.clone() };
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| bare(a) == bare(b))
 }
 
 /// The fits that are queued when runs arrive.
@@ -215,6 +227,7 @@ impl RigDraft {
         }
         let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
         let mut groups: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut aliases = HashSet::new();
         for (i, channel) in self.channels.iter().enumerate() {
             let at = |field: &str| format!("/channels/{i}/{field}");
             check_text(errors, &at("name"), &channel.name, 1);
@@ -231,6 +244,7 @@ impl RigDraft {
                 let limit = format!("a name of its own: /channels/{first} has this one");
                 errors.push(FieldError::new(at("name"), limit).on_channel(&channel.name));
             }
+            self.check_aliases(i, &mut aliases, errors);
             if let Some(group) = &channel.group {
                 check_text(errors, &at("group"), group, 1);
                 *groups.entry(group).or_default() += 1;
@@ -239,6 +253,33 @@ impl RigDraft {
         for (group, count) in groups.into_iter().filter(|(_, count)| *count != 3) {
             let limit = format!("a group has exactly three channels, {group:?} has {count}");
             errors.push(FieldError::new("/channels", limit));
+        }
+    }
+
+    /// Checks the aliases of a channel; `seen` are those of the channels before it.
+    fn check_aliases<'a>(
+        &'a self,
+        channel: usize,
+        seen: &mut HashSet<&'a str>,
+        errors: &mut Vec<FieldError>,
+    ) {
+        let Channel { name, aliases, .. } = &self.channels[channel];
+        if aliases.len() > MAX_ALIASES {
+            let at = format!("/channels/{channel}/aliases");
+            errors.push(FieldError::new(at, format!("at most {MAX_ALIASES} aliases")).on_channel(name));
+            return;
+        }
+        for (i, alias) in aliases.iter().enumerate() {
+            let at = format!("/channels/{channel}/aliases/{i}");
+            check_text(errors, &at, alias, 1);
+            let limit = if alias.trim() != alias || alias.chars().any(char::is_control) {
+                "no control character, no blank at either end"
+            } else if self.channels.iter().any(|other| other.name == *alias) || !seen.insert(alias) {
+                "no name and no other alias of a channel of the rig"
+            } else {
+                continue;
+            };
+            errors.push(FieldError::new(at, limit).on_channel(name));
         }
     }
 }

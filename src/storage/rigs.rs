@@ -9,6 +9,7 @@ use sqlx::SqliteConnection;
 use super::reserve::with_reserve;
 use super::rows::{RigRow, all, json, us};
 use super::{IdempotencyKey, Store, StoreError, idempotency};
+use crate::domain::rig::same_but_for_aliases;
 use crate::domain::{Created, FieldError, Page, PageRequest, Rig, RigDraft, RigId};
 
 /// Outcome of a patch.
@@ -163,7 +164,8 @@ impl Store {
             Ok(draft) => draft,
             Err(errors) => return Ok(RigUpdate::Invalid(errors)),
         };
-        if (&draft.channels, draft.sample_rate_hz) != (&rig.channels, rig.sample_rate_hz) {
+        if !same_but_for_aliases(&draft.channels, &rig.channels) || draft.sample_rate_hz != rig.sample_rate_hz
+        {
             // Models refer to the rig's channels as runs do.
             let used: bool = sqlx::query_scalar(
                 "SELECT EXISTS (SELECT 1 FROM runs WHERE rig = ?1)
@@ -286,6 +288,14 @@ mod tests {
         assert_eq!(store.patch_rig(&rig.id, "*", &patch, now()).await.unwrap(), RigUpdate::ChannelsFixed);
         let patch = json!({"name": "Bench", "channels": rig.channels});
         assert!(matches!(store.patch_rig(&rig.id, "*", &patch, now()).await, Ok(RigUpdate::Updated(_))));
+        // Aliases say how files are read, and nothing of the samples.
+        let mut channels = rig.channels;
+        channels[0].aliases.push("Kanal 1".into());
+        let patch = json!({"channels": channels});
+        assert!(matches!(store.patch_rig(&rig.id, "*", &patch, now()).await, Ok(RigUpdate::Updated(_))));
+        channels[0].unit = "N".into();
+        let patch = json!({"channels": channels});
+        assert_eq!(store.patch_rig(&rig.id, "*", &patch, now()).await.unwrap(), RigUpdate::ChannelsFixed);
     }
 
     #[tokio::test]

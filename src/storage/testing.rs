@@ -28,6 +28,7 @@ pub(crate) fn draft(id: &str) -> RigDraft {
         quantity: Quantity::Other,
         axis: None,
         group: None,
+        aliases: Vec::new(),
     };
     RigDraft {
         id: id.parse().unwrap(),

@@ -114,3 +114,40 @@ async fn times_rounded_by_a_program_are_of_the_rigs_rate() {
     let slower = format!("time,u\n{}", rows(0.02));
     app.post_file(RUNS, "text/csv", slower).await.problem(422, "run.sample_rate");
 }
+
+#[tokio::test]
+async fn columns_are_found_by_the_aliases_of_the_rigs_channels() {
+    let app = TestApp::start();
+    let mut rig = bench();
+    rig["channels"][0]["aliases"] = json!(["Kanal 1", "F_x"]);
+    app.rig(&rig).await;
+    for header in ["Kanal 1,y", "F_x [kN],y", "f_X,Y", "u,y"] {
+        let file = format!("{header}\n1,2\n3,4\n");
+        let run = app.post_file(RUNS, "text/csv", file).await.expect(201).json();
+        assert_eq!(run["channels"], json!(["u", "y"]), "{header}");
+    }
+    app.post_file(RUNS, "text/csv", "u,F_x\n1,2\n3,4\n").await.problem(422, "run.invalid");
+    // They may change when there are runs.
+    let path = "/v1/rigs/bench";
+    let mut channels = app.get(path).await.expect(200).json()["channels"].clone();
+    assert_eq!(channels[0]["aliases"], json!(["Kanal 1", "F_x"]));
+    channels[0].as_object_mut().expect("a channel").remove("aliases");
+    channels[1]["aliases"] = json!(["F_x"]);
+    let patch = |channels: &serde_json::Value| {
+        app.call("PATCH", path).header("if-match", "*").json(&json!({"channels": channels}))
+    };
+    patch(&channels).send().await.expect(200);
+    let run = app.post_file(RUNS, "text/csv", "F_x\n1\n3\n").await.expect(201).json();
+    assert_eq!(run["channels"], json!(["y"]));
+    for (aliases, pointer) in [
+        (json!(["u"]), "/channels/1/aliases/0"),
+        (json!(["a", "a"]), "/channels/1/aliases/1"),
+        (json!(["a", " b"]), "/channels/1/aliases/1"),
+        (json!([""]), "/channels/1/aliases/0"),
+        (json!(vec!["a"; 33]), "/channels/1/aliases"),
+    ] {
+        channels[1]["aliases"] = aliases;
+        let problem = patch(&channels).send().await.problem(422, "rig.invalid");
+        assert_eq!(problem["errors"][0]["pointer"], pointer);
+    }
+}
