@@ -1,11 +1,19 @@
-//! Quality figures of a run: levels of its channels, and warnings in words about constant channels,
-//! clipping, repeats and offsets.
+//! Quality figures of a run: levels of its channels, faults of its measurement, and warnings in words that say what
+//! each means for a fit.
+
+#[cfg(test)]
+mod false_alarms;
+#[cfg(test)]
+mod faults;
+mod sentences;
 
 use std::collections::HashMap;
 use std::io;
 
 use serde::{Deserialize, Serialize};
 
+use super::rig::Role;
+use crate::engine::quality::{self, Dropouts, Excerpts, Hum, MainsFinder, Quantisation, Scan, Spikes};
 use crate::engine::samples::{Samples, are_equal, each_block};
 
 /// A channel counts as clipped when it stays this many samples or more at one of its extremes.
@@ -14,8 +22,9 @@ pub const CLIPPED_FROM_SAMPLES: u64 = 3;
 /// An offset is told when the mean is further than this many standard deviations from zero.
 pub const OFFSET_FROM_DEVIATIONS: f64 = 3.0;
 
-/// Figures of one channel, in its unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Figures of one channel, in its unit. Those that may be `None` are `None` too for runs that were stored before they
+/// were found, for constant channels and for runs that are too short.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ChannelQuality {
     /// Name.
     pub channel: String,
@@ -37,10 +46,62 @@ pub struct ChannelQuality {
     pub longest_at_extreme: u64,
     /// Share of all samples in such spans of [`CLIPPED_FROM_SAMPLES`] or more, 0..=1.
     pub clipped_share: f64,
+    /// Spikes.
+    #[serde(default)]
+    pub spikes: Option<Spikes>,
+    /// Drop-outs of a response. A drive may hold its value by command, and has none.
+    #[serde(default)]
+    pub dropouts: Option<Dropouts>,
+    /// Mains hum of a response; `None` where it cannot be judged ([`MainsFinder::find`]).
+    #[serde(default)]
+    pub hum: Option<Hum>,
+    /// Steps of its values; `None` if they are on no common steps ([`Quantisation::of`]).
+    #[serde(default)]
+    pub quantisation: Option<Quantisation>,
+    /// Delay of a response; `None` where no drive is coherent with it.
+    #[serde(default)]
+    pub delay: Option<ResponseDelay>,
+}
+
+/// Delay of a response to the drive that it follows most ([`quality::Delay`]).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ResponseDelay {
+    /// Name of that drive.
+    pub drive: String,
+    /// Delay, ms; negative where the response is ahead of the drive.
+    pub delay_ms: f64,
+    /// Resolution, ms.
+    pub resolution_ms: f64,
+    /// Coherence with that drive, averaged over the band.
+    pub coherence: f64,
+}
+
+/// Repeats of a cyclic drive ([`quality::Repeats`]).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DriveRepeats {
+    /// Length of a period, s.
+    pub period_s: f64,
+    /// The same in samples.
+    pub period_samples: u64,
+    /// Whole periods in the run, at least two.
+    pub count: u64,
+    /// RMS by which a period of the drives differs from the next / sqrt(2) / standard deviation: the worst drive.
+    pub drives_differ: f64,
+    /// The same of each response that moves: its noise over its signal, a floor of the error of any model.
+    pub responses: Vec<ResponseNoise>,
+}
+
+/// Noise of a response between repeats of its drives.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ResponseNoise {
+    /// Name.
+    pub channel: String,
+    /// Noise over signal, RMS.
+    pub noise_share: f64,
 }
 
 /// Figures of a run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Quality {
     /// One entry a channel, in the run's order.
     pub channels: Vec<ChannelQuality>,
@@ -48,19 +109,27 @@ pub struct Quality {
     pub dead_channels: Vec<String>,
     /// Channels that look clipped.
     pub clipped_channels: Vec<String>,
+    /// Repeats of the drives; `None` if they do not repeat.
+    #[serde(default)]
+    pub repeats: Option<DriveRepeats>,
     /// Warnings, a sentence each: constant channels, clipping
-    /// ([`CLIPPED_FROM_SAMPLES`]), offsets ([`OFFSET_FROM_DEVIATIONS`]), channels that repeat another one.
+    /// ([`CLIPPED_FROM_SAMPLES`]), offsets ([`OFFSET_FROM_DEVIATIONS`]), channels that repeat another one, spikes,
+    /// drop-outs, hum, coarse steps, delays, and responses that do not repeat with their drives.
     /// Empty too for runs that were stored before there were warnings.
     #[serde(default)]
     pub warnings: Vec<String>,
+    /// Facts that are no faults but matter for a fit, a sentence each: repeats of the drives.
+    #[serde(default)]
+    pub notes: Vec<String>,
 }
 
 impl Quality {
-    /// The figures of every channel of `samples`; `names` in their order. Every channel is read three times.
+    /// The figures of every channel of `samples`; `names` and `roles` in their order. Every channel is read four times,
+    /// and excerpts of it that do not grow with the run.
     ///
     /// # Errors
     /// Those of the file that holds the samples.
-    pub fn assess(names: &[String], samples: &mut impl Samples) -> io::Result<Self> {
+    pub fn assess(names: &[String], roles: &[Role], samples: &mut impl Samples) -> io::Result<Self> {
         let assessed: Vec<(ChannelQuality, Clipping)> = names
             .iter()
             .enumerate()
@@ -68,8 +137,14 @@ impl Quality {
             .collect::<io::Result<_>>()?;
         let mut warnings: Vec<String> =
             assessed.iter().flat_map(|(q, clipping)| q.warnings(clipping)).collect();
-        let channels: Vec<ChannelQuality> = assessed.into_iter().map(|(quality, _)| quality).collect();
+        let mut channels: Vec<ChannelQuality> = assessed.into_iter().map(|(quality, _)| quality).collect();
         warnings.extend(repeats(&channels, samples)?);
+        let repeats = drive_repeats(&channels, roles, samples)?;
+        find_faults(&mut channels, roles, repeats.as_ref().map(|r| r.period_s), samples)?;
+        let rate = samples.sample_rate_hz();
+        warnings.extend(channels.iter().zip(roles).flat_map(|(c, role)| sentences::warnings(c, *role, rate)));
+        warnings.extend(repeats.iter().flat_map(sentences::noise_warnings));
+        let notes = repeats.iter().map(sentences::note).collect();
         let of = |wanted: fn(&ChannelQuality) -> bool| {
             channels.iter().filter(|c| wanted(c)).map(|c| c.channel.clone()).collect()
         };
@@ -77,9 +152,76 @@ impl Quality {
             dead_channels: of(|c| c.dead),
             clipped_channels: of(|c| c.clipped_share > 0.0),
             channels,
+            repeats,
             warnings,
+            notes,
         })
     }
+}
+
+/// Indices of the channels of a role that move.
+fn moving(channels: &[ChannelQuality], roles: &[Role], role: Role) -> Vec<usize> {
+    let is = |at: &usize| roles[*at] == role && !channels[*at].dead;
+    (0..channels.len()).filter(is).collect()
+}
+
+/// Fills in what the excerpts and one more pass say of the channels that move.
+fn find_faults(
+    channels: &mut [ChannelQuality],
+    roles: &[Role],
+    period_s: Option<f64>,
+    samples: &mut impl Samples,
+) -> io::Result<()> {
+    let (drives, responses) = (moving(channels, roles, Role::Drive), moving(channels, roles, Role::Response));
+    for &at in drives.iter().chain(&responses) {
+        let channel = &mut channels[at];
+        let excerpts = Excerpts::read(samples, at)?;
+        channel.quantisation = Quantisation::of(&excerpts, channel.min, channel.max, channel.std);
+        let step = channel.quantisation.map_or(0.0, |q| q.step);
+        let others: Vec<usize> =
+            drives.iter().chain(&responses).copied().filter(|other| *other != at).collect();
+        let found =
+            quality::scan(samples, at, &others, &excerpts, [channel.min, channel.max, channel.std, step])?;
+        if let Some(Scan { spikes, dropouts }) = found {
+            channel.spikes = Some(spikes);
+            channel.dropouts = (roles[at] == Role::Response).then_some(dropouts);
+        }
+    }
+    let mains = MainsFinder::new(samples, &drives, roles.contains(&Role::Drive), period_s)?;
+    for &at in &responses {
+        channels[at].hum = mains.find(samples, at)?;
+    }
+    let ms = 1e3 / samples.sample_rate_hz();
+    for (&at, delay) in responses.iter().zip(quality::delays(samples, &drives, &responses)?) {
+        channels[at].delay = delay.map(|delay| ResponseDelay {
+            drive: channels[delay.drive].channel.clone(),
+            delay_ms: ms * delay.samples,
+            resolution_ms: ms * delay.resolution,
+            coherence: delay.coherence,
+        });
+    }
+    Ok(())
+}
+
+fn drive_repeats(
+    channels: &[ChannelQuality],
+    roles: &[Role],
+    samples: &mut impl Samples,
+) -> io::Result<Option<DriveRepeats>> {
+    let (drives, responses) = (moving(channels, roles, Role::Drive), moving(channels, roles, Role::Response));
+    let rate = samples.sample_rate_hz();
+    let found = quality::repeats(samples, &drives, &responses)?;
+    Ok(found.map(|found| DriveRepeats {
+        period_s: found.period_samples as f64 / rate,
+        period_samples: found.period_samples,
+        count: found.count,
+        drives_differ: found.drives_differ,
+        responses: responses
+            .iter()
+            .zip(found.noise)
+            .map(|(&at, noise_share)| ResponseNoise { channel: channels[at].channel.clone(), noise_share })
+            .collect(),
+    }))
 }
 
 /// A warning for each channel that has, sample by sample, the values of an earlier one: a cable or a
@@ -128,6 +270,7 @@ impl ChannelQuality {
             dead,
             longest_at_extreme: samples.n_samples() as u64,
             clipped_share: 0.0,
+            ..Self::default()
         };
         if dead || samples.n_samples() == 0 {
             return Ok((quality, Clipping::default()));
@@ -261,7 +404,8 @@ mod tests {
     fn warnings(channels: &[(&str, &[f64])]) -> Vec<String> {
         let names: Vec<String> = channels.iter().map(|(name, _)| (*name).to_owned()).collect();
         let samples = channels.iter().map(|(_, samples)| samples.to_vec()).collect();
-        Quality::assess(&names, &mut Signal::new(100.0, samples).unwrap()).unwrap().warnings
+        let roles = vec![Role::Response; names.len()];
+        Quality::assess(&names, &roles, &mut Signal::new(100.0, samples).unwrap()).unwrap().warnings
     }
 
     #[test]

@@ -14,6 +14,7 @@ pub(crate) mod measured;
 pub mod metrics;
 pub mod model;
 pub mod progress;
+pub mod quality;
 pub mod quantity;
 pub mod resample;
 mod rounding;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::domain::{FieldError, Quality, Rig, RunMeta};
+use crate::domain::{FieldError, Quality, Rig, Role, RunMeta};
 use crate::engine::{Samples, Signal};
 
 use super::files::failed;
@@ -72,7 +72,7 @@ impl PreparedRun {
         sha256: String,
     ) -> Result<Self, PrepareError> {
         let meta = meta.check()?;
-        let units = check_channels(rig, &channels, &samples)?;
+        let (units, roles) = check_channels(rig, &channels, &samples)?;
         if !Signal::same_rate(rig.sample_rate_hz, samples.sample_rate_hz()) {
             let found = samples.sample_rate_hz();
             let limit = format!("{} Hz, the rig's sample rate; found {found} Hz", rig.sample_rate_hz);
@@ -81,7 +81,7 @@ impl PreparedRun {
         if samples.n_samples() == 0 {
             return Err(vec![FieldError::new("", "at least one sample")].into());
         }
-        let mut quality = Quality::assess(&channels, &mut samples).map_err(failed(scratch))?;
+        let mut quality = Quality::assess(&channels, &roles, &mut samples).map_err(failed(scratch))?;
         quality.warnings.splice(0..0, changes);
         let object = ObjectFile::make(scratch, |file| npy::encode(&mut samples, file))?;
         let samples = samples.n_samples();
@@ -116,12 +116,12 @@ impl PreparedRun {
     }
 }
 
-/// Units of the channels, which must be channels of the rig and as many as there are samples of.
+/// Units and roles of the channels, which must be channels of the rig and as many as there are samples of.
 fn check_channels(
     rig: &Rig,
     channels: &[String],
     samples: &impl Samples,
-) -> Result<Vec<String>, Vec<FieldError>> {
+) -> Result<(Vec<String>, Vec<Role>), Vec<FieldError>> {
     if channels.len() != samples.n_channels() {
         let limit =
             format!("one name a channel: {} names, {} channels", channels.len(), samples.n_channels());
@@ -129,7 +129,7 @@ fn check_channels(
     }
     let mut errors = Vec::new();
     let mut seen = HashMap::new();
-    let mut found = Vec::with_capacity(channels.len());
+    let mut found = (Vec::with_capacity(channels.len()), Vec::with_capacity(channels.len()));
     for (i, name) in channels.iter().enumerate() {
         let at = format!("/channels/{i}");
         let Some(channel) = rig.channel(name) else {
@@ -139,7 +139,8 @@ fn check_channels(
         if seen.insert(name, i).is_some() {
             errors.push(FieldError::new(at, "each channel once").on_channel(name));
         }
-        found.push(channel.unit.clone());
+        found.0.push(channel.unit.clone());
+        found.1.push(channel.role);
     }
     if errors.is_empty() { Ok(found) } else { Err(errors) }
 }

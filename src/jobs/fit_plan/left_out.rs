@@ -149,6 +149,7 @@ mod tests {
             dead: false,
             longest_at_extreme: 1,
             clipped_share: 0.0,
+            ..ChannelQuality::default()
         }];
         run
     }

@@ -23,12 +23,7 @@ pub(in crate::jobs) fn run(id: u128, kind: RunKind, split: Split, samples: u64) 
         duration_s: samples as f64 / 100.0,
         sample_rate_hz: 100.0,
         sha256: format!("{id:064x}"),
-        quality: Quality {
-            channels: vec![],
-            dead_channels: vec![],
-            clipped_channels: vec![],
-            warnings: vec![],
-        },
+        quality: Quality::default(),
         duplicate_of: None,
         object: format!("{id:064x}"),
     }
