@@ -195,6 +195,15 @@ impl Writer {
     }
 }
 
+/// Appends `[channel][sample]` as `<f4` in C order, without a header; `first` is the number of the first
+/// sample.
+///
+/// # Errors
+/// `run.non_finite` where a number does not fit into `<f4`.
+pub fn put_f4(bytes: &mut Vec<u8>, channels: &[Vec<f64>], first: usize) -> Result<(), FormatError> {
+    put(bytes, channels, Dtype::F4, first)
+}
+
 /// Appends `[channel][sample]` in C order; `first` is the number of the first sample.
 fn put(file: &mut Vec<u8>, channels: &[Vec<f64>], dtype: Dtype, first: usize) -> Result<(), FormatError> {
     let finite = match dtype {

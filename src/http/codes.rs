@@ -156,6 +156,7 @@ codes! {
     MODEL_NOT_FOUND = "model.not_found", 404, "No such model version";
     MODEL_ACTIVE = "model.active", 409, "The model is active";
     MODEL_NONE_ACTIVE = "model.none_active", 409, "The rig has no active model";
+    MODEL_NOT_READY = "model.not_ready", 503, "The rig has no active model to ask";
     MODEL_NO_FRF = "model.no_frf", 409, "The model has no FRF";
     MODEL_NO_COHERENCE = "model.no_coherence", 409, "The model does not carry its coherence";
     MODEL_NOT_FORWARD = "model.not_forward", 422, "The model does not map drives to responses";
@@ -174,6 +175,15 @@ codes! {
     PREDICT_DEADLINE = "predict.deadline", 504, "The answer was not ready in time";
     DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that the request does not have";
     DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";
+
+    // Tensors of the Open Inference Protocol.
+    INFERENCE_HEADER_LENGTH = "inference.header_length", 400, "The length of the JSON does not fit the body";
+    INFERENCE_BINARY_SIZE = "inference.binary_size", 400, "The binary data do not fit the body";
+    INFERENCE_UNKNOWN_TENSOR = "inference.unknown_tensor", 422, "The model has no such tensor";
+    INFERENCE_MISSING_TENSOR = "inference.missing_tensor", 422, "A tensor is missing";
+    INFERENCE_DUPLICATE_TENSOR = "inference.duplicate_tensor", 422, "A tensor comes twice";
+    INFERENCE_DATATYPE = "inference.datatype", 422, "A datatype that is not supported";
+    INFERENCE_SHAPE = "inference.shape", 422, "The shape does not fit the model or the data";
 
     // Errors of the engine.
     SIGNAL_EMPTY = "signal.empty", 422, "No samples";

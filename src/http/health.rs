@@ -33,12 +33,7 @@ pub async fn live(_: NoParams) -> Answer {
 pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut params: Params) -> Answer {
     let verbose = params.flag("verbose")?;
     params.finish()?;
-    if *http.draining.borrow() {
-        return Err(Problem::new(codes::DRAINING, "The service is shutting down.").retry_after(5));
-    }
-    let room = http.store.ping().await.map_err(|error| {
-        Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
-    })?;
+    let room = accepting(&http).await?;
     let store = if room { "ok" } else { "full" };
     let checks = if verbose { Some(checks(&http, store).await?) } else { None };
     let mut degraded = http.models.degraded().await?;
@@ -46,6 +41,19 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
     let quarantined = http.store.quarantined().await?;
     json::answer(&Ready { status: "ready", store, quarantined, degraded, degraded_models, checks })
+}
+
+/// Checks that requests should be sent here; returns whether the store has room for more.
+///
+/// # Errors
+/// `draining`, `store.unavailable`.
+pub(super) async fn accepting(http: &Shared) -> Answer<bool> {
+    if *http.draining.borrow() {
+        return Err(Problem::new(codes::DRAINING, "The service is shutting down.").retry_after(5));
+    }
+    http.store.ping().await.map_err(|error| {
+        Problem::new(codes::STORE_UNAVAILABLE, "The store does not answer.").because(error).retry_after(5)
+    })
 }
 
 async fn checks(http: &Shared, store: &str) -> Answer<serde_json::Value> {

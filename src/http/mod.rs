@@ -23,6 +23,7 @@ mod frf;
 mod headers;
 mod health;
 mod idempotency;
+mod inference;
 mod iterations;
 mod jobs;
 mod metrics;

@@ -31,7 +31,7 @@ const MAX_ID_LEN: usize = 128;
 pub struct ClientAddress(pub IpAddr);
 
 /// Routes that monitors ask all the time: their successes are logged at `debug`.
-const PROBES: [&str; 3] = ["/livez", "/readyz", "/metrics"];
+const PROBES: [&str; 5] = ["/livez", "/readyz", "/metrics", "/v2/health/live", "/v2/health/ready"];
 
 /// Wraps each request; every answer passes here.
 pub async fn observe(
@@ -43,6 +43,7 @@ pub async fn observe(
     let started = Instant::now();
     let id = client_id(request.headers()).unwrap_or_else(|| http.new_id().to_string());
     let method = method_label(request.method());
+    let inference = of_inference(request.uri().path());
     // An unknown path must not become a label: clients could make any number of labels.
     let route = matched.as_ref().map_or("unmatched", MatchedPath::as_str).to_owned();
     let span = tracing::info_span!(
@@ -73,7 +74,7 @@ pub async fn observe(
     if response.extensions().get::<Problem>().is_some_and(|problem| problem.code() == codes::STORE_ROW.name) {
         http.store.doubt_rows();
     }
-    let response = finish(response, &id, &span);
+    let response = finish(response, &id, &span, inference);
 
     let status = response.status();
     let elapsed = started.elapsed();
@@ -88,6 +89,11 @@ pub async fn observe(
     response
 }
 
+/// Whether a path is one of the Open Inference Protocol, known or not.
+fn of_inference(path: &str) -> bool {
+    path == "/v2" || path.starts_with("/v2/")
+}
+
 /// The rig in the path. Only a valid id counts, so that clients cannot write other text into the log.
 async fn rig_of(parts: &mut Parts) -> Option<RigId> {
     let params = RawPathParams::from_request_parts(parts, &()).await.ok()?;
@@ -99,8 +105,9 @@ pub fn note_rig(span: &tracing::Span, rig: &RigId) {
     span.record("rig.id", tracing::field::display(rig));
 }
 
-/// Adds request id and protective headers to an answer and, if it is a problem, writes its document.
-fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
+/// Adds request id and protective headers to an answer and, if it is a problem, writes its document in the form
+/// of `/v1` or of the Open Inference Protocol.
+fn finish(mut response: Response, id: &str, span: &tracing::Span, inference: bool) -> Response {
     let status = response.status();
     let mut problem = response.extensions_mut().remove::<Problem>();
     if problem.is_none() && (status.is_client_error() || status.is_server_error()) {
@@ -114,7 +121,8 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span) -> Response {
         } else {
             span.in_scope(|| tracing::debug!("request refused"));
         }
-        *response.body_mut() = Body::from(problem.document(id));
+        let document = if inference { problem.inference_document(id) } else { problem.document(id) };
+        *response.body_mut() = Body::from(document);
         response.headers_mut().remove(CONTENT_LENGTH);
         response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(problem::MEDIA_TYPE));
     }
@@ -175,7 +183,7 @@ mod tests {
     #[test]
     fn an_answer_that_the_framework_refused_becomes_a_problem_document() {
         let response =
-            finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none());
+            finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none(), false);
         assert_eq!(response.headers()[CONTENT_TYPE], problem::MEDIA_TYPE);
         assert_eq!(response.headers()["x-request-id"], "r-1");
     }

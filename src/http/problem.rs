@@ -46,6 +46,9 @@ pub(super) struct Document<'a> {
     code: &'a str,
     request_id: &'a str,
     errors: &'a [FieldError],
+    /// The detail once more, where clients of the Open Inference Protocol look for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<&'a str>,
 }
 
 /// A handler's answer: a response, or a problem.
@@ -124,6 +127,15 @@ impl Problem {
 
     /// The document, as the bytes of a body.
     pub(super) fn document(&self, request_id: &str) -> Vec<u8> {
+        self.written(request_id, None)
+    }
+
+    /// The document under `/v2`, as the bytes of a body.
+    pub(super) fn inference_document(&self, request_id: &str) -> Vec<u8> {
+        self.written(request_id, Some(&self.0.what.detail))
+    }
+
+    fn written(&self, request_id: &str, error: Option<&str>) -> Vec<u8> {
         let document = Document {
             r#type: &self.0.what.kind,
             title: &self.0.what.title,
@@ -132,6 +144,7 @@ impl Problem {
             code: &self.0.what.code,
             request_id,
             errors: &self.0.what.errors,
+            error,
         };
         serde_json::to_vec(&document).expect("a document of strings and integers always serialises")
     }

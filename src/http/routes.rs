@@ -7,8 +7,8 @@ use axum::routing::{MethodRouter, delete, get, patch, post, put};
 use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
-    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, iterations, jobs, metrics,
-    models, predict, rigs, runs, start, tokens,
+    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, inference, iterations, jobs,
+    metrics, models, predict, rigs, runs, start, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -81,6 +81,26 @@ pub static ROUTES: &[Route] = &[
     route(Method::PUT, "/v1/rigs/{rig}/active-model", Role(Operator), Registry, || put(active_model::change)),
     route(Method::POST, "/v1/rigs/{rig}/predict", Role(Reader), Predict, || post(predict::predict)),
     route(Method::POST, "/v1/damage", Role(Reader), Predict, || post(damage::damage)),
+    route(Method::GET, "/v2", Role(Reader), Control, || get(inference::server)),
+    route(Method::GET, "/v2/health/live", Public, Control, || get(inference::live)),
+    route(Method::GET, "/v2/health/ready", Public, Control, || get(inference::ready)),
+    route(Method::POST, "/v2/repository/index", Role(Reader), Registry, || post(inference::index)),
+    route(Method::GET, "/v2/models/{rig}", Role(Reader), Registry, || get(inference::metadata)),
+    route(Method::GET, "/v2/models/{rig}/config", Role(Reader), Registry, || get(inference::config)),
+    route(Method::GET, "/v2/models/{rig}/ready", Role(Reader), Registry, || get(inference::model_ready)),
+    route(Method::POST, "/v2/models/{rig}/infer", Role(Reader), Predict, || post(inference::infer)),
+    route(Method::GET, "/v2/models/{rig}/versions/{version}", Role(Reader), Registry, || {
+        get(inference::metadata)
+    }),
+    route(Method::GET, "/v2/models/{rig}/versions/{version}/config", Role(Reader), Registry, || {
+        get(inference::config)
+    }),
+    route(Method::GET, "/v2/models/{rig}/versions/{version}/ready", Role(Reader), Registry, || {
+        get(inference::model_ready)
+    }),
+    route(Method::POST, "/v2/models/{rig}/versions/{version}/infer", Role(Reader), Predict, || {
+        post(inference::infer)
+    }),
     route(Method::GET, "/v1/tokens", AllRigs(Admin), Control, || get(tokens::list)),
     route(Method::POST, "/v1/tokens", AllRigs(Admin), Control, || post(tokens::create)),
     route(Method::DELETE, "/v1/tokens/{token}", AllRigs(Admin), Control, || delete(tokens::remove)),

@@ -19,6 +19,7 @@ mod foreign_readers;
 mod frf;
 mod full_disk;
 mod idempotency;
+mod inference;
 mod isa;
 mod iterations;
 mod jobs;

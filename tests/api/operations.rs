@@ -51,6 +51,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.post_json("/v1/rigs/bench/predict", &request).await.expect(200);
     app.post_json("/v1/damage", &json!({"predicted": target, "target": target})).await.expect(200);
 
+    inference(&app, version).await;
     diagnose(&app).await;
     iterate(&app).await;
 
@@ -72,6 +73,21 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
 
     let all: BTreeSet<String> = Contract::get().operations().into_iter().map(|(_, _, id)| id).collect();
     assert_eq!(app.succeeded(), all);
+}
+
+/// Everything that clients of the Open Inference Protocol ask, of the active version and of one by its number.
+async fn inference(app: &TestApp, version: u64) {
+    for path in ["/v2", "/v2/health/live", "/v2/health/ready"] {
+        app.get(path).await.expect(200);
+    }
+    app.post("/v2/repository/index").await.expect(200);
+    for model in ["/v2/models/bench".to_owned(), format!("/v2/models/bench/versions/{version}")] {
+        for rest in ["", "/config", "/ready"] {
+            app.get(&format!("{model}{rest}")).await.expect(200);
+        }
+        let tensor = json!({"name": "drive", "datatype": "FP32", "shape": [2, 1], "data": [0.0, 0.5]});
+        app.post_json(&format!("{model}/infer"), &json!({"inputs": [tensor]})).await.expect(200);
+    }
 }
 
 /// The gain of the bench rises by a third and its model stays: a diagnosis, its report, and its adoption.

@@ -5,7 +5,7 @@
 
 mod answer;
 mod inputs;
-mod memory;
+pub(super) mod memory;
 mod request;
 mod stages;
 
@@ -25,15 +25,17 @@ use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
 use super::{Shared, admission, body, codes, json};
+use crate::compute::Class;
 use crate::domain::{ModelRef, Rig, RigId};
 use crate::models::LoadedModel;
 use crate::telemetry::names;
 use answer::{Computed, PredictionTask};
 use inputs::Drive;
 use request::{NpyQuery, PredictRequest};
-use stages::Stages;
 
+pub(super) use answer::{check_rate, class};
 pub use memory::PredictionMemory;
+pub(super) use stages::Stages;
 
 /// `POST /v1/rigs/{rig}/predict`
 pub async fn predict(
@@ -76,7 +78,7 @@ pub async fn predict(
                 media_type,
                 memory,
             };
-            compute(&http, task, stages).await
+            predicted(&http, task, stages).await
         }
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
@@ -89,21 +91,24 @@ pub async fn predict(
             let samples = drive.n_samples(model.model().inputs.len());
             let memory =
                 http.predictions.take(admission::client_id(), needed(&model, samples, false)).await?;
-            compute(&http, PredictionTask::of_npy(rig, model, drive, media_type, memory), stages).await
+            predicted(&http, PredictionTask::of_npy(rig, model, drive, media_type, memory), stages).await
         }
         other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
     }
 }
 
 /// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, and a target.
-fn needed(model: &LoadedModel, samples: usize, target: bool) -> usize {
+pub(super) fn needed(model: &LoadedModel, samples: usize, target: bool) -> usize {
     let model = model.model();
     let channels = 2 * model.inputs.len() + if target { 3 } else { 1 } * model.outputs.len();
     samples.saturating_mul(channels).saturating_mul(size_of::<f64>())
 }
 
 /// The rig and the model that predicts for it, held until the answer is written.
-async fn find(http: &Shared, id: &RigId, name: ModelRef) -> Answer<(Rig, Arc<LoadedModel>)> {
+///
+/// # Errors
+/// `rig.not_found`, `model.not_found`, `model.none_active`; a model that cannot be loaded.
+pub(super) async fn find(http: &Shared, id: &RigId, name: ModelRef) -> Answer<(Rig, Arc<LoadedModel>)> {
     let rig = http.store.rig(id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let model = match name {
         ModelRef::Active => http.models.active(id).await?.ok_or_else(|| {
@@ -118,19 +123,44 @@ async fn find(http: &Shared, id: &RigId, name: ModelRef) -> Answer<(Rig, Arc<Loa
     Ok((rig, model))
 }
 
-async fn compute(http: &Shared, task: PredictionTask, mut stages: Stages) -> Answer {
-    let (kind, class) = (task.kind(), task.class());
-    let model = task.model.clone();
+async fn predicted(http: &Shared, task: PredictionTask, stages: Stages) -> Answer {
+    let (model, class) = (task.model.clone(), task.class());
+    let work = |deadline: &Deadline, stages: &mut Stages| {
+        let computed = task.run(deadline, stages)?;
+        let samples = computed.samples;
+        Ok((computed, samples))
+    };
+    let computed = compute(http, &model, class, stages, work).await?;
+    respond(http, &model, computed)
+}
+
+/// Predicts before the deadline, and counts the prediction. The work gives its result and the number of
+/// samples predicted, all outputs together.
+///
+/// # Errors
+/// Those of the work; `predict.deadline`, `busy`, `token.busy`.
+pub(super) async fn compute<T, F>(
+    http: &Shared,
+    model: &LoadedModel,
+    class: Class,
+    mut stages: Stages,
+    work: F,
+) -> Answer<T>
+where
+    T: Send + 'static,
+    F: FnOnce(&Deadline, &mut Stages) -> Answer<(T, u64)> + Send + 'static,
+{
+    let kind = model.model().version_kind().as_str();
     let started = Instant::now();
     let work = move |deadline: &Deadline| {
         stages.end("wait");
-        task.run(deadline, &mut stages)
+        work(deadline, &mut stages)
     };
-    let computed = http.in_time(class, work).await?;
+    let (computed, samples) = http.in_time(class, work).await?;
     metrics::counter!(names::PREDICTIONS, "kind" => kind).increment(1);
-    metrics::counter!(names::PREDICTED_SAMPLES).increment(computed.samples);
+    metrics::counter!(names::PREDICTED_SAMPLES).increment(samples);
     metrics::histogram!(names::PREDICTION_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());
-    respond(http, &model, computed)
+    Ok(computed)
 }
 
 fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Response> {

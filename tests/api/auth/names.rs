@@ -121,12 +121,14 @@ pub async fn send_all(base: &str) -> (usize, usize) {
         }
 
         let collections = [
-            "rigs",
-            "jobs",
-            "rigs/bench/runs",
-            "rigs/bench/models",
-            "rigs/bench/diagnoses",
-            "rigs/bench/iterations",
+            "v1/rigs",
+            "v1/jobs",
+            "v1/rigs/bench/runs",
+            "v1/rigs/bench/models",
+            "v1/rigs/bench/diagnoses",
+            "v1/rigs/bench/iterations",
+            "v2/models",
+            "v2/models/bench/versions",
         ];
         for path in collections {
             // As bytes, so that no client library changes it.
@@ -134,7 +136,7 @@ pub async fn send_all(base: &str) -> (usize, usize) {
             let plain = if [".", ".."].contains(name) { *name } else { &encoded };
             for name in [&encoded, plain] {
                 let request =
-                    format!("GET /v1/{path}/{name} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
+                    format!("GET /{path}/{name} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
                 let answer = exchange(address, request.as_bytes());
                 assert!(answer.starts_with("HTTP/1.1 404"), "{path} {name:?}: {answer}");
             }

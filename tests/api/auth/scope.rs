@@ -67,21 +67,27 @@ async fn foreign_and_unknown_ids_look_alike() {
         &format!("/runs/{run}/data"),
         &format!("/runs/{run}?kind=nonsense"),
     ];
+    let rest = rest.map(|rest| format!("/v1/rigs/{{rig}}{rest}"));
+    let inference = ["", "/config", "/ready", "/infer"];
+    let inference = ["", "/versions/1", "/versions/x"]
+        .into_iter()
+        .flat_map(|version| inference.map(|rest| format!("/v2/models/{{rig}}{version}{rest}")));
+    let paths: Vec<String> = rest.into_iter().chain(inference).collect();
     let mut compared = 0;
     for token in &tokens {
-        for rest in rest {
+        for path in &paths {
             for method in ["GET", "POST", "PUT", "PATCH", "DELETE"] {
                 for (media_type, body) in bodies {
                     let ask = async |rig: &str| {
-                        let call = app.call_as(Some(token), method, &format!("/v1/rigs/{rig}{rest}"));
+                        let call = app.call_as(Some(token), method, &path.replace("{rig}", rig));
                         let call = call.header("if-match", "*").body(media_type, body);
                         shown(&call.send().await)
                     };
                     let (mut foreign, unknown) = (ask("bench").await, ask("bonch").await);
-                    assert!(foreign.0 >= 400, "{method} {rest}: {foreign:?}");
+                    assert!(foreign.0 >= 400, "{method} {path}: {foreign:?}");
                     let text = foreign.1.to_string().replace("bench", "bonch");
                     foreign.1 = serde_json::from_str(&text).expect("JSON");
-                    assert_eq!(foreign, unknown, "{method} {rest}");
+                    assert_eq!(foreign, unknown, "{method} {path}");
                     compared += 1;
                 }
             }

@@ -34,6 +34,7 @@ sessions! {
         ("docs/fits.md", "The FRF: coherence, confidence, inverse"),
         ("docs/weights.md", "Weights made elsewhere"),
         ("docs/iterations.md", "A drive for a service load"),
+        ("docs/predictions.md", "Open Inference Protocol"),
     ];
     the_demos_rig_is_diagnosed_and_its_model_mended runs on_the_demo on [
         ("docs/diagnosis.md", "Where model and rig differ"),
@@ -63,6 +64,10 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
     {
         assert!(out.contains(part), "{part} is missing in\n{out}");
     }
+    assert!(
+        out.contains(r#""model_name":"bench-1""#) && out.contains(r#""id":"candidate 4""#),
+        "the tensors: {out}"
+    );
     let active = run(&format!("curl -sS --fail-with-body {base}/v1/rigs/bench-1/active-model"), folder);
     assert!(active.contains(r#""version":2"#), "the version put by hand stays active: {active}");
     let models = run(&format!("curl -sS --fail-with-body {base}/v1/rigs/bench-1/models"), folder);

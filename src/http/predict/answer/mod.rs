@@ -93,11 +93,6 @@ impl PredictionTask {
         Self { rig, model, drive, target: None, include, damage, media_type, memory }
     }
 
-    /// The kind of model, as a metric's label.
-    pub fn kind(&self) -> &'static str {
-        self.model.model().version_kind().as_str()
-    }
-
     /// Short or long work, by the size of drive and network.
     pub fn class(&self) -> Class {
         let inputs = self.model.model().inputs.len();
@@ -148,7 +143,8 @@ fn refusal(error: &EngineError, outputs: &[String]) -> Problem {
     }
 }
 
-fn class(predictor: &Predictor, samples: usize) -> Class {
+/// Short or long work, by the size of the drive and of the network.
+pub fn class(predictor: &Predictor, samples: usize) -> Class {
     if predictor.network_work(samples) > SHORT_WORK {
         return Class::Long;
     }
@@ -177,7 +173,11 @@ fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
     Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
 }
 
-fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
+/// Refuses another sample rate than the model's.
+///
+/// # Errors
+/// `predict.sample_rate`, which points at `at`.
+pub fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
     let expected_hz = model.sample_rate_hz;
     if Signal::same_rate(found_hz, expected_hz) {
         return Ok(());
