@@ -14,6 +14,7 @@ const OPERATIONS: &[(&str, &str)] = &[
     ("PUT", "/v1/rigs/bench/active-model"),
     ("POST", "/v1/rigs/bench/runs"),
     ("POST", "/v1/rigs/bench/diagnoses/0197f1a0-0000-7000-8000-000000000000/adopt"),
+    ("POST", "/v2/models/bench/infer"),
 ];
 
 thread_local! {

@@ -80,6 +80,7 @@ fn bodies() -> Vec<(String, Vec<u8>)> {
         json!({"version": 1}),
         drive,
         json!({"hypothesis": 0, "activate": "never"}),
+        json!({"inputs": [{"name": "drive", "datatype": "FP32", "shape": [2, 1], "data": [0.0, 0.5]}], "outputs": [{"name": "response"}]}),
     ];
     let with_place = |(which, body): (usize, &serde_json::Value)| {
         (which.to_string(), [vec![which as u8], body.to_string().into_bytes()].concat())

@@ -2,6 +2,7 @@
 
 use axum::http::HeaderName;
 use rigcast::engine::model::to_safetensors;
+use rigcast::http::Limits;
 use serde_json::{Value, json};
 
 use crate::foreign_readers::python;
@@ -319,6 +320,37 @@ async fn a_request_that_does_not_fit_is_refused_with_its_place() {
     let text = app.call("POST", INFER).body("text/csv", "u\n1\n").send().await;
     text.problem(415, "content_type.unsupported");
     app.call("POST", INFER).body("application/json", "{").send().await.problem(400, "body.syntax");
+}
+
+#[tokio::test]
+async fn bodies_over_their_limits_are_refused_in_either_form() {
+    let app = TestApp::start_with(Limits { drive_bytes: 1000, json_bytes: 600, ..Limits::default() });
+    triple_with_model(&app).await;
+    let in_json = |n: usize| json!({"inputs": [{"name": "drive", "datatype": "FP32", "shape": [n, 1], "data": vec![0; n]}]});
+    app.post_json(INFER, &in_json(100)).await.expect(200);
+    let problem = app.post_json(INFER, &in_json(300)).await.problem(413, "body.too_large");
+    assert_eq!(problem["errors"][0]["limit"], "600 bytes");
+    let binary = |n: usize| json!({"inputs": [binary_drive(n)]});
+    post_binary(&app, &binary(150), &vec![0; 600]).await.expect(200);
+    post_binary(&app, &binary(300), &vec![0; 1200]).await.problem(413, "body.too_large");
+    // The JSON before binary data has the limit of JSON.
+    let problem = post_binary(&app, &in_json(300), &[]).await.problem(413, "body.too_large");
+    assert_eq!(problem["errors"][0]["limit"], "600 bytes");
+}
+
+#[tokio::test]
+async fn a_drive_outside_the_training_is_said_so_in_the_parameters() {
+    let app = TestApp::start();
+    triple_with_model(&app).await;
+    let u: Vec<f64> = (0..100).map(|i| if i < 50 { 0.5 } else { 1.5 }).collect();
+    let tensor = json!({"name": "drive", "datatype": "FP32", "shape": [100, 1], "data": u});
+    let answer = app.post_json(INFER, &json!({"inputs": [tensor]})).await.expect(200).json();
+    let parameters = &answer["parameters"];
+    assert!(parameters["trust_inside"].as_f64().is_some_and(|inside| inside <= 0.5), "{parameters}");
+    assert!(
+        parameters["trust_outside"].as_str().is_some_and(|text| text.starts_with("u from 0.5 s")),
+        "{parameters}"
+    );
 }
 
 #[tokio::test]

@@ -59,6 +59,11 @@ async fn a_single_value_is_taken_for_a_list_of_one_everywhere() {
     let answer = send(&app, "POST", "/v1/damage", &json!({"predicted": signals})).await.expect(200).json();
     assert_eq!(answer["damage"]["channels"]["a"]["predicted"], 0.0);
 
+    let tensor = json!({"name": "drive", "datatype": "FP32", "shape": [1, 1], "data": 0.5});
+    let infer = json!({"inputs": tensor, "outputs": {"name": "response"}});
+    let answer = send(&app, "POST", "/v2/models/bench/infer", &infer).await.expect(200).json();
+    assert_eq!(answer["outputs"][0]["shape"], json!([1, 1]));
+
     // There is no such run, but its list is read.
     let none = "0197f1a0-0000-7000-8000-000000000000";
     let diagnosis = json!({"runs": none, "baseline_runs": none, "catalogue": "damping"});

@@ -3,9 +3,9 @@
 
 use bytes::Bytes;
 
-use super::body::Received;
 use super::layout::{Layout, Tensor};
-use super::request::InputTensor;
+use super::request::{InferRequest, InputTensor};
+use super::values::Values;
 use crate::engine::model::RigModel;
 use crate::engine::{EngineError, Signal};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -21,7 +21,7 @@ enum Datatype {
 /// Numbers of one tensor in row-major order.
 #[derive(Debug)]
 enum Numbers {
-    Json(Vec<f64>),
+    Json(Values),
     /// Little-endian.
     Binary(Bytes),
 }
@@ -46,15 +46,14 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Checks the tensors of a request against the model and against the bytes that came.
+    /// Checks the tensors of a request, whose numbers it takes, against the model and against the bytes that came.
     ///
     /// # Errors
     /// `inference.*`, `signal.empty`, `signal.unequal_lengths`, `body.*`; each points at the tensor.
-    pub fn check(received: &mut Received, layout: &Layout) -> Answer<Self> {
-        let mut binary = received.binary.clone();
+    pub fn check(request: &mut InferRequest, mut binary: Bytes, layout: &Layout) -> Answer<Self> {
         let mut parts: Vec<Part> = Vec::with_capacity(layout.inputs.len());
         let mut samples = None;
-        for (place, input) in received.request.inputs.iter_mut().enumerate() {
+        for (place, input) in request.inputs.0.iter_mut().enumerate() {
             let tensor = find(layout, input, place)?;
             if parts.iter().any(|part| part.channels == tensor.channels) {
                 let detail = format!("The tensor {:?} comes twice.", input.name);
@@ -98,10 +97,9 @@ impl Drive {
         let mut channels = vec![Vec::new(); model.inputs.len()];
         let mut places = vec![0; model.inputs.len()];
         for part in self.parts {
-            let width = part.channels.len();
-            for (column, &channel) in part.channels.iter().enumerate() {
-                channels[channel] = column_of(&part.numbers, part.datatype, column, width, self.samples);
-                places[channel] = part.place;
+            let columns = columns_of(part.numbers, part.datatype, part.channels.len(), self.samples);
+            for (&channel, column) in part.channels.iter().zip(columns) {
+                (channels[channel], places[channel]) = (column, part.place);
             }
         }
         Signal::new(model.sample_rate_hz, channels).map_err(|error| {
@@ -114,24 +112,33 @@ impl Drive {
     }
 }
 
-/// One column of a tensor. Numbers that came as text are rounded to the type that the client declares.
-fn column_of(numbers: &Numbers, datatype: Datatype, column: usize, width: usize, samples: usize) -> Vec<f64> {
-    let mut found = Vec::with_capacity(samples);
+/// The columns of a tensor. Numbers that came as text are rounded to the type that the client declares.
+fn columns_of(numbers: Numbers, datatype: Datatype, width: usize, samples: usize) -> Vec<Vec<f64>> {
     match (numbers, datatype) {
-        (Numbers::Json(all), Datatype::Fp32) => {
-            found.extend(all[column..].iter().step_by(width).map(|&v| f64::from(v as f32)));
+        (Numbers::Json(values), Datatype::Fp32) => {
+            dealt(values.into_numbers().map(|v| f64::from(v as f32)), width, samples)
         }
-        (Numbers::Json(all), Datatype::Fp64) => found.extend(all[column..].iter().step_by(width)),
+        (Numbers::Json(values), Datatype::Fp64) => dealt(values.into_numbers(), width, samples),
         (Numbers::Binary(bytes), Datatype::Fp32) => {
-            let all = bytes.as_chunks::<4>().0;
-            found.extend(all[column..].iter().step_by(width).map(|b| f64::from(f32::from_le_bytes(*b))));
+            let numbers = bytes.as_chunks::<4>().0.iter();
+            dealt(numbers.map(|b| f64::from(f32::from_le_bytes(*b))), width, samples)
         }
         (Numbers::Binary(bytes), Datatype::Fp64) => {
-            let all = bytes.as_chunks::<8>().0;
-            found.extend(all[column..].iter().step_by(width).map(|b| f64::from_le_bytes(*b)));
+            let numbers = bytes.as_chunks::<8>().0.iter();
+            dealt(numbers.map(|b| f64::from_le_bytes(*b)), width, samples)
         }
     }
-    found
+}
+
+/// Deals numbers out to the columns, one after the other.
+fn dealt(numbers: impl Iterator<Item = f64>, width: usize, samples: usize) -> Vec<Vec<f64>> {
+    let mut columns: Vec<Vec<f64>> = (0..width).map(|_| Vec::with_capacity(samples)).collect();
+    let mut column = 0;
+    for number in numbers {
+        columns[column].push(number);
+        column = if column + 1 == width { 0 } else { column + 1 };
+    }
+    columns
 }
 
 /// The tensor of the model that an input of the request names.
@@ -172,7 +179,7 @@ fn at_shape(place: usize, limit: impl Into<String>) -> FieldError {
 /// The samples that a shape declares, not compared with the data yet.
 fn rows(input: &InputTensor, tensor: &Tensor, place: usize) -> Answer<usize> {
     let width = tensor.channels.len();
-    let rows = match input.shape[..] {
+    let rows = match input.shape.0[..] {
         // Beyond the address space there are no data for it.
         [rows, columns] if columns == width as u64 => usize::try_from(rows).ok(),
         _ => None,
@@ -185,10 +192,9 @@ fn rows(input: &InputTensor, tensor: &Tensor, place: usize) -> Answer<usize> {
         Some(rows) => Ok(rows),
         None => {
             let limit = format!("[samples, {width}]");
-            let shape: Vec<String> = input.shape.iter().take(8).map(u64::to_string).collect();
-            let more = if input.shape.len() > 8 { ", ..." } else { "" };
+            let shape: Vec<String> = input.shape.0.iter().map(u64::to_string).collect();
             let detail = format!(
-                "The tensor {:?} has the shape [{}{more}]; it must be {limit}.",
+                "The tensor {:?} has the shape [{}]; it must be {limit}.",
                 input.name,
                 shape.join(", ")
             );
@@ -227,16 +233,13 @@ fn numbers(
             )))
         }
         (Some(values), None) => {
-            if count != Some(values.numbers.len()) {
-                return Err(wrong(
-                    format!("{} numbers", values.numbers.len()),
-                    "needs another number".into(),
-                ));
+            if count != Some(values.len()) {
+                return Err(wrong(format!("{} numbers", values.len()), "needs another number".into()));
             }
             if let Some(row) = values.row.filter(|row| *row != columns) {
                 return Err(wrong(format!("rows of {row} numbers"), format!("needs rows of {columns}")));
             }
-            Ok(Numbers::Json(std::mem::take(&mut input.data).unwrap_or_default().numbers))
+            Ok(Numbers::Json(std::mem::take(&mut input.data).unwrap_or_default()))
         }
         (None, Some(size)) => {
             let bytes_each = if datatype == Datatype::Fp32 { 4 } else { 8 };
@@ -264,7 +267,6 @@ fn numbers(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::inference::request::InferRequest;
 
     fn layout() -> Layout {
         let tensor =
@@ -277,15 +279,17 @@ mod tests {
 
     /// The code of the refusal and its first place, or the samples.
     fn checked(json: &str, binary: &[u8]) -> Result<usize, (String, String)> {
-        let request = InferRequest::parse(json.as_bytes()).expect("a request");
-        let mut received = Received { request, binary: Bytes::copy_from_slice(binary) };
-        Drive::check(&mut received, &layout()).map(|drive| drive.samples).map_err(|problem| {
-            let document: serde_json::Value = serde_json::from_slice(&problem.document("")).expect("JSON");
-            (
-                problem.code().to_owned(),
-                document["errors"][0]["pointer"].as_str().unwrap_or("none").to_owned(),
-            )
-        })
+        let mut request = InferRequest::parse(json.as_bytes()).expect("a request");
+        Drive::check(&mut request, Bytes::copy_from_slice(binary), &layout())
+            .map(|drive| drive.samples)
+            .map_err(|problem| {
+                let document: serde_json::Value =
+                    serde_json::from_slice(&problem.document("")).expect("JSON");
+                (
+                    problem.code().to_owned(),
+                    document["errors"][0]["pointer"].as_str().unwrap_or("none").to_owned(),
+                )
+            })
     }
 
     const DRIVE: &str = r#"{"name": "drive", "datatype": "FP64", "shape": [2, 1], "data": [1, 2]}"#;

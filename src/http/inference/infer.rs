@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, HeaderValue};
 use axum::response::IntoResponse;
 
 use super::answer::{Answering, Tensors};
-use super::body::{self, BINARY, JSON_LENGTH};
+use super::body::{self, BINARY, JSON_LENGTH, Received};
 use super::drive::{Drive, unknown};
 use super::layout::Layout;
 use super::named::NamedModel;
@@ -30,12 +30,12 @@ pub async fn infer(
     request: Body,
 ) -> Answer {
     let mut stages = Stages::begin();
-    let mut received = body::receive(&headers, request, &http).await?;
+    let Received { mut request, binary } = body::receive(&headers, request, &http).await?;
     stages.end("receive");
     let (rig, model) = predict::find(&http, &id, name).await?;
     let layout = Layout::of(&rig, model.model());
-    let drive = Drive::check(&mut received, &layout)?;
-    let request = received.request;
+    // From here on only the drive holds the body: its memory is given back once it has become a signal.
+    let drive = Drive::check(&mut request, binary, &layout)?;
     if let Some(found_hz) = request.sample_rate_hz() {
         predict::check_rate(model.model(), found_hz, "/parameters/sample_rate_hz")?;
     }

@@ -1,7 +1,11 @@
 //! The JSON of an inference request. Fields that the service does not know are ignored, as the protocol asks.
 
+use std::fmt;
+use std::marker::PhantomData;
+
 use memchr::memchr_iter;
-use serde::Deserialize;
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 
 use super::values::Values;
 use crate::http::body::json;
@@ -11,6 +15,12 @@ use crate::http::problem::{Answer, FieldError, Problem};
 /// Most numbers of all tensors in JSON: with them, and with the same numbers as channels, a request takes
 /// about as much memory as the largest JSON of [`super::super::predict`].
 const MAX_VALUES: usize = 15_500_000;
+
+/// Most tensors of a list; no model has as many channels.
+const MAX_TENSORS: usize = 256;
+
+/// Most dimensions of a shape.
+const MAX_DIMENSIONS: usize = 8;
 
 /// Longest id of a request, characters; the answer repeats it.
 const MAX_ID_CHARS: usize = 1000;
@@ -22,10 +32,10 @@ pub struct InferRequest {
     #[serde(default)]
     pub id: Option<String>,
     /// The drive.
-    pub inputs: Vec<InputTensor>,
+    pub inputs: AtMost<InputTensor, MAX_TENSORS>,
     /// The tensors that are wanted; without any, all.
     #[serde(default)]
-    outputs: Option<Vec<WantedTensor>>,
+    outputs: Option<AtMost<WantedTensor, MAX_TENSORS>>,
     #[serde(default)]
     parameters: Option<RequestParameters>,
 }
@@ -38,7 +48,7 @@ pub struct InputTensor {
     /// `FP32` or `FP64`.
     pub datatype: String,
     /// `[samples, channels]`.
-    pub shape: Vec<u64>,
+    pub shape: AtMost<u64, MAX_DIMENSIONS>,
     /// Its numbers, unless they are binary.
     #[serde(default)]
     pub data: Option<Values>,
@@ -75,6 +85,37 @@ struct OutputParameters {
     binary_data: Option<bool>,
 }
 
+/// A list of at most so many elements: what a client sends beyond takes no memory.
+#[derive(Debug)]
+pub struct AtMost<T, const N: usize>(pub Vec<T>);
+
+impl<'de, T: Deserialize<'de>, const N: usize> Deserialize<'de> for AtMost<T, N> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(AtMostVisitor::<T, N>(PhantomData)).map(Self)
+    }
+}
+
+struct AtMostVisitor<T, const N: usize>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for AtMostVisitor<T, N> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<T>, A::Error> {
+        let mut found = Vec::new();
+        while let Some(element) = list.next_element()? {
+            if found.len() == N {
+                return Err(A::Error::custom(format_args!("more than {N} elements")));
+            }
+            found.push(element);
+        }
+        Ok(found)
+    }
+}
+
 impl InputTensor {
     /// Bytes of its binary data.
     pub fn binary_data_size(&self) -> Option<u64> {
@@ -109,8 +150,8 @@ impl InferRequest {
 
     /// Names of the tensors that are wanted, and whether each is binary; `None`: all of them.
     pub fn wanted(&self) -> Option<impl Iterator<Item = (&str, bool)>> {
-        let wanted = self.outputs.as_ref().filter(|wanted| !wanted.is_empty())?;
-        Some(wanted.iter().map(|tensor| {
+        let wanted = self.outputs.as_ref().filter(|wanted| !wanted.0.is_empty())?;
+        Some(wanted.0.iter().map(|tensor| {
             let binary = tensor.parameters.as_ref().and_then(|parameters| parameters.binary_data);
             (tensor.name.as_str(), binary.unwrap_or(self.binary()))
         }))
@@ -146,6 +187,26 @@ mod tests {
         assert_eq!(
             wanted(&format!(r#"{{"inputs": [], {some}, {all}}}"#)),
             Some(vec![pair("a", true), pair("b", false)])
+        );
+    }
+
+    #[test]
+    fn lists_end_at_the_most_that_makes_sense() {
+        let code =
+            |text: String| InferRequest::parse(text.as_bytes()).map(|_| ()).map_err(|p| p.code().to_owned());
+        let tensors = |n: usize| vec![r#"{"name":"a"}"#; n].join(",");
+        let outputs = |n: usize| code(format!(r#"{{"inputs": [], "outputs": [{}]}}"#, tensors(n)));
+        assert_eq!(
+            (outputs(MAX_TENSORS), outputs(MAX_TENSORS + 1)),
+            (Ok(()), Err("body.invalid_value".into()))
+        );
+        let shape = |n: usize| {
+            let shape = vec!["1"; n].join(",");
+            code(format!(r#"{{"inputs": [{{"name": "a", "datatype": "FP32", "shape": [{shape}]}}]}}"#))
+        };
+        assert_eq!(
+            (shape(MAX_DIMENSIONS), shape(MAX_DIMENSIONS + 1)),
+            (Ok(()), Err("body.invalid_value".into()))
         );
     }
 

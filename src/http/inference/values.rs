@@ -5,13 +5,35 @@ use std::fmt;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, SeqAccess, Visitor};
 
-/// Numbers in row-major order.
+/// Numbers that stand together: half a MiB.
+const CHUNK: usize = 1 << 16;
+
+/// Numbers in row-major order, in chunks: they are in memory once, while they come as while they become channels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Values {
-    /// The numbers.
-    pub numbers: Vec<f64>,
+    /// Every chunk but the last has [`CHUNK`] numbers.
+    chunks: Vec<Vec<f64>>,
     /// Numbers of each row, where they came in rows.
     pub row: Option<usize>,
+}
+
+impl Values {
+    /// Number of numbers.
+    pub fn len(&self) -> usize {
+        self.chunks.iter().map(Vec::len).sum()
+    }
+
+    /// The numbers; the memory of each chunk is given back when it has been read.
+    pub fn into_numbers(self) -> impl Iterator<Item = f64> {
+        self.chunks.into_iter().flatten()
+    }
+
+    fn push(&mut self, number: f64) {
+        match self.chunks.last_mut().filter(|chunk| chunk.len() < CHUNK) {
+            Some(chunk) => chunk.push(number),
+            None => self.chunks.push(vec![number]),
+        }
+    }
 }
 
 impl<'de> Deserialize<'de> for Values {
@@ -34,7 +56,7 @@ impl<'de> Visitor<'de> for Rows {
         let mut values = Values::default();
         // The elements of one list are all numbers (0) or all rows of one length.
         let mut first = None;
-        while let Some(length) = list.next_element_seed(Element(&mut values.numbers))? {
+        while let Some(length) = list.next_element_seed(Element(&mut values))? {
             if *first.get_or_insert(length) != length {
                 return Err(A::Error::custom("rows differ in length"));
             }
@@ -45,7 +67,7 @@ impl<'de> Visitor<'de> for Rows {
 }
 
 /// Reads an element of the outer list, a number or a row, and appends it; gives the length of the row.
-struct Element<'a>(&'a mut Vec<f64>);
+struct Element<'a>(&'a mut Values);
 
 impl<'de> DeserializeSeed<'de> for Element<'_> {
     type Value = Option<usize>;
@@ -76,11 +98,12 @@ impl<'de> Visitor<'de> for Element<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<Option<usize>, A::Error> {
-        let before = self.0.len();
+        let mut length = 0;
         while let Some(number) = row.next_element()? {
             self.0.push(number);
+            length += 1;
         }
-        Ok(Some(self.0.len() - before))
+        Ok(Some(length))
     }
 }
 
@@ -94,7 +117,11 @@ mod tests {
 
     #[test]
     fn numbers_come_flat_or_in_rows_and_in_no_other_way() {
-        let values = |numbers: &[f64], row| Ok(Values { numbers: numbers.to_vec(), row });
+        let values = |numbers: &[f64], row| {
+            let mut values = Values { row, ..Values::default() };
+            numbers.iter().for_each(|&number| values.push(number));
+            Ok(values)
+        };
         assert_eq!(read("[1, -2, 0.5]"), values(&[1.0, -2.0, 0.5], None));
         assert_eq!(read("[[1, 2], [3, 4]]"), values(&[1.0, 2.0, 3.0, 4.0], Some(2)));
         assert_eq!(read("[]"), values(&[], None));
@@ -105,5 +132,13 @@ mod tests {
         for text in ["[[[1]]]", "[true]", "[\"1\"]", "[null]", "5", "{}"] {
             assert!(read(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn chunks_keep_the_order_of_the_numbers() {
+        let numbers: Vec<f64> = (0..2 * CHUNK + 3).map(|i| i as f64).collect();
+        let values = read(&serde_json::to_string(&numbers).expect("JSON")).expect("values");
+        assert_eq!((values.len(), values.chunks.len()), (numbers.len(), 3));
+        assert!(values.into_numbers().eq(numbers));
     }
 }

@@ -32,6 +32,7 @@ async fn a_key_that_comes_twice_is_refused_wherever_it_is() {
             r#"{"drive": {"sample_rate_hz": 100, "channels": {"u": [0], "\u0075": [1]}}}"#.into(),
             "/drive/channels/u",
         ),
+        ("/v2/models/bench/infer", r#"{"inputs": [], "later": 1, "inputs": []}"#.into(), "/inputs"),
         (
             "/v1/damage",
             format!(r#"{{"predicted": {drive}, "groups": {{"g": ["u","u","u"], "g": ["u","u","u"]}}}}"#),

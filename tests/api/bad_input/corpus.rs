@@ -12,6 +12,7 @@ pub const JSON: &str = "application/json";
 pub const RUNS: &str = "/v1/rigs/bench/runs";
 pub const MODELS: &str = "/v1/rigs/bench/models";
 pub const PREDICT: &str = "/v1/rigs/bench/predict";
+pub const INFER: &str = "/v2/models/bench/infer";
 
 /// A request and its name.
 #[derive(Debug, Clone)]
@@ -211,6 +212,7 @@ fn bodies(size: usize) -> Vec<Case> {
     let predicted = r#"{"predicted":{"sample_rate_hz":100,"channels":{"u":["#;
     let other = r#"{"drive":{"sample_rate_hz":7,"channels":{"u":["#;
     let damage = r#"{"predicted":{"sample_rate_hz":100,"channels":{"u":[0]}},"#;
+    let tensor = |rest: &str| format!(r#"{{"inputs":[{{"name":"drive","datatype":"FP32",{rest}"#);
     let with = |start: &str, rest: &str| format!("{start}{rest}");
     // Without signals a body is small and expands in memory.
     let document = (1 << 20) - 100;
@@ -262,6 +264,41 @@ fn bodies(size: usize) -> Vec<Case> {
             filled("{\"model\":\"", "a", "\",\"drive\":{}}", size),
         ),
         json("predict, deep", "POST", PREDICT, "body.too_deep", filled("", "{\"channels\":", "", size)),
+        json(
+            "tensors, no number at its end",
+            "POST",
+            INFER,
+            "body.syntax",
+            in_array(&tensor(r#""shape":[1,1],"data":["#), "0", ",x]}]}", size),
+        ),
+        json(
+            "tensors without end",
+            "POST",
+            INFER,
+            "body.invalid_value",
+            in_array(r#"{"inputs":["#, r#"{"name":"","datatype":"","shape":[]}"#, "]}", size),
+        ),
+        json(
+            "tensors, a shape without end",
+            "POST",
+            INFER,
+            "body.invalid_value",
+            in_array(&tensor(r#""shape":["#), "1", "]}]}", size),
+        ),
+        json(
+            "tensors, rows without numbers",
+            "POST",
+            INFER,
+            "inference.shape",
+            in_array(&tensor(r#""shape":[1,1],"data":["#), "[]", "]}]}", size),
+        ),
+        json(
+            "tensors, fields that are ignored",
+            "POST",
+            INFER,
+            "body.missing_field",
+            in_array(r#"{"later":["#, "{}", "]}", size),
+        ),
         json(
             "damage, no number at its end",
             "POST",

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::corpus::{CSV, Case, MODELS, NPY, PREDICT, RUNS};
+use super::corpus::{CSV, Case, INFER, MODELS, NPY, PREDICT, RUNS};
 use super::meter::WEIGHTS;
 use crate::support::{bench, f4, f8, gain_weights, noise, noise_csv, npy};
 
@@ -20,7 +20,19 @@ pub fn seeds() -> Vec<Case> {
     let timed: String =
         noise(20, 6).iter().enumerate().map(|(i, u)| format!("{:.2};{u:.4}\n", 0.01 * i as f64)).collect();
     let rate = format!("{PREDICT}?sample_rate_hz=100");
+    let tensor = json!({"name": "drive", "datatype": "FP64", "shape": [20, 1], "data": noise(20, 7)});
+    let infer = json!({"id": "1", "inputs": [tensor], "outputs": [{"name": "response"}]});
+    let binary = json!({
+        "name": "drive", "datatype": "FP32", "shape": [20, 1], "parameters": {"binary_data_size": 80},
+    });
+    let binary = json!({"inputs": [binary], "parameters": {"binary_data_output": true}}).to_string();
+    let length = binary.len().to_string();
+    let binary = [binary.into_bytes(), f4(&singles[..20])].concat();
     vec![
+        Case::json("POST", INFER, infer.to_string()).named("tensors", ""),
+        Case::file("POST", INFER, "application/octet-stream", binary)
+            .with("inference-header-content-length", &length)
+            .named("binary tensors", ""),
         Case::file("POST", RUNS, CSV, noise_csv(20, 1)).named("csv", ""),
         Case::file("POST", RUNS, CSV, format!("time_s;u\ns;kN\n{timed}").replace('.', ","))
             .named("csv with time", ""),

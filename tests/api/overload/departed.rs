@@ -5,6 +5,7 @@ use std::net::{Shutdown, TcpStream};
 use std::time::Duration;
 
 use rigcast::compute::fair_queue::QueueSettings;
+use serde_json::json;
 
 use super::{depth, predict_npy, slow_weights, until};
 use crate::support::{TestApp, bench, gain_weights, npy, read_all};
@@ -57,6 +58,29 @@ async fn twenty_predictions_whose_clients_have_gone_end_the_waiting_ones_too() {
     until(&app, "long", (0, 0)).await;
     app.activate("bench", gain_weights(&["u"], &["y"], 2.0)).await;
     predict_npy(&app, &drive).await.expect("no panic").expect(200);
+}
+
+#[tokio::test]
+async fn tensors_whose_client_has_gone_are_given_up_too() {
+    let app = slow().await;
+    let samples = 2_000_000;
+    let tensor = json!({
+        "name": "drive", "datatype": "FP32", "shape": [samples, 1],
+        "parameters": {"binary_data_size": 4 * samples},
+    });
+    let request = json!({"inputs": [tensor]}).to_string();
+    let head = format!(
+        "POST /v2/models/bench/infer HTTP/1.1\r\nHost: localhost\r\nContent-Length: {}\r\n\
+         Inference-Header-Content-Length: {}\r\n\r\n{request}",
+        request.len() + 4 * samples,
+        request.len()
+    );
+    let mut client = TcpStream::connect(app.address()).expect("a connection");
+    client.write_all(head.as_bytes()).expect("sent");
+    client.write_all(&vec![0; 4 * samples]).expect("sent");
+    until(&app, "long", (1, 0)).await;
+    drop(client);
+    until(&app, "long", (0, 0)).await;
 }
 
 #[tokio::test]
