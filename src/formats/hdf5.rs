@@ -5,7 +5,10 @@
 //! sample rate. The structure is read by the crate hdf5-pure. What it would have to hold in memory at once (a row, a
 //! chunk, the content by declared size) is bounded here before it is read.
 
+mod metered;
+
 use std::fs::File;
+use std::io::{Cursor, Read, Seek};
 
 use hdf5_pure::{AttrValue, DType, Dataset, Error, Group, Object, ReadSeekSource};
 
@@ -13,11 +16,15 @@ use super::error::excerpt;
 use super::unpacked::limit;
 use super::variables::{Use, Variables, unsupported};
 use super::{FormatError, MAX_CHANNELS, ParsedRun, ReadError, Spool};
+use metered::{Meter, Metered};
 
 /// Most bytes of a row of a dataset, and of a chunk, as they are stored and as f64.
 const MAX_BYTES_AT_ONCE: u64 = 80 << 20;
 
-/// Bytes of the rows that are read at once.
+/// Most chunks of a dataset: their places are kept in memory.
+const MAX_CHUNKS: u64 = 1 << 20;
+
+/// Bytes of the rows that are read at once, where a row holds a number of each channel.
 const ROWS_BYTES: u64 = 4 << 20;
 
 /// Most groups that are inside of one another.
@@ -34,8 +41,7 @@ const MAX_TEXT_BYTES: u64 = 1 << 20;
 /// # Errors
 /// As [`read_from`], without those of the file system.
 pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
-    let opened = hdf5_pure::File::from_bytes(file.to_vec()).map_err(invalid)?;
-    let read = read_file(&opened, file.len() as u64, Spool::in_memory());
+    let read = read_source(Cursor::new(file.to_vec()), file.len() as u64, Spool::in_memory());
     read.map(ParsedRun::into_memory).map_err(ReadError::of_bytes)
 }
 
@@ -45,13 +51,19 @@ pub fn read(file: &[u8]) -> Result<ParsedRun, FormatError> {
 /// `hdf5.invalid` for a file whose structure cannot be read, `variables.*` for datasets that are no run (complex
 /// numbers, cells, objects, records), `file.unpacked_size`, the `run.*` codes; errors of the file system.
 pub fn read_from(file: File, len: u64, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
-    let source = ReadSeekSource::new(file).map_err(|error| invalid(error.into()))?;
-    read_file(&hdf5_pure::File::from_source(source).map_err(invalid)?, len, spool)
+    read_source(file, len, spool)
 }
 
-fn read_file(file: &hdf5_pure::File, len: u64, spool: Spool) -> Result<ParsedRun<Spool>, ReadError> {
-    let mut reader =
-        Reader { variables: Variables::new(spool), limit: limit(len), left: limit(len), objects: 0 };
+fn read_source(
+    file: impl Read + Seek + Send + 'static,
+    len: u64,
+    spool: Spool,
+) -> Result<ParsedRun<Spool>, ReadError> {
+    let meter = Meter::new();
+    let source = ReadSeekSource::new(file).map_err(|error| invalid(error.into()))?;
+    let file = hdf5_pure::File::from_source(Metered::new(source, meter.clone())).map_err(invalid)?;
+    let (limit, variables) = (limit(len), Variables::new(spool));
+    let mut reader = Reader { variables, limit, left: limit, objects: 0, meter };
     reader.group(&file.root(), "", 0)?;
     reader.variables.finish()
 }
@@ -62,6 +74,7 @@ struct Reader {
     limit: u64,
     left: u64,
     objects: usize,
+    meter: Meter,
 }
 
 impl Reader {
@@ -199,20 +212,25 @@ impl Reader {
             shape.reverse();
         }
         let at = self.variables.begin(path, &shape)?;
-        let columns = match at {
+        let (samples, columns) = match at {
             Use::Nothing => return Ok(()),
-            Use::Channels { columns, .. } => columns,
-            Use::Times { .. } | Use::Rate | Use::Step => 1,
+            Use::Channels { rows, columns, .. } => (rows, columns),
+            Use::Times { rows } => (rows, 1),
+            Use::Rate | Use::Step => (1, 1),
         };
-        // Rows of the file that are whole channels, or hold a number of each.
+        // Rows of the file are whole channels, or hold a number of each. Chunks may hold parts of several channels and
+        // are unpacked for each reading, so that as many of these as may be are read at once.
         let is_by_channel = columns > 1 && is_matlab;
-        let at_once = if is_by_channel { 1 } else { (ROWS_BYTES / row.max(1)).max(1) };
+        let bytes_at_once = if is_by_channel { MAX_BYTES_AT_ONCE } else { ROWS_BYTES };
+        let at_once = (bytes_at_once / row.max(1)).max(1);
         let rows = stored.first().copied().unwrap_or(1);
         let mut from = 0;
         while from < rows {
-            let values = dataset.read_f64_rows(from, at_once).map_err(invalid)?;
+            let values = self.meter.uncounted(|| dataset.read_f64_rows(from, at_once)).map_err(invalid)?;
             if is_by_channel {
-                self.variables.extend(path, at, from as usize, values)?;
+                for (values, column) in values.chunks(samples).zip(from as usize..columns) {
+                    self.variables.extend(path, at, column, values.iter().copied())?;
+                }
             } else {
                 for column in 0..columns {
                     let values = values[column.min(values.len())..].iter().copied().step_by(columns);
@@ -232,6 +250,15 @@ impl Reader {
         self.left = total.ok_or(FormatError::Unpacked { limit: self.limit })?;
         let row = bytes(stored.get(1..).unwrap_or_default()).unwrap_or(u64::MAX);
         let chunk = dataset.chunk_shape().map_err(invalid)?.map_or(Some(0), |shape| bytes(&shape));
+        if let Some(shape) = dataset.chunk_shape().map_err(invalid)? {
+            let along = stored.iter().zip(&shape).map(|(size, chunk)| size.div_ceil((*chunk).max(1)));
+            let chunks = along.fold(1_u64, u64::saturating_mul);
+            if chunks > MAX_CHUNKS {
+                let reason =
+                    format!("has {chunks} chunks, at most {MAX_CHUNKS} are read: save it in larger ones");
+                return Err(unsupported(path, reason).into());
+            }
+        }
         for (what, bytes) in [("rows", row), ("chunks", chunk.unwrap_or(u64::MAX))] {
             if bytes > MAX_BYTES_AT_ONCE {
                 let reason = format!(

@@ -172,7 +172,7 @@ impl MainsFinder {
         Ok(Self { drives: found, judges })
     }
 
-    /// Hum of a response; `None` where it cannot be judged: fewer than [`FEWEST`] segments of 2 s (or a little more), no
+    /// Hum of a response; `None` where it cannot be judged: fewer than `FEWEST` segments of 2 s (or a little more), no
     /// drive in the run, a drive of lines or of a short period.
     ///
     /// # Errors

@@ -64,6 +64,34 @@ fn long_channels_come_whole_from_chunks() {
 }
 
 #[test]
+fn channels_of_matlab_come_whole_from_chunks_that_hold_several() {
+    // Of a size of which not all channels are read at once.
+    let (samples, channels) = (1_500_000, 9);
+    let ramp: Vec<f64> = (0..channels * samples).map(|n| n as f64).collect();
+    let run = read(&built(|file| {
+        let data =
+            file.create_dataset("data").with_f64_data(&ramp).with_shape(&[channels as u64, samples as u64]);
+        data.with_chunks(&[4, 100_000]).set_attr("MATLAB_class", AttrValue::AsciiString("double".into()));
+    }))
+    .unwrap();
+    assert_eq!(run.channels.len(), channels);
+    assert!(run.channels.concat() == ramp);
+}
+
+#[test]
+fn chunks_are_bounded_in_number_and_size() {
+    for (shape, chunk, reason) in
+        [(1_100_000, 1, "1100000 chunks"), (11_000_000, 11_000_000, "chunks of 88000000 bytes")]
+    {
+        let (code, text) = error(|file| {
+            let data = file.create_dataset("u").with_i8_data(&vec![0; shape]).with_shape(&[shape as u64]);
+            data.with_chunks(&[chunk]);
+        });
+        assert!(code == "variables.unsupported" && text.contains(reason), "{code}: {text}");
+    }
+}
+
+#[test]
 fn datasets_that_are_no_channels_are_refused_by_name() {
     let u = |file: &mut FileBuilder| {
         file.create_dataset("u").with_f64_data(&[1.0, 2.0]).with_shape(&[2]);
