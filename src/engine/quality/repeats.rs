@@ -38,8 +38,9 @@ pub struct Repeats {
     pub count: u64,
     /// Largest over the drives of: RMS difference of one period from the next / sqrt(2) / standard deviation.
     pub drives_differ: f64,
-    /// The same of each response: its noise over its signal. Of four periods and more the last
-    /// quarter of the run counts (two periods at least), of three the last two: the rig comes from rest there, and its transient is no noise.
+    /// The same of each response: its noise over its signal. Of four periods and more the last quarter of the run
+    /// counts (two periods at least), of three the last two: the rig comes from rest at the start, and its transient
+    /// is no noise.
     pub noise: Vec<f64>,
 }
 
