@@ -24,10 +24,10 @@ const EXCERPTS: usize = 32;
 /// Excerpts of a run of so many pairs of channels that the time would grow: at most this many over all pairs.
 const PAIRED_EXCERPTS: usize = 4096;
 /// Excerpts read at once.
-const AT_ONCE: usize = 8;
+const AT_ONCE: usize = 2;
 /// Drives, and responses, whose spectra are summed at once: bounds the memory.
-const DRIVES: usize = 4;
-const RESPONSES: usize = 8;
+const DRIVES: usize = 2;
+const RESPONSES: usize = 4;
 /// Highest coherence that a line counts with: one line of an exact copy would outweigh all others.
 const HIGHEST: f64 = 0.999;
 
