@@ -26,6 +26,7 @@ mod idempotency;
 mod inference;
 mod iterations;
 mod jobs;
+mod measurement;
 mod metrics;
 mod models;
 mod negotiate;
@@ -40,6 +41,7 @@ pub mod routes;
 mod runs;
 mod start;
 mod tokens;
+mod upload;
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -14,7 +14,7 @@ use super::idempotency::{RequestKey, created};
 use super::params::{NoParams, Params, page};
 use super::paths::{OfModel, OfRig, no_model, no_rig};
 use super::problem::{Answer, FieldError, Problem};
-use super::runs::upload;
+use super::upload;
 use super::{Shared, body, codes, errors, json};
 use crate::compute::Class;
 use crate::domain::{Adoption, Created, Lineage, Model, Origin, Rig};

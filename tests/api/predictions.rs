@@ -322,11 +322,70 @@ async fn arrays_that_do_not_suit_the_model_are_refused() {
     let problem = post("?sample_rate_hz=100", nan).await.problem(422, "run.non_finite");
     assert_eq!((&problem["errors"][0]["channel"], &problem["errors"][0]["sample"]), (&json!("u"), &json!(1)));
     post("?sample_rate_hz=100", b"nonsense".to_vec()).await.problem(400, "npy.header");
-    let csv = app.call("POST", PREDICT).body("text/csv", "u\n1\n").send().await;
-    csv.problem(415, "content_type.unsupported");
+    for media_type in ["application/zip", "application/octet-stream", "text/plain"] {
+        let other = app.call("POST", PREDICT).body(media_type, "u\n1\n").send().await;
+        other.problem(415, "content_type.unsupported");
+    }
     let html = app.call("POST", &format!("{PREDICT}?sample_rate_hz=100")).header("accept", "text/html");
     html.body(NPY, one).send().await.problem(406, "accept.not_acceptable");
     app.post_json(&format!("{PREDICT}?model=1"), &json!({})).await.problem(422, "query.unknown_parameter");
+}
+
+#[tokio::test]
+async fn a_drive_comes_as_any_file_that_a_run_comes_as() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    let u = wave(500, 0.4);
+    let request = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": u}}});
+    let expected = app.post_json(PREDICT, &request).await.expect(200).json();
+    let expected = numbers(&expected["response"]["channels"]["y"]);
+    let post = |query: &str, media_type: &str, file: Vec<u8>| {
+        app.call("POST", &format!("{PREDICT}{query}"))
+            .body(media_type, file)
+            .header("accept", "application/json")
+    };
+    let response = |answer: serde_json::Value| numbers(&answer["response"]["channels"]["y"]);
+    // A German export in newtons, with a measured response beside the drive and a column that the rig does not have.
+    let rows = u.iter().enumerate().map(|(i, v)| {
+        format!(
+            "{};{};1,5;20\n",
+            format!("{:.2}", i as f64 / 100.0).replace('.', ","),
+            (1e3 * v).to_string().replace('.', ",")
+        )
+    });
+    let german = format!("Zeit [s];U [N];y [mm];temp\n{}", rows.collect::<String>()).into_bytes();
+    let answer = post("?ignore=temp", "text/csv", german.clone()).send().await.expect(200);
+    assert_close(&response(answer.json()), &expected, 1e-12);
+    post("", "text/csv", german).send().await.problem(422, "run.unknown_channel");
+    // A drive that went out as RPC III or MAT comes in again, and the answer is a file of its kind.
+    let csv = format!("u\n{}", u.iter().map(|v| format!("{v}\n")).collect::<String>());
+    let run = app.post_file("/v1/rigs/bench/runs?name=drive", "text/csv", csv.clone()).await.expect(201);
+    for (media_type, off) in [("application/x-rpc3", 1e-4), ("application/x-matlab-data", 1e-12)] {
+        let data = app.call("GET", &format!("{}/data", run.header("location"))).header("accept", media_type);
+        let file = data.send().await.expect(200).bytes;
+        let answer = post("", media_type, file.clone()).send().await.expect(200);
+        assert_close(&response(answer.json()), &expected, off);
+        let reply = app.call("POST", PREDICT).body(media_type, file).send().await.expect(200);
+        assert_eq!(reply.header("content-type"), media_type);
+        assert_eq!(reply.header("rigcast-channels"), "y");
+    }
+    let reply = app.call("POST", PREDICT).body("text/csv", csv.clone()).send().await.expect(200);
+    assert!(reply.text().starts_with("time_s,y\ns,mm\n0,"), "{}", &reply.text()[..40]);
+    // Another rate is refused, or converted.
+    let twice: String = u.iter().map(|v| format!("{v}\n{v}\n")).collect();
+    let fast = format!("u\n{twice}").into_bytes();
+    post("?sample_rate_hz=200", "text/csv", fast.clone()).send().await.problem(422, "run.sample_rate");
+    let answer = post("?sample_rate_hz=200&resample=true", "text/csv", fast).send().await.expect(200);
+    assert_eq!(response(answer.json()).len(), expected.len());
+    let lacks = post("", "text/csv", b"y\n1\n2\n".to_vec()).send().await;
+    assert_eq!(lacks.problem(422, "predict.missing_channel")["errors"][0]["channel"], "u");
+    let broken = post("", "application/x-matlab-data", csv.into_bytes()).send().await;
+    broken.problem(400, "mat.invalid");
+    post("?model=7", "text/csv", b"u\n1\n2\n".to_vec()).send().await.problem(404, "model.not_found");
+    post("?dry_run=true", "text/csv", b"u\n1\n2\n".to_vec())
+        .send()
+        .await
+        .problem(422, "query.unknown_parameter");
 }
 
 #[tokio::test]

@@ -4,12 +4,13 @@ use bytes::Bytes;
 
 use super::request::Source;
 use crate::domain::{RigId, Run};
-use crate::engine::{EngineError, Signal};
+use crate::engine::{EngineError, Samples, Signal};
 use crate::formats;
 use crate::http::body::signals::Channels;
+use crate::http::measurement::Measurement;
 use crate::http::paths::no_run;
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::{Shared, codes, errors};
+use crate::http::{Shared, codes, errors, upload};
 use crate::models::LoadedModel;
 
 /// A model's inputs; an NPY body is parsed later, off the async threads.
@@ -111,6 +112,23 @@ pub async fn drive(http: &Shared, found: Found, model: &LoadedModel) -> Answer<D
     signal(rate, samples, wanted, "/drive").map(Drive::Signal)
 }
 
+/// The drive of a measurement file: the model's inputs among its channels. Other channels of the rig may be there too.
+///
+/// # Errors
+/// A channel that is missing; those of the file of the samples.
+pub fn measured(measurement: Measurement, model: &LoadedModel) -> Answer<Drive> {
+    let Measurement { names, mut samples, .. } = measurement;
+    let wanted = &model.model().inputs;
+    let mut channels = Vec::with_capacity(wanted.len());
+    for name in wanted {
+        let column = names.iter().position(|n| n == name).ok_or_else(|| missing(name, ""))?;
+        let mut values = Vec::with_capacity(samples.n_samples());
+        samples.read(column, 0..samples.n_samples(), &mut values).map_err(upload::disk)?;
+        channels.push(values);
+    }
+    signal(samples.sample_rate_hz(), channels, wanted, "").map(Drive::Signal)
+}
+
 /// The target of a JSON request.
 ///
 /// # Errors
@@ -179,8 +197,11 @@ fn signal(rate: f64, samples: Vec<Vec<f64>>, names: &[String], at: &str) -> Answ
 }
 
 fn missing(name: &str, at: &str) -> Problem {
-    let detail = format!("{at} lacks the channel {name:?}.");
-    let place = FieldError::new(format!("{at}/channels"), "required by the model").on_channel(name);
+    let what = if at.starts_with('/') { at } else { "The file" };
+    let detail = format!("{what} lacks the channel {name:?}.");
+    // A file has no fields to point at.
+    let pointer = if at.starts_with('/') { format!("{at}/channels") } else { String::new() };
+    let place = FieldError::new(pointer, "required by the model").on_channel(name);
     Problem::new(codes::PREDICT_MISSING_CHANNEL, detail).with(place)
 }
 

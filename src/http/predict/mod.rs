@@ -24,14 +24,16 @@ use super::negotiate::{self, CSV, MAT, NPY, RPC3};
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, admission, body, codes, json};
+use super::{Shared, admission, body, codes, json, measurement, upload};
 use crate::compute::Class;
 use crate::domain::{ModelRef, Rig, RigId};
+use crate::engine::Samples;
+use crate::formats::Format;
 use crate::models::LoadedModel;
 use crate::telemetry::names;
 use answer::{Computed, PredictionTask};
 use inputs::Drive;
-use request::{NpyQuery, PredictRequest};
+use request::{MeasurementQuery, NpyQuery, PredictRequest};
 
 pub(super) use answer::{check_rate, class};
 pub use memory::PredictionMemory;
@@ -91,9 +93,34 @@ pub async fn predict(
             let samples = drive.n_samples(model.model().inputs.len());
             let memory =
                 http.predictions.take(admission::client_id(), needed(&model, samples, false)).await?;
-            predicted(&http, PredictionTask::of_npy(rig, model, drive, media_type, memory), stages).await
+            predicted(&http, PredictionTask::of_file(rig, model, drive, media_type, memory), stages).await
         }
-        other => Err(body::unsupported(other, &[json::MEDIA_TYPE, NPY])),
+        other => {
+            // General types are not looked into here: they would hide an NPY file without its rate.
+            let Some(format) = measurement::format(other)? else {
+                return Err(body::unsupported(other, &measurement::OFFERED));
+            };
+            let query = MeasurementQuery::take(params)?;
+            let offered = match format {
+                Format::Rpc3 => [RPC3, json::MEDIA_TYPE, NPY, CSV, MAT],
+                Format::Mat => [MAT, json::MEDIA_TYPE, NPY, CSV, RPC3],
+                _ => [CSV, json::MEDIA_TYPE, NPY, RPC3, MAT],
+            };
+            let media_type = negotiate::choose(&headers, &offered)?;
+            let (rig, model) = find(&http, &id, query.model).await?;
+            let upload = upload::receive_at_most(&http, http.limits.drive_bytes, &headers, request).await?;
+            stages.end("receive");
+            let (class, scratch) = (Class::of_bytes(upload.size()), http.store.scratch_dir());
+            let of_rig = rig.clone();
+            let read = move || query.file.read(&of_rig, Some(format), upload, &scratch);
+            let measurement = http.off_thread(class, read).await??;
+            let bytes = needed(&model, measurement.samples.n_samples(), false);
+            let memory = http.predictions.take(admission::client_id(), bytes).await?;
+            let of_model = model.clone();
+            let drive = http.off_thread(class, move || inputs::measured(measurement, &of_model)).await??;
+            stages.end("load");
+            predicted(&http, PredictionTask::of_file(rig, model, drive, media_type, memory), stages).await
+        }
     }
 }
 

@@ -7,6 +7,7 @@ use crate::engine::fatigue::DamageSettings;
 use crate::http::body::HoldsSignals;
 use crate::http::body::signals::Channels;
 use crate::http::codes;
+use crate::http::measurement::FileQuery;
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
 
@@ -115,15 +116,42 @@ pub struct NpyQuery {
     pub sample_rate_hz: f64,
 }
 
+/// The query beside a measurement file.
+#[derive(Debug)]
+pub struct MeasurementQuery {
+    /// Which model.
+    pub model: ModelRef,
+    /// How the file is read.
+    pub file: FileQuery,
+}
+
+impl MeasurementQuery {
+    /// Takes `model` and the parameters of a file.
+    ///
+    /// # Errors
+    /// `query.*`
+    pub fn take(mut params: Params) -> Answer<Self> {
+        let model = model(&mut params)?;
+        let file = FileQuery::take(&mut params)?;
+        params.finish()?;
+        Ok(Self { model, file })
+    }
+}
+
+/// The parameter `model`; the active one without it.
+fn model(params: &mut Params) -> Answer<ModelRef> {
+    params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
+        ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
+    })
+}
+
 impl NpyQuery {
     /// Takes `model` and `sample_rate_hz`.
     ///
     /// # Errors
     /// `query.*`; the sample rate is required, because an NPY file has none.
     pub fn take(mut params: Params) -> Answer<Self> {
-        let model = params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
-            ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
-        })?;
+        let model = model(&mut params)?;
         let limit = "the drive's sample rate, a positive number";
         let sample_rate_hz = params.number("sample_rate_hz", limit)?;
         params.finish()?;

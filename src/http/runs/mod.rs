@@ -3,7 +3,6 @@
 pub mod data;
 mod file;
 mod understood;
-pub mod upload;
 
 use axum::body::Body;
 use axum::extract::State;
@@ -16,12 +15,12 @@ use crate::domain::{Created, RunKind, RunPatch, Split};
 use crate::http::auth::Caller;
 use crate::http::idempotency::{RequestKey, created};
 use crate::http::jobs::word;
+use crate::http::measurement::{self, FileQuery};
 use crate::http::params::{NoParams, Params, invalid, page};
 use crate::http::paths::{OfRig, OfRun, no_rig, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::{Shared, body, codes, errors, json, rigs};
+use crate::http::{Shared, body, codes, errors, json, rigs, upload};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
-use file::RunFile;
 
 const KINDS: &str = "noise, service, sine, sweep or other";
 const SPLITS: &str = "training, validation or test";
@@ -49,15 +48,16 @@ pub async fn upload(
     request: Body,
 ) -> Answer {
     let meta = meta(&mut params)?;
-    let file = RunFile::take(&mut params)?;
+    let query = FileQuery::take(&mut params)?;
     let is_dry = params.flag("dry_run")?;
     params.finish()?;
-    let format = file::format(body::media_type(&headers).as_deref())?;
+    let format = measurement::format(body::media_type(&headers).as_deref())?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let upload = upload::receive(&http, &headers, request).await?;
     let class = Class::of_bytes(upload.size());
     let scratch = http.store.scratch_dir();
-    let read = http.off_thread(class, move || file.prepare(&rig, meta, format, upload, &scratch)).await??;
+    let read =
+        http.off_thread(class, move || file::prepare(query, &rig, meta, format, upload, &scratch)).await??;
     if is_dry {
         return json::answer(&read.understood);
     }

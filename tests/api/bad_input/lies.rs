@@ -142,12 +142,10 @@ fn bombs() -> Vec<Case> {
         "application/gzip",
     ];
     for media_type in types {
-        let elsewhere = if media_type.starts_with("application/x-") {
-            &[PREDICT, MODELS][..]
-        } else {
-            &[RUNS, PREDICT, MODELS]
-        };
-        for &path in elsewhere {
+        // Formats that runs and drives come in.
+        let is_file = media_type.starts_with("application/x-");
+        let refused = if is_file { &[MODELS][..] } else { &[RUNS, PREDICT, MODELS] };
+        for &path in refused {
             let case = Case::file("POST", path, media_type, zip.clone());
             cases.push(case.named(&format!("{media_type} at {path}"), "content_type.unsupported"));
         }
@@ -158,8 +156,10 @@ fn bombs() -> Vec<Case> {
             ("application/x-hdf5", "hdf5.invalid"),
             ("application/x-matlab-data", "mat.invalid"),
         ] {
-            let name = format!("{:02x?} as {media_type}", &bytes[..2]);
-            cases.push(Case::file("POST", RUNS, media_type, bytes.clone()).named(&name, code));
+            for path in [RUNS, PREDICT] {
+                let name = format!("{:02x?} as {media_type} at {path}", &bytes[..2]);
+                cases.push(Case::file("POST", path, media_type, bytes.clone()).named(&name, code));
+            }
         }
         let name = format!("{:02x?} as RPC III", &bytes[..2]);
         let case = Case::file("POST", RUNS, "application/x-rpc3", bytes.clone());

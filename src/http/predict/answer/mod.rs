@@ -80,8 +80,8 @@ struct Begun<'a> {
 }
 
 impl PredictionTask {
-    /// A prediction whose drive came as NPY: no target, no settings.
-    pub fn of_npy(
+    /// A prediction whose drive came as a file: no target, no settings.
+    pub fn of_file(
         rig: Rig,
         model: Arc<LoadedModel>,
         drive: Drive,

@@ -60,7 +60,21 @@ impl Upload {
 /// # Errors
 /// `body.too_large`, `body.too_slow`, `body.incomplete`, `digest.malformed`, `digest.mismatch`, `store.full`.
 pub async fn receive(http: &Http, headers: &HeaderMap, body: Body) -> Answer<Upload> {
-    receive_into(&http.store.scratch_dir(), headers, body, http.limits).await
+    receive_at_most(http, http.limits.upload_bytes, headers, body).await
+}
+
+/// [`receive`] for a body of at most `upload_bytes`.
+///
+/// # Errors
+/// As [`receive`].
+pub async fn receive_at_most(
+    http: &Http,
+    upload_bytes: u64,
+    headers: &HeaderMap,
+    body: Body,
+) -> Answer<Upload> {
+    let limits = Limits { upload_bytes, ..http.limits };
+    receive_into(&http.store.scratch_dir(), headers, body, limits).await
 }
 
 async fn receive_into(directory: &Path, headers: &HeaderMap, body: Body, limits: Limits) -> Answer<Upload> {
