@@ -370,7 +370,7 @@ async fn a_drive_comes_as_any_file_that_a_run_comes_as() {
         assert_eq!(reply.header("rigcast-channels"), "y");
     }
     let reply = app.call("POST", PREDICT).body("text/csv", csv.clone()).send().await.expect(200);
-    assert!(reply.text().starts_with("time_s,y\ns,mm\n0,"), "{}", &reply.text()[..40]);
+    assert!(reply.text().starts_with("time_s,y\ns,mm\n0.0,"), "{}", &reply.text()[..40]);
     // Another rate is refused, or converted.
     let twice: String = u.iter().map(|v| format!("{v}\n{v}\n")).collect();
     let fast = format!("u\n{twice}").into_bytes();
