@@ -64,11 +64,12 @@ pub(super) fn fault(
     invalid: impl Fn(&'static str) -> FormatError,
 ) -> ReadError {
     match error.kind() {
+        // Only errors of the file system have a number of the system's.
+        _ if error.raw_os_error().is_some() => error.into(),
         ErrorKind::UnexpectedEof => invalid(ended).into(),
-        ErrorKind::InvalidData | ErrorKind::InvalidInput => match error.downcast::<FormatError>() {
+        _ => match error.downcast::<FormatError>() {
             Ok(error) => error.into(),
             Err(_) => invalid(damaged).into(),
         },
-        _ => error.into(),
     }
 }

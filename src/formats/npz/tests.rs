@@ -130,6 +130,12 @@ fn damaged_archives_are_refused() {
         for len in 0..end {
             assert!(read(&whole[..len]).is_err(), "{len} bytes");
         }
+        // Methods that are not read: any but stored and deflated.
+        for unknown in [1, 6, 12, 93, 99] {
+            let mut other = whole.clone();
+            other[8] = unknown;
+            assert_eq!(read(&other).unwrap_err().code(), "npz.invalid", "method {unknown}");
+        }
         // The checksum tells a changed number.
         let mut changed = whole.clone();
         changed[end - 3] ^= 1;
