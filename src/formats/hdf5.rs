@@ -7,6 +7,7 @@
 
 mod metered;
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Cursor, Read, Seek};
 
@@ -14,7 +15,7 @@ use hdf5_pure::{AttrValue, DType, Dataset, Error, Group, Object, ReadSeekSource}
 
 use super::error::excerpt;
 use super::unpacked::limit;
-use super::variables::{Use, Variables, unsupported};
+use super::variables::{MAX_DEPTH, MAX_TEXT_BYTES, Use, Variables, unsupported};
 use super::{FormatError, MAX_CHANNELS, ParsedRun, ReadError, Spool};
 use metered::{Meter, Metered};
 
@@ -27,14 +28,8 @@ const MAX_CHUNKS: u64 = 1 << 20;
 /// Bytes of the rows that are read at once, where a row holds a number of each channel.
 const ROWS_BYTES: u64 = 4 << 20;
 
-/// Most groups that are inside of one another.
-const MAX_DEPTH: usize = 8;
-
 /// Most groups and datasets of a file: links may form cycles.
 const MAX_OBJECTS: usize = 4096;
-
-/// Most bytes of text that labels channels.
-const MAX_TEXT_BYTES: u64 = 1 << 20;
 
 /// Reads a file from memory.
 ///
@@ -64,9 +59,13 @@ fn read_source(
     let file = hdf5_pure::File::from_source(Metered::new(source, meter.clone())).map_err(invalid)?;
     let (limit, variables) = (limit(len), Variables::new(spool));
     let mut reader = Reader { variables, limit, left: limit, objects: 0, meter };
-    reader.group(&file.root(), "", 0)?;
+    let root = file.root();
+    reader.group(&root, root.attrs().map_err(invalid)?, "", 0)?;
     reader.variables.finish()
 }
+
+/// Attributes by name.
+type Attributes = HashMap<String, AttrValue>;
 
 struct Reader {
     variables: Variables,
@@ -78,11 +77,18 @@ struct Reader {
 }
 
 impl Reader {
-    fn group(&mut self, group: &Group, path: &str, depth: usize) -> Result<(), ReadError> {
+    /// Reads a group with these attributes.
+    fn group(
+        &mut self,
+        group: &Group,
+        attributes: Attributes,
+        path: &str,
+        depth: usize,
+    ) -> Result<(), ReadError> {
         if depth > MAX_DEPTH {
             return Err(unsupported(path, format!("is more than {MAX_DEPTH} groups deep")).into());
         }
-        self.attributes(path, group.attrs().map_err(invalid)?)?;
+        self.attributes(path, attributes)?;
         for (name, dataset) in group.iter_datasets().map_err(invalid)? {
             self.count()?;
             self.dataset(&dataset, &below(path, &name))?;
@@ -95,14 +101,12 @@ impl Reader {
             }
             let path = below(path, &name);
             let attributes = inner.attrs().map_err(invalid)?;
+            if attributes.contains_key("MATLAB_sparse") {
+                return Err(unsupported(&path, "is a sparse matrix: save full(...) of it").into());
+            }
             match matlab_class(&attributes) {
-                Some("struct") | None if !attributes.contains_key("MATLAB_sparse") => {
-                    self.group(&inner, &path, depth + 1)?;
-                }
-                Some(class) if !attributes.contains_key("MATLAB_sparse") => {
-                    return Err(refused(&path, class).into());
-                }
-                _ => return Err(unsupported(&path, "is a sparse matrix: save full(...) of it").into()),
+                Some("struct") | None => self.group(&inner, attributes, &path, depth + 1)?,
+                Some(class) => return Err(refused(&path, class).into()),
             }
         }
         Ok(())
@@ -117,11 +121,7 @@ impl Reader {
     }
 
     /// Takes the sample rate and labels that are attributes.
-    fn attributes(
-        &mut self,
-        path: &str,
-        attributes: std::collections::HashMap<String, AttrValue>,
-    ) -> Result<(), ReadError> {
+    fn attributes(&mut self, path: &str, attributes: Attributes) -> Result<(), ReadError> {
         // In their order by name, so that errors do not depend on chance.
         let mut attributes: Vec<_> = attributes.into_iter().collect();
         attributes.sort_by(|a, b| a.0.cmp(&b.0));
@@ -249,7 +249,7 @@ impl Reader {
         let total = bytes(stored).and_then(|bytes| self.left.checked_sub(bytes));
         self.left = total.ok_or(FormatError::Unpacked { limit: self.limit })?;
         let row = bytes(stored.get(1..).unwrap_or_default()).unwrap_or(u64::MAX);
-        let chunk = dataset.chunk_shape().map_err(invalid)?.map_or(Some(0), |shape| bytes(&shape));
+        let mut chunk = 0;
         if let Some(shape) = dataset.chunk_shape().map_err(invalid)? {
             let along = stored.iter().zip(&shape).map(|(size, chunk)| size.div_ceil((*chunk).max(1)));
             let chunks = along.fold(1_u64, u64::saturating_mul);
@@ -258,8 +258,9 @@ impl Reader {
                     format!("has {chunks} chunks, at most {MAX_CHUNKS} are read: save it in larger ones");
                 return Err(unsupported(path, reason).into());
             }
+            chunk = bytes(&shape).unwrap_or(u64::MAX);
         }
-        for (what, bytes) in [("rows", row), ("chunks", chunk.unwrap_or(u64::MAX))] {
+        for (what, bytes) in [("rows", row), ("chunks", chunk)] {
             if bytes > MAX_BYTES_AT_ONCE {
                 let reason = format!(
                     "has {what} of {bytes} bytes, at most {MAX_BYTES_AT_ONCE} are read: save shorter parts, or as {}",
@@ -306,15 +307,12 @@ impl Reader {
 
     fn strings(&mut self, dataset: &Dataset, path: &str) -> Result<Vec<String>, ReadError> {
         self.check_text(dataset, path)?;
-        Ok(match dataset.dtype().map_err(invalid)? {
-            DType::VariableLengthString => {
-                if dataset.vlen_string_payload_size().map_err(invalid)? > MAX_TEXT_BYTES {
-                    return Err(long_text(path).into());
-                }
-                dataset.read_string().map_err(invalid)?
-            }
-            _ => dataset.read_string().map_err(invalid)?,
-        })
+        if matches!(dataset.dtype().map_err(invalid)?, DType::VariableLengthString)
+            && dataset.vlen_string_payload_size().map_err(invalid)? > MAX_TEXT_BYTES as u64
+        {
+            return Err(long_text(path).into());
+        }
+        Ok(dataset.read_string().map_err(invalid)?)
     }
 
     /// Compares the size of text, or of references to it, with the limits.
@@ -324,7 +322,7 @@ impl Reader {
         let elements = stored.iter().try_fold(1_u64, |n, &size| n.checked_mul(size));
         let size = dataset.element_size().map_err(invalid)?;
         let bytes = elements.and_then(|n| n.checked_mul(size)).unwrap_or(u64::MAX);
-        if bytes > MAX_TEXT_BYTES {
+        if bytes > MAX_TEXT_BYTES as u64 {
             return Err(long_text(path).into());
         }
         Ok(())
@@ -337,7 +335,7 @@ fn below(path: &str, name: &str) -> String {
 }
 
 /// MATLAB's class of a variable; none in files of other programs.
-fn matlab_class(attributes: &std::collections::HashMap<String, AttrValue>) -> Option<&str> {
+fn matlab_class(attributes: &Attributes) -> Option<&str> {
     match attributes.get("MATLAB_class")? {
         AttrValue::String(class)
         | AttrValue::AsciiString(class)

@@ -105,9 +105,7 @@ fn invalid(reason: impl Into<String>) -> FormatError {
 
 /// An error of reading: of the file where its bytes are the reason, else of the file system.
 fn fault(error: io::Error) -> ReadError {
-    unpacked::fault(error, "the file ends inside an element", "a compressed element is damaged", |reason| {
-        invalid(reason)
-    })
+    unpacked::fault(error, "the file ends inside an element", "a compressed element is damaged", invalid)
 }
 
 #[cfg(test)]

@@ -8,11 +8,8 @@ use super::error::excerpt;
 use super::npy::{self, Order};
 use super::numbers::{Kind, Numbers};
 use super::unpacked::Budget;
-use super::variables::{Use, Variables, unsupported};
+use super::variables::{MAX_TEXT_BYTES, Use, Variables, unsupported};
 use super::{FormatError, PIECE, ParsedRun, ReadError, Spool};
-
-/// Most bytes of text that labels channels.
-const MAX_TEXT_BYTES: usize = 1 << 20;
 
 /// Most entries of an archive.
 const MAX_ENTRIES: usize = 2 * super::MAX_CHANNELS;
@@ -69,7 +66,9 @@ fn array(name: &str, mut file: impl Read, variables: &mut Variables) -> Result<(
         Some(numbers) => {
             let at = variables.begin(name, shape)?;
             match at {
-                Use::Nothing => {}
+                Use::Nothing => {
+                    io::copy(&mut file, &mut io::sink()).map_err(fault)?;
+                }
                 Use::Channels { rows, columns, .. } if order == Order::C => {
                     by_rows(&mut file, numbers, rows, columns, |column, values| {
                         variables.extend(name, at, column, values.iter().copied())
@@ -88,9 +87,6 @@ fn array(name: &str, mut file: impl Read, variables: &mut Variables) -> Result<(
                 Use::Rate | Use::Step => by_rows(&mut file, numbers, 1, 1, |_, values| {
                     variables.extend(name, at, 0, values.iter().copied())
                 })?,
-            }
-            if at == Use::Nothing {
-                io::copy(&mut file, &mut io::sink()).map_err(fault)?;
             }
         }
         None => {

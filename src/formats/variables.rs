@@ -40,6 +40,12 @@ const STEP_DIGITS: f64 = 1e-12;
 /// Most names or units of a file that are kept.
 const MAX_TEXTS: usize = super::MAX_CHANNELS;
 
+/// Most bytes of text that labels channels, and of the names of a struct's fields.
+pub(super) const MAX_TEXT_BYTES: usize = 1 << 20;
+
+/// Most structs or groups that are inside of one another.
+pub(super) const MAX_DEPTH: usize = 8;
+
 /// Most notes about arrays that were left out.
 const MAX_NOTES: usize = 20;
 

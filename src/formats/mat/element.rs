@@ -52,7 +52,8 @@ impl<'a> Elements<'a> {
         Ok(())
     }
 
-    fn word(&self, bytes: [u8; 4]) -> u32 {
+    /// A whole number in the byte order of the file.
+    pub(super) fn word(&self, bytes: [u8; 4]) -> u32 {
         if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
     }
 

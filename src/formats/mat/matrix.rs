@@ -3,17 +3,11 @@
 use super::element::{Elements, MATRIX};
 use super::invalid;
 use crate::formats::numbers::{Kind, Numbers};
-use crate::formats::variables::{Use, Variables, unsupported};
+use crate::formats::variables::{MAX_DEPTH, MAX_TEXT_BYTES, Use, Variables, unsupported};
 use crate::formats::{MAX_CHANNELS, MAX_NAME_BYTES, ReadError};
-
-/// Most bytes of the names of a struct's fields, and of a text that labels channels.
-const MAX_TEXT_BYTES: usize = 1 << 20;
 
 /// Most dimensions of an array.
 const MAX_DIMENSIONS: usize = 32;
-
-/// Most structs that are inside of one another.
-const MAX_DEPTH: usize = 8;
 
 /// The flag of an array of complex numbers.
 const COMPLEX: u32 = 0x0800;
@@ -69,14 +63,12 @@ fn shape(element: &mut Elements<'_>) -> Result<Vec<u64>, ReadError> {
 /// Reads an element of whole numbers of 32 bits, at least one.
 fn words(element: &mut Elements<'_>, most: usize) -> Result<Vec<u32>, ReadError> {
     let tag = element.tag()?;
-    let big_endian = element.big_endian;
     let data = element.data(tag, most)?;
     let (words, rest) = data.as_chunks::<4>();
     if !matches!(tag.kind, 5 | 6) || words.is_empty() || !rest.is_empty() {
         return Err(invalid("the head of an array is damaged").into());
     }
-    let word = |&word: &[u8; 4]| if big_endian { u32::from_be_bytes(word) } else { u32::from_le_bytes(word) };
-    Ok(words.iter().map(word).collect())
+    Ok(words.iter().map(|&word| element.word(word)).collect())
 }
 
 /// Reads what an array holds.

@@ -121,7 +121,9 @@ pub fn measured(measurement: Measurement, model: &LoadedModel) -> Answer<Drive> 
     let wanted = &model.model().inputs;
     let mut channels = Vec::with_capacity(wanted.len());
     for name in wanted {
-        let column = names.iter().position(|n| n == name).ok_or_else(|| missing(name, ""))?;
+        let column = names.iter().position(|n| n == name);
+        // A file has no fields to point at.
+        let column = column.ok_or_else(|| lacks(name, "The file", String::new()))?;
         let mut values = Vec::with_capacity(samples.n_samples());
         samples.read(column, 0..samples.n_samples(), &mut values).map_err(upload::disk)?;
         channels.push(values);
@@ -197,10 +199,12 @@ fn signal(rate: f64, samples: Vec<Vec<f64>>, names: &[String], at: &str) -> Answ
 }
 
 fn missing(name: &str, at: &str) -> Problem {
-    let what = if at.starts_with('/') { at } else { "The file" };
+    lacks(name, at, format!("{at}/channels"))
+}
+
+/// The problem of something, in words, that lacks a channel.
+fn lacks(name: &str, what: &str, pointer: String) -> Problem {
     let detail = format!("{what} lacks the channel {name:?}.");
-    // A file has no fields to point at.
-    let pointer = if at.starts_with('/') { format!("{at}/channels") } else { String::new() };
     let place = FieldError::new(pointer, "required by the model").on_channel(name);
     Problem::new(codes::PREDICT_MISSING_CHANNEL, detail).with(place)
 }

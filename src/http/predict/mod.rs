@@ -52,7 +52,7 @@ pub async fn predict(
     match found.as_deref() {
         Some(json::MEDIA_TYPE) => {
             params.finish()?;
-            let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, NPY, CSV, RPC3, MAT])?;
+            let media_type = negotiate::choose(&headers, &forms(json::MEDIA_TYPE))?;
             let request: PredictRequest = json::take_signals(&headers, request, &http).await?;
             stages.end("receive");
             let (rig, model) = find(&http, &id, request.model).await?;
@@ -84,7 +84,7 @@ pub async fn predict(
         }
         Some(NPY) => {
             let query = NpyQuery::take(params)?;
-            let media_type = negotiate::choose(&headers, &[NPY, json::MEDIA_TYPE, CSV, RPC3, MAT])?;
+            let media_type = negotiate::choose(&headers, &forms(NPY))?;
             let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes, http.limits.pace)?
                 .collect()
                 .await?;
@@ -101,12 +101,12 @@ pub async fn predict(
                 return Err(body::unsupported(other, &measurement::OFFERED));
             };
             let query = MeasurementQuery::take(params)?;
-            let offered = match format {
-                Format::Rpc3 => [RPC3, json::MEDIA_TYPE, NPY, CSV, MAT],
-                Format::Mat => [MAT, json::MEDIA_TYPE, NPY, CSV, RPC3],
-                _ => [CSV, json::MEDIA_TYPE, NPY, RPC3, MAT],
+            let own = match format {
+                Format::Rpc3 => RPC3,
+                Format::Mat => MAT,
+                _ => CSV,
             };
-            let media_type = negotiate::choose(&headers, &offered)?;
+            let media_type = negotiate::choose(&headers, &forms(own))?;
             let (rig, model) = find(&http, &id, query.model).await?;
             let upload = upload::receive_at_most(&http, http.limits.drive_bytes, &headers, request).await?;
             stages.end("receive");
@@ -122,6 +122,14 @@ pub async fn predict(
             predicted(&http, PredictionTask::of_file(rig, model, drive, media_type, memory), stages).await
         }
     }
+}
+
+/// Media types of an answer: that of the request first, which is chosen without `Accept`.
+fn forms(own: &'static str) -> [&'static str; 5] {
+    let mut forms = [json::MEDIA_TYPE, NPY, CSV, RPC3, MAT];
+    let place = forms.iter().position(|&form| form == own).expect("an answer has the forms of requests");
+    forms[..=place].rotate_right(1);
+    forms
 }
 
 /// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, and a target.
