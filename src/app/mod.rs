@@ -21,7 +21,9 @@ use tower::Layer;
 use crate::compute::{Compute, ComputeError, ComputeSettings};
 use crate::config::{Config, ConnectionSettings};
 use crate::domain::TokenRole;
-use crate::http::{self, Admission, Auth, ClientAddress, Http, PredictionMemory, Shared};
+use crate::http::{
+    self, Admission, Auth, ClientAddress, Comparisons, Http, PredictionMemory, RunViews, Shared,
+};
 use crate::jobs::Jobs;
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
@@ -130,6 +132,8 @@ impl App {
             compute,
             admission: Admission::new(config.admission.clone()),
             predictions: PredictionMemory::new(config.limits.prediction_bytes),
+            comparisons: Comparisons::default(),
+            views: RunViews::default(),
             limits: config.limits,
             clock: now,
             draining: seen,

@@ -4,6 +4,7 @@
 
 pub mod checkpoint;
 pub mod diagnosis;
+pub mod envelope;
 pub mod error;
 pub mod fatigue;
 pub mod frf;

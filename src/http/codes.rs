@@ -56,6 +56,7 @@ codes! {
     TOKEN_SCOPE = "token.scope", 403, "The token is limited to some rigs";
     HOST_FOREIGN = "host.foreign", 403, "Open to this machine only";
     ORIGIN_FOREIGN = "origin.foreign", 403, "Changes from another origin";
+    CSRF_INVALID = "csrf.invalid", 403, "The form is not of this session";
     TOKEN_BUSY = "token.busy", 429, "The token's share is used up";
     TOKEN_NOT_FOUND = "token.not_found", 404, "No such token";
     TOKEN_FIRST_ADMIN = "token.first_admin", 409, "The first token must be an admin's";

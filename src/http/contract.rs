@@ -1,17 +1,16 @@
-//! The contract and its documentation pages, compiled in so that they work without internet.
+//! The contract and the files of its documentation page, compiled in so that they work without internet.
 
 use std::sync::LazyLock;
 
 use axum::Router;
-use axum::body::{Body, to_bytes};
+use axum::body::Body;
 use axum::extract::Request;
-use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
-use axum::http::{HeaderValue, StatusCode, Uri};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{StatusCode, Uri};
 use axum::response::IntoResponse;
 use swagger_ui_dist::{ApiDefinition, OpenApiSource};
 use tower::ServiceExt;
 
-use super::headers::page_with_script;
 use super::params::NoParams;
 use super::problem::{self, Answer, Problem};
 
@@ -21,16 +20,13 @@ pub const OPENAPI: &str = include_str!("../../openapi.yaml");
 /// Path of the pages.
 const PAGES_AT: &str = "/docs";
 
-/// Largest page that is searched for scripts; the files that a page loads are larger.
-const MAX_PAGE_BYTES: usize = 64 << 10;
-
 /// `GET /openapi.yaml`
 pub async fn openapi(_: NoParams) -> Answer {
     Ok(([(CONTENT_TYPE, "application/yaml")], OPENAPI).into_response())
 }
 
-/// `GET /docs` and the files that its page loads.
-pub async fn docs(_: NoParams, uri: Uri) -> Answer {
+/// `GET /docs/{asset}`: the files that the page loads; the page that the crate has is not used, for its script stands in it.
+pub async fn asset(_: NoParams, uri: Uri) -> Answer {
     static PAGES: LazyLock<Router> = LazyLock::new(|| {
         swagger_ui_dist::generate_routes(ApiDefinition {
             uri_prefix: PAGES_AT,
@@ -43,16 +39,10 @@ pub async fn docs(_: NoParams, uri: Uri) -> Answer {
     // path.
     *request.uri_mut() = uri.path().parse().map_err(Problem::internal)?;
     let response = PAGES.clone().oneshot(request).await.map_err(Problem::internal)?;
-    if response.status() == StatusCode::NOT_FOUND {
+    let is_page =
+        response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind.as_bytes().starts_with(b"text/html"));
+    if response.status() == StatusCode::NOT_FOUND || is_page {
         return Err(problem::no_route(uri).await);
     }
-    if uri.path() != PAGES_AT {
-        return Ok(response);
-    }
-    let (mut head, page) = response.into_parts();
-    let page = to_bytes(page, MAX_PAGE_BYTES).await.map_err(Problem::internal)?;
-    let policy = page_with_script(&String::from_utf8_lossy(&page));
-    let policy = HeaderValue::try_from(policy).map_err(Problem::internal)?;
-    head.headers.insert(CONTENT_SECURITY_POLICY, policy);
-    Ok((head, page).into_response())
+    Ok(response)
 }

@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use axum::extract::State;
-use axum::http::HeaderMap;
 use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::http::{HeaderMap, HeaderValue};
 use axum::response::IntoResponse;
 use jiff::Timestamp;
 use serde::Serialize;
 
 use super::auth::Caller;
-use super::headers::SCRIPT_FREE_PAGE;
+use super::headers::page_with_style;
 use super::idempotency::{RequestKey, created};
 use super::json::{self, Json};
 use super::params::{NoParams, Params, page};
@@ -22,6 +22,7 @@ use crate::domain::{
     Created, DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobId, RigId, RunId, StoredDiagnosis, UsedModel,
 };
 use crate::engine::diagnosis::Report;
+use crate::ui::assets::STYLE;
 use crate::ui::diagnosis::{self as ui, Heading, Simulation};
 
 /// Media type of the page for people.
@@ -79,8 +80,9 @@ pub async fn show(
         ui::name_runs(&mut findings.report, &mut findings.views, &names);
         let draw = move || ui::page(&heading, &findings.report, &findings.views);
         let html = http.off_thread(Class::Predict, draw).await?;
-        let head = [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, SCRIPT_FREE_PAGE)];
-        return Ok((head, html).into_response());
+        let kind = HeaderValue::from_static("text/html; charset=utf-8");
+        let policy = HeaderValue::try_from(page_with_style(STYLE)).map_err(Problem::internal)?;
+        return Ok(([(CONTENT_TYPE, kind), (CONTENT_SECURITY_POLICY, policy)], html).into_response());
     }
     let bytes = http
         .off_thread(Class::Predict, move || {
@@ -101,7 +103,11 @@ pub async fn show(
 }
 
 /// Names of the report's runs by their ids; a run without a name, or one that is gone, keeps its id.
-async fn run_names(http: &Shared, rig: &RigId, report: &Report) -> Answer<BTreeMap<String, String>> {
+pub(super) async fn run_names(
+    http: &Shared,
+    rig: &RigId,
+    report: &Report,
+) -> Answer<BTreeMap<String, String>> {
     let split = &report.data_split;
     let mut names = BTreeMap::new();
     for part in split.fit.iter().chain(&split.select).chain(&split.test) {
@@ -117,7 +123,7 @@ async fn run_names(http: &Shared, rig: &RigId, report: &Report) -> Answer<BTreeM
 }
 
 /// The heading of the page.
-async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) -> Answer<Heading> {
+pub(super) async fn heading(http: &Shared, diagnosis: &StoredDiagnosis, report: &Report) -> Answer<Heading> {
     let DiagnosisSummary { id, rig, created_at, model, verdict, .. } = &diagnosis.summary;
     let row = http.store.rig(rig).await?.ok_or_else(|| no_rig(rig.as_str()))?;
     let model = match model {

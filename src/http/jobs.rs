@@ -38,7 +38,7 @@ pub async fn show(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, 
 }
 
 /// The job of this id; to a caller that may not see its rig, there is none.
-async fn find(http: &Shared, caller: &Caller, id: JobId) -> Answer<Job> {
+pub(super) async fn find(http: &Shared, caller: &Caller, id: JobId) -> Answer<Job> {
     let job = http.store.job(id).await?.filter(|job| caller.reaches(&job.rig));
     let job = job.ok_or_else(|| no_job(&id.to_string()))?;
     note_rig(&tracing::Span::current(), &job.rig);

@@ -31,6 +31,7 @@ mod metrics;
 mod models;
 mod negotiate;
 mod observe;
+mod pages;
 mod params;
 mod paths;
 mod predict;
@@ -39,7 +40,6 @@ mod refusals;
 mod rigs;
 pub mod routes;
 mod runs;
-mod start;
 mod tokens;
 mod upload;
 
@@ -66,7 +66,8 @@ pub use auth::{Auth, Right};
 pub use body::Pace;
 pub use metrics::begin as begin_metrics;
 pub use observe::ClientAddress;
-pub use predict::PredictionMemory;
+pub use pages::RunViews;
+pub use predict::{Comparisons, PredictionMemory};
 pub use refusals::{too_many_connections, unreadable_request};
 
 /// Largest bodies, and longest times for a body and for an answer.
@@ -117,6 +118,10 @@ pub struct Http {
     pub admission: Admission,
     /// Memory of large predictions.
     pub predictions: PredictionMemory,
+    /// Comparisons that are being looked at.
+    pub comparisons: Comparisons,
+    /// Runs that are being looked at.
+    pub views: RunViews,
     /// Largest and slowest bodies.
     pub limits: Limits,
     /// The time.

@@ -6,15 +6,15 @@ use std::time::Instant;
 
 use axum::body::Body;
 use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::header::{ACCEPT, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, LOCATION};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures::FutureExt;
 use tracing::Instrument;
 
-use super::headers::protect;
+use super::headers::{Immutable, PAGE, keep, protect};
 use super::problem::{self, Problem};
 use super::{Shared, codes};
 use crate::domain::RigId;
@@ -43,7 +43,7 @@ pub async fn observe(
     let started = Instant::now();
     let id = client_id(request.headers()).unwrap_or_else(|| http.new_id().to_string());
     let method = method_label(request.method());
-    let inference = of_inference(request.uri().path());
+    let form = Form::of(&request);
     // An unknown path must not become a label: clients could make any number of labels.
     let route = matched.as_ref().map_or("unmatched", MatchedPath::as_str).to_owned();
     let span = tracing::info_span!(
@@ -74,7 +74,7 @@ pub async fn observe(
     if response.extensions().get::<Problem>().is_some_and(|problem| problem.code() == codes::STORE_ROW.name) {
         http.store.doubt_rows();
     }
-    let response = finish(response, &id, &span, inference);
+    let response = finish(response, &id, &span, &form);
 
     let status = response.status();
     let elapsed = started.elapsed();
@@ -89,9 +89,34 @@ pub async fn observe(
     response
 }
 
-/// Whether a path is one of the Open Inference Protocol, known or not.
-fn of_inference(path: &str) -> bool {
-    path == "/v2" || path.starts_with("/v2/")
+/// The form of the document that a refused request gets.
+enum Form {
+    /// RFC 9457.
+    Problem,
+    /// The same with the field of the Open Inference Protocol.
+    Inference,
+    /// A page, for a browser; with the address that signing in leads back to, of a request that can be repeated.
+    Page(Option<String>),
+}
+
+impl Form {
+    fn of(request: &Request) -> Self {
+        let path = request.uri().path();
+        let below =
+            |root: &str| path.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
+        if below("/v2") {
+            return Self::Inference;
+        }
+        // Programs take anything; only browsers name HTML.
+        let accepts = request.headers().get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
+        let is_browser =
+            accepts.flat_map(|value| value.split([',', ';'])).any(|kind| kind.trim() == "text/html");
+        if below("/v1") || !is_browser {
+            return Self::Problem;
+        }
+        let again = (*request.method() == Method::GET).then(|| request.uri().path_and_query()).flatten();
+        Self::Page(again.map(|address| address.as_str().to_owned()))
+    }
 }
 
 /// The rig in the path. Only a valid id counts, so that clients cannot write other text into the log.
@@ -105,9 +130,8 @@ pub fn note_rig(span: &tracing::Span, rig: &RigId) {
     span.record("rig.id", tracing::field::display(rig));
 }
 
-/// Adds request id and protective headers to an answer and, if it is a problem, writes its document in the form
-/// of `/v1` or of the Open Inference Protocol.
-fn finish(mut response: Response, id: &str, span: &tracing::Span, inference: bool) -> Response {
+/// Adds request id and protective headers to an answer and, if it is a problem, writes its document.
+fn finish(mut response: Response, id: &str, span: &tracing::Span, form: &Form) -> Response {
     let status = response.status();
     let mut problem = response.extensions_mut().remove::<Problem>();
     if problem.is_none() && (status.is_client_error() || status.is_server_error()) {
@@ -121,15 +145,39 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span, inference: boo
         } else {
             span.in_scope(|| tracing::debug!("request refused"));
         }
-        let document = if inference { problem.inference_document(id) } else { problem.document(id) };
-        *response.body_mut() = Body::from(document);
-        response.headers_mut().remove(CONTENT_LENGTH);
-        response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(problem::MEDIA_TYPE));
+        refuse(&mut response, &problem, id, form);
     }
+    let kept = response.extensions_mut().remove::<Immutable>().is_some();
     let id = HeaderValue::from_str(id).expect("ids are letters, digits and four marks");
     response.headers_mut().insert(X_REQUEST_ID.clone(), id);
     protect(response.headers_mut());
+    if kept {
+        keep(response.headers_mut());
+    }
     response
+}
+
+/// Writes the document of a problem. A browser that is not signed in is sent to the form for that.
+fn refuse(response: &mut Response, problem: &Problem, id: &str, form: &Form) {
+    let (document, kind) = match form {
+        Form::Problem => (problem.document(id), problem::MEDIA_TYPE),
+        Form::Inference => (problem.inference_document(id), problem::MEDIA_TYPE),
+        Form::Page(Some(again)) if problem.code() == codes::TOKEN_MISSING.name => {
+            let query = form_urlencoded::Serializer::new(String::new()).append_pair("to", again).finish();
+            if let Ok(address) = HeaderValue::try_from(format!("/sign-in?{query}")) {
+                response.headers_mut().insert(LOCATION, address);
+            }
+            *response.status_mut() = StatusCode::SEE_OTHER;
+            (Vec::new(), "text/plain")
+        }
+        Form::Page(_) => (problem.page(id).into_bytes(), "text/html; charset=utf-8"),
+    };
+    if kind.starts_with("text/html") {
+        response.headers_mut().insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(PAGE));
+    }
+    *response.body_mut() = Body::from(document);
+    response.headers_mut().remove(CONTENT_LENGTH);
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
 }
 
 /// The client's own request id, if it can be logged and sent back as it is.
@@ -183,7 +231,7 @@ mod tests {
     #[test]
     fn an_answer_that_the_framework_refused_becomes_a_problem_document() {
         let response =
-            finish(axum::http::StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none(), false);
+            finish(StatusCode::IM_A_TEAPOT.into_response(), "r-1", &tracing::Span::none(), &Form::Problem);
         assert_eq!(response.headers()[CONTENT_TYPE], problem::MEDIA_TYPE);
         assert_eq!(response.headers()["x-request-id"], "r-1");
     }

@@ -21,6 +21,11 @@ pub struct Params(Vec<(String, String)>);
 pub struct NoParams;
 
 impl Params {
+    /// No parameters.
+    pub fn none() -> Self {
+        Self(Vec::new())
+    }
+
     /// Takes all values of a parameter that may be repeated.
     pub fn all(&mut self, name: &str) -> Vec<String> {
         self.0.extract_if(.., |(key, _)| key == name).map(|(_, value)| value).collect()

@@ -13,6 +13,7 @@ use serde::Serialize;
 use super::codes::{self, Code};
 use crate::domain;
 pub use crate::domain::FieldError;
+use crate::ui::{self, refusal::Refusal};
 
 /// Media type of problem documents.
 pub const MEDIA_TYPE: &str = "application/problem+json";
@@ -133,6 +134,17 @@ impl Problem {
     /// The document under `/v2`, as the bytes of a body.
     pub(super) fn inference_document(&self, request_id: &str) -> Vec<u8> {
         self.written(request_id, Some(&self.0.what.detail))
+    }
+
+    /// The problem as a page for people.
+    pub(super) fn page(&self, request_id: &str) -> String {
+        ui::refusal::page(&Refusal {
+            title: &self.0.what.title,
+            status: self.0.what.status,
+            detail: &self.0.what.detail,
+            code: &self.0.what.code,
+            request_id,
+        })
     }
 
     fn written(&self, request_id: &str, error: Option<&str>) -> Vec<u8> {

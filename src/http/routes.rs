@@ -8,7 +8,7 @@ use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
     Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, inference, iterations, jobs,
-    metrics, models, predict, rigs, runs, start, tokens,
+    metrics, models, pages, predict, rigs, runs, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -22,8 +22,19 @@ pub struct Route {
     pub right: Right,
     /// Class of traffic, whose permit a request waits for.
     pub traffic: Traffic,
+    /// Whom it answers.
+    pub audience: Audience,
     /// The handler.
     pub handler: fn() -> MethodRouter<Shared>,
+}
+
+/// Whom a route answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Audience {
+    /// Programs: the route is an operation of the contract.
+    Programs,
+    /// People: a page, or what pages load. It is no part of the contract.
+    People,
 }
 
 const fn route(
@@ -33,7 +44,22 @@ const fn route(
     traffic: Traffic,
     handler: fn() -> MethodRouter<Shared>,
 ) -> Route {
-    Route { method, path, right, traffic, handler }
+    Route { method, path, right, traffic, audience: Audience::Programs, handler }
+}
+
+/// A page.
+const fn page(
+    path: &'static str,
+    right: Right,
+    traffic: Traffic,
+    handler: fn() -> MethodRouter<Shared>,
+) -> Route {
+    Route { method: Method::GET, path, right, traffic, audience: Audience::People, handler }
+}
+
+/// What the forms of pages send before there is a session.
+const fn form(path: &'static str, handler: fn() -> MethodRouter<Shared>) -> Route {
+    Route { method: Method::POST, path, right: Public, traffic: Control, audience: Audience::People, handler }
 }
 
 /// All operations.
@@ -104,11 +130,32 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/tokens", AllRigs(Admin), Control, || get(tokens::list)),
     route(Method::POST, "/v1/tokens", AllRigs(Admin), Control, || post(tokens::create)),
     route(Method::DELETE, "/v1/tokens/{token}", AllRigs(Admin), Control, || delete(tokens::remove)),
-    route(Method::GET, "/", Public, Registry, || get(start::show)),
+    route(Method::GET, "/", Public, Registry, || get(pages::rigs)),
+    page("/rigs/{rig}", Role(Reader), Registry, || get(pages::rig)),
+    page("/rigs/{rig}/upload", Role(Operator), Registry, || get(pages::upload)),
+    page("/rigs/{rig}/fit", Role(Operator), Registry, || get(pages::fit)),
+    page("/rigs/{rig}/predict", Role(Reader), Predict, || get(pages::predict)),
+    page("/rigs/{rig}/diagnose", Role(Operator), Registry, || get(pages::diagnose)),
+    page("/rigs/{rig}/diagnoses/{diagnosis}", Role(Reader), Registry, || get(pages::diagnosis)),
+    page("/rigs/{rig}/iterate", Role(Operator), Registry, || get(pages::iterate)),
+    page("/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || get(pages::iteration)),
+    page("/rigs/{rig}/runs/{run}", Role(Reader), Predict, || get(pages::run)),
+    page("/rigs/{rig}/runs/{run}/file", Role(Reader), Predict, || get(pages::run_file)),
+    page("/rigs/{rig}/models/{version}", Role(Reader), Predict, || get(pages::model)),
+    page("/jobs", Role(Reader), Registry, || get(pages::jobs)),
+    page("/jobs/{job}", Role(Reader), Registry, || get(pages::job)),
+    page("/tokens", AllRigs(Admin), Control, || get(pages::tokens)),
+    page("/operations", Role(Reader), Control, || get(pages::operations)),
+    page("/assets/{digest}/{file}", Public, Control, || get(pages::asset)),
+    page("/sign-in", Public, Control, || get(pages::sign_in)),
+    page("/signed-in", Public, Control, || get(pages::signed_in)),
+    page("/session", Role(Reader), Control, || get(pages::session)),
+    form("/sign-in", || post(pages::begin_session)),
+    form("/sign-out", || post(pages::sign_out)),
     route(Method::GET, "/livez", Public, Control, || get(health::live)),
     route(Method::GET, "/readyz", Public, Control, || get(health::ready)),
     route(Method::GET, "/metrics", AllRigs(Reader), Control, || get(metrics::show)),
     route(Method::GET, "/openapi.yaml", Public, Registry, || get(contract::openapi)),
-    route(Method::GET, "/docs", Public, Registry, || get(contract::docs)),
-    route(Method::GET, "/docs/{asset}", Public, Registry, || get(contract::docs)),
+    route(Method::GET, "/docs", Public, Registry, || get(pages::docs)),
+    route(Method::GET, "/docs/{asset}", Public, Registry, || get(contract::asset)),
 ];

@@ -1,7 +1,24 @@
-//! Pages for people: HTML with plots as inline SVG, without scripts and without a network.
+//! Pages for people: HTML with plots as inline SVG. Every page loads one style sheet and small scripts of the service;
+//! nothing stands inside the page, and nothing comes from elsewhere.
 
+pub mod assets;
 pub mod diagnosis;
-mod document;
+pub mod figures;
+pub mod fit;
+pub mod frame;
+pub mod iteration;
+pub mod job;
+pub mod model;
 mod plot;
-pub mod start;
+pub mod predict;
+pub mod refusal;
+pub mod rig;
+pub mod rigs;
+pub mod run;
+pub mod sign_in;
+#[cfg(test)]
+mod testing;
 mod text;
+pub mod tokens;
+pub mod upload;
+mod words;

@@ -2,14 +2,30 @@
 
 use std::collections::BTreeSet;
 
+use rigcast::http::routes::{Audience, ROUTES, Route};
 use rigcast::http::{Right, Traffic};
 
 use crate::support::{Contract, OPENAPI, TestApp};
 
+/// Routes for programs; pages are no part of the contract.
+fn operations() -> impl Iterator<Item = &'static Route> {
+    ROUTES.iter().filter(|route| route.audience == Audience::Programs)
+}
+
+#[test]
+fn pages_stand_apart_from_what_the_contract_promises() {
+    let pages: Vec<&Route> = ROUTES.iter().filter(|route| route.audience == Audience::People).collect();
+    assert!(pages.len() > 10);
+    for page in pages {
+        assert!(!page.path.starts_with("/v1") && !page.path.starts_with("/v2"), "{}", page.path);
+        assert!(Contract::get().document["paths"].get(page.path).is_none(), "{}", page.path);
+    }
+}
+
 #[test]
 fn every_route_is_in_the_contract_and_every_operation_of_the_contract_is_a_route() {
     let routes: BTreeSet<(String, String)> =
-        rigcast::http::routes::ROUTES.iter().map(|r| (r.method.to_string(), r.path.to_owned())).collect();
+        operations().map(|r| (r.method.to_string(), r.path.to_owned())).collect();
     let operations: BTreeSet<(String, String)> =
         Contract::get().operations().into_iter().map(|(method, path, _)| (method, path)).collect();
     assert!(routes.len() > 30, "the table is not empty");
@@ -43,7 +59,7 @@ fn the_contract_asks_of_every_operation_what_the_table_of_rights_asks() {
         serde_json::json!([{"token": []}]),
         "a token unless an operation says otherwise"
     );
-    for route in rigcast::http::routes::ROUTES {
+    for route in operations() {
         let operation = &document["paths"][route.path][route.method.as_str().to_lowercase()];
         let role = operation["x-role"].as_str();
         let without = operation["security"].as_array().map(|ways| {
@@ -64,7 +80,7 @@ fn the_contract_asks_of_every_operation_what_the_table_of_rights_asks() {
 #[test]
 fn the_contract_says_of_every_operation_how_it_is_refused_under_load() {
     let document = &Contract::get().document;
-    for route in rigcast::http::routes::ROUTES {
+    for route in operations() {
         let operation = &document["paths"][route.path][route.method.as_str().to_lowercase()];
         let found = ["408", "429", "503", "504"].map(|status| operation["responses"].get(status).is_some());
         let body = operation.get("requestBody").is_some();

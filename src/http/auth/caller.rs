@@ -63,6 +63,6 @@ impl OptionalFromRequestParts<Shared> for Caller {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, http: &Shared) -> Answer<Option<Self>> {
-        Ok(http.auth.identify(parts, http.now()).await.ok())
+        Ok(http.auth.identify(parts, http.now()).await.ok().map(|identity| identity.caller))
     }
 }

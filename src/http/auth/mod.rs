@@ -7,10 +7,11 @@
 mod caller;
 mod loopback;
 mod right;
+mod sessions;
 mod token_cache;
 
 use axum::extract::{FromRequestParts, RawPathParams, Request, State};
-use axum::http::header::{AUTHORIZATION, WWW_AUTHENTICATE};
+use axum::http::header::{AUTHORIZATION, COOKIE, WWW_AUTHENTICATE};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::middleware::Next;
@@ -20,11 +21,13 @@ use jiff::Timestamp;
 use super::paths::no_rig;
 use super::problem::{Answer, Problem};
 use super::{Shared, codes};
-use crate::domain::{Clock, SecretDigest};
+use crate::domain::{Clock, Secret, SecretDigest, Token};
 use crate::storage::Store;
 
 pub use caller::Caller;
 pub use right::Right;
+pub use sessions::{COOKIE_NAME, cookie};
+use sessions::{Session, Sessions, X_CSRF_TOKEN};
 use token_cache::TokenCache;
 
 /// Longest text that may be a secret; real ones are shorter.
@@ -34,6 +37,7 @@ const MAX_SECRET_LEN: usize = 256;
 #[derive(Debug)]
 pub struct Auth {
     token_cache: TokenCache,
+    sessions: Sessions,
     /// Whether the service listens on loopback only. Elsewhere it always requires a token.
     on_loopback: bool,
 }
@@ -49,7 +53,33 @@ enum Credentials {
 impl Auth {
     /// Authentication by the tokens in `store`, for a service that listens on loopback or beyond.
     pub fn new(store: Store, on_loopback: bool) -> Self {
-        Self { token_cache: TokenCache::new(store), on_loopback }
+        Self { token_cache: TokenCache::new(store), sessions: Sessions::default(), on_loopback }
+    }
+
+    /// Begins a session of the token with this secret; returns the secret id of the session.
+    ///
+    /// # Errors
+    /// `token.invalid` for a secret that is no token's in force.
+    pub async fn sign_in(&self, secret: &str, now: Timestamp) -> Answer<Secret> {
+        let snapshot = self.token_cache.current().await?;
+        let known = (1..=MAX_SECRET_LEN).contains(&secret.len());
+        let digest = SecretDigest::of(secret.as_bytes());
+        let token = snapshot.find(&digest, now).filter(|_| known).ok_or_else(invalid)?;
+        self.sessions.begin(token.id, now).map_err(Problem::internal)
+    }
+
+    /// Ends the session of a request, if it has one and repeats its CSRF token.
+    ///
+    /// # Errors
+    /// `csrf.invalid`
+    pub fn sign_out(&self, headers: &HeaderMap, csrf: &str, now: Timestamp) -> Answer<()> {
+        if let Some(session) = self.sessions.find(headers, now) {
+            if !session.matches(csrf) {
+                return Err(foreign_form());
+            }
+            self.sessions.end(headers);
+        }
+        Ok(())
     }
 
     /// Drops the cached tokens, because tokens have changed.
@@ -61,25 +91,33 @@ impl Auth {
     ///
     /// # Errors
     /// `token.missing`, `token.invalid`; while there is no token `host.foreign` and `origin.foreign`.
-    async fn identify(&self, parts: &Parts, now: Timestamp) -> Answer<Caller> {
+    pub(super) async fn identify(&self, parts: &Parts, now: Timestamp) -> Answer<Identity> {
         let snapshot = self.token_cache.current().await?;
-        match credentials(&parts.headers) {
+        let sent = credentials(&parts.headers);
+        if matches!(sent, Credentials::Absent)
+            && let Some(session) = self.sessions.find(&parts.headers, now)
+            && let Some(token) = snapshot.by_id(session.token, now)
+        {
+            check_form(parts, &session)?;
+            note(&token);
+            return Ok(Identity { caller: Caller::Token(token), csrf: session.csrf });
+        }
+        let caller = match sent {
             Credentials::Secret(digest) => {
                 // The log names a refused token too, to show whose program still sends it.
                 if let Some(token) = snapshot.identify(&digest) {
-                    let span = tracing::Span::current();
-                    span.record("token.id", tracing::field::display(token.id));
-                    span.record("token.name", &*token.name);
+                    note(token);
                 }
-                snapshot.find(&digest, now).map(Caller::Token).ok_or_else(invalid)
+                Caller::Token(snapshot.find(&digest, now).ok_or_else(invalid)?)
             }
-            Credentials::Malformed => Err(invalid()),
-            Credentials::Absent if snapshot.any || !self.on_loopback => Err(missing()),
+            Credentials::Malformed => return Err(invalid()),
+            Credentials::Absent if snapshot.any || !self.on_loopback => return Err(missing()),
             Credentials::Absent => {
                 loopback::check(parts)?;
-                Ok(Caller::Everybody)
+                Caller::Everybody
             }
-        }
+        };
+        Ok(Identity { caller, csrf: String::new() })
     }
 
     /// Returns within a second after the caller's token was revoked or expired or, for a caller without
@@ -97,6 +135,36 @@ impl Auth {
     }
 }
 
+/// The caller of a request, and the CSRF token of its session; empty without a session.
+#[derive(Debug, Clone)]
+pub struct Identity {
+    /// The caller.
+    pub caller: Caller,
+    /// Text that forms repeat.
+    pub csrf: String,
+}
+
+/// Adds the token of a request to its log line.
+fn note(token: &Token) {
+    let span = tracing::Span::current();
+    span.record("token.id", tracing::field::display(token.id));
+    span.record("token.name", &*token.name);
+}
+
+/// Refuses a change under a session's cookie without its CSRF token: another site may have caused it.
+fn check_form(parts: &Parts, session: &Session) -> Answer<()> {
+    let sent = parts.headers.get(&X_CSRF_TOKEN).and_then(|value| value.to_str().ok());
+    if parts.method.is_safe() || sent.is_some_and(|sent| session.matches(sent)) {
+        return Ok(());
+    }
+    Err(foreign_form())
+}
+
+fn foreign_form() -> Problem {
+    let detail = "The form does not belong to this session: load the page again, and send it once more.";
+    Problem::new(codes::CSRF_INVALID, detail)
+}
+
 /// Passes on a request whose caller has the right to the operation, and tells the handler the caller.
 pub async fn guard(
     State((http, right)): State<(Shared, Right)>,
@@ -107,12 +175,14 @@ pub async fn guard(
         return Ok(next.run(request).await);
     }
     let (mut parts, body) = request.into_parts();
-    let caller = http.auth.identify(&parts, http.now()).await?;
-    right.check(&caller)?;
-    in_reach(&mut parts, &caller).await?;
-    // No handler needs the secret, so none can leak it.
+    let identity = http.auth.identify(&parts, http.now()).await?;
+    right.check(&identity.caller)?;
+    in_reach(&mut parts, &identity.caller).await?;
+    // No handler needs the secrets, so none can leak them.
     parts.headers.remove(AUTHORIZATION);
-    parts.extensions.insert(caller);
+    parts.headers.remove(COOKIE);
+    parts.extensions.insert(identity.caller.clone());
+    parts.extensions.insert(identity);
     Ok(next.run(Request::from_parts(parts, body)).await)
 }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 
-use crate::domain::{SecretDigest, Token};
+use crate::domain::{SecretDigest, Token, TokenId};
 use crate::storage::{Store, StoreError, TokenTable};
 
 /// Greatest age of the tokens in memory.
@@ -94,6 +94,12 @@ impl TokenSnapshot {
     pub fn find(&self, digest: &SecretDigest, now: Timestamp) -> Option<Arc<Token>> {
         let (known, token) = self.tokens.get(&digest.half())?;
         (known.matches(digest) && token.is_in_force(now)).then(|| Arc::clone(token))
+    }
+
+    /// The token of this id, if it is in force.
+    pub fn by_id(&self, id: TokenId, now: Timestamp) -> Option<Arc<Token>> {
+        let (_, token) = self.tokens.values().find(|(_, token)| token.id == id)?;
+        token.is_in_force(now).then(|| Arc::clone(token))
     }
 
     /// Whether a token that was found is still in force.

@@ -84,7 +84,7 @@ pub async fn show(
 }
 
 /// The FRF of a model, or the refusal of a model that has none.
-fn frf_of(model: &RigModel) -> Answer<&Frf> {
+pub(super) fn frf_of(model: &RigModel) -> Answer<&Frf> {
     model.frf.as_ref().ok_or_else(|| {
         let detail = format!("A model of kind {} has no FRF.", model.version_kind().as_str());
         Problem::new(codes::MODEL_NO_FRF, detail)

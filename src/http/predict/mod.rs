@@ -4,6 +4,7 @@
 //! the model, [`answer`] computes and writes the answer.
 
 mod answer;
+mod compare;
 mod inputs;
 pub(super) mod memory;
 mod request;
@@ -36,6 +37,7 @@ use inputs::Drive;
 use request::{MeasurementQuery, NpyQuery, PredictRequest};
 
 pub(super) use answer::{check_rate, class};
+pub use compare::{Comparison, Comparisons, compare};
 pub use memory::PredictionMemory;
 pub(super) use stages::Stages;
 

@@ -14,7 +14,11 @@ mod transfer;
 
 use maud::{Markup, html};
 
-use super::document::document;
+use super::frame::{self, Frame, Section, Visitor};
+use super::iteration::model_options;
+use super::rig::name_of;
+use super::words::duration;
+use crate::domain::{Model, Rig, Run, TokenRole};
 use crate::engine::diagnosis::{Report, VerdictKind, Views};
 
 pub use names::name_runs;
@@ -52,10 +56,84 @@ pub enum Simulation {
     Outside,
 }
 
-/// The page as self-contained HTML: no scripts, no other files.
+/// The report as a document that is complete in itself: no scripts, no other files.
 pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
     let title = format!("Diagnosis of {}", of.rig_name);
+    let call = html! {
+        @if let Some(call) = of.adopt.as_ref().filter(|_| may_adopt(report)) {
+            (heading("adopt", "Take the effect into the model"))
+            p { "This call makes a new model version that predicts with the effect; the version in use stays until you change it." }
+            pre { code { (call) } }
+        }
+    };
+    frame::alone(&title, &content(of, report, views, &call))
+}
+
+/// The report as a page of the service, with the form that adopts the effect.
+pub fn framed(visitor: &Visitor, of: &Heading, report: &Report, views: &Views) -> String {
+    let title = format!("Diagnosis of {}", of.rig_name);
+    let form = html! {
+        @if of.adopt.is_some() && may_adopt(report) && visitor.may(TokenRole::Operator) {
+            (heading("adopt", "Take the effect into the model"))
+            p { "A new model version predicts with the effect; the version in use stays until you change it." }
+            form data-api={ "POST /v1/rigs/" (of.rig) "/diagnoses/" (of.diagnosis) "/adopt" } data-then="follow" {
+                (frame::csrf(visitor))
+                div.row {
+                    label { "Activate it" select name="activate" {
+                        option value="never" { "not yet: I look at it first" }
+                        option value="if_better" { "if it closes at least 1 % of the gap" }
+                        option value="always" { "in any case" }
+                    } }
+                    button.main type="submit" { "Adopt the effect" }
+                }
+            }
+        }
+    };
+    let rig = format!("/rigs/{}", of.rig);
+    let mut frame =
+        Frame::new(&title, Section::Rigs, visitor).below(&[("/".into(), "Rigs"), (rig, &of.rig_name)]);
+    frame.class = "report";
+    frame.scripts = &["forms.js"];
+    frame.page(&content(of, report, views, &form))
+}
+
+/// The form that starts a diagnosis.
+pub fn form(
+    visitor: &Visitor,
+    rig: &Rig,
+    runs: &[Run],
+    models: &[Model],
+    chosen: (Option<&str>, Option<u32>),
+) -> String {
     let main = html! {
+        h1 { "Diagnose" }
+        p { "Where do model and rig disagree, which physical effect does the model lack, and how much closer does it get with that effect? Choose runs that the model misses: some for the parameters, the rest to check them." }
+        form.fields data-api={ "POST /v1/rigs/" (rig.id) "/diagnoses" } data-then="follow" {
+            (frame::csrf(visitor))
+            fieldset { legend { "Runs to explain" }
+                @for run in runs { @let id = run.id.to_string();
+                    label.check {
+                        input type="checkbox" name="runs" value=(id) data-as="each" checked[chosen.0 == Some(id.as_str())];
+                        bdi { (name_of(run)) } " " span.soft { (run.kind.as_str()) ", " (run.split.as_str()) ", " (duration(run.duration_s)) }
+                    }
+                }
+                @if runs.is_empty() { p { "There is no run yet." } }
+            }
+            div.row {
+                label { "Model" select name="model" data-as="json" { (model_options(models, chosen.1)) } }
+                label { "A gap matters from" input type="number" name="material_gap" data-as="number" min="0" step="any" placeholder="0.02"; span.soft { "of the response's RMS" } }
+            }
+            div { button.main type="submit" { "Start the diagnosis" } }
+        }
+    };
+    let way = [("/".to_owned(), "Rigs"), (format!("/rigs/{}", rig.id), rig.name.as_str())];
+    let mut frame = Frame::new("Diagnose", Section::Rigs, visitor).below(&way);
+    frame.scripts = &["forms.js"];
+    frame.page(&main)
+}
+
+fn content(of: &Heading, report: &Report, views: &Views, adopt: &Markup) -> Markup {
+    html! {
         (header(of, report))
         (location::section(report, views))
         (candidates::section(report))
@@ -64,10 +142,9 @@ pub fn page(of: &Heading, report: &Report, views: &Views) -> String {
         (force::section(report, views))
         (remaining::remaining(report))
         (remaining::next(report))
-        (adopt(of, report))
+        (adopt)
         (remaining::method(of, report, views))
-    };
-    document(&title, include_str!("style.css"), &main)
+    }
 }
 
 /// Unit of the response that the best hypothesis helps most.
@@ -106,7 +183,7 @@ fn header(of: &Heading, report: &Report) -> Markup {
     }
 }
 
-fn kind_in_words(kind: VerdictKind) -> &'static str {
+pub(super) fn kind_in_words(kind: VerdictKind) -> &'static str {
     match kind {
         VerdictKind::Identified => "Effect identified",
         VerdictKind::Partial => "Effect identified in part",
@@ -119,18 +196,9 @@ fn kind_in_words(kind: VerdictKind) -> &'static str {
     }
 }
 
-fn adopt(of: &Heading, report: &Report) -> Markup {
-    // An effect that diverges within the allowed drives cannot be adopted.
-    let steady = sentence::best(report).is_some_and(|b| b.stable_over_envelope);
-    let may = report.verdict.kind.blames() && steady;
-    let Some(call) = of.adopt.as_ref().filter(|_| may) else {
-        return html! {};
-    };
-    html! {
-        (heading("adopt", "Take the effect into the model"))
-        p { "This call makes a new model version that predicts with the effect; the version in use stays until you change it." }
-        pre { code { (call) } }
-    }
+/// Whether there is an effect to adopt: one that diverges within the allowed drives cannot be.
+fn may_adopt(report: &Report) -> bool {
+    report.verdict.kind.blames() && sentence::best(report).is_some_and(|best| best.stable_over_envelope)
 }
 
 /// Whether the verdict is that there is no gap.

@@ -26,6 +26,8 @@ pub enum Key {
     Above,
     /// Beside the right end of each line.
     Ends,
+    /// Nowhere: the axis has the name.
+    None,
 }
 
 /// Something drawn over the axes.
@@ -33,6 +35,10 @@ pub enum Key {
 pub enum Mark {
     /// A line through points; points that are not finite are left out.
     Line { x: Vec<f64>, y: Vec<f64>, style: Style, name: String },
+    /// The smallest and the largest value in each of the equal stretches of `from..to`, as a filled line.
+    Envelope { from: f64, to: f64, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
+    /// The area between two lines over the same points.
+    Band { x: Vec<f64>, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
     /// Points of a cloud.
     Dots { x: Vec<f64>, y: Vec<f64>, style: Style, radius: f64, name: String },
     /// A bar from the lower end of the axis to `height`.
@@ -80,9 +86,9 @@ impl Figure {
         let frame = self.frame();
         let (title, description) = (format!("{}-title", self.id), format!("{}-desc", self.id));
         html! {
-            svg role="img" aria-labelledby=(format!("{title} {description}"))
-                viewBox=(format!("0 0 {} {}", px(width), px(height)))
-                style=(format!("--w:{}px", px(width))) {
+            svg xmlns="http://www.w3.org/2000/svg" role="img" aria-labelledby=(format!("{title} {description}"))
+                viewBox=(format!("0 0 {} {}", px(width), px(height))) width=(px(width)) height=(px(height))
+                data-left=(px(frame.left)) data-right=(px(frame.right)) {
                 title id=(title) { (self.title) }
                 desc id=(description) { (self.description) }
                 @for mark in &self.marks { (self.behind(mark, frame)) }
@@ -91,6 +97,7 @@ impl Figure {
                 @match self.key {
                     Key::Above => { (self.row_of_keys(frame)) }
                     Key::Ends => { (self.end_labels(frame)) }
+                    Key::None => {}
                 }
             }
         }
@@ -114,7 +121,12 @@ impl Figure {
 
     fn named(&self) -> impl Iterator<Item = (&str, &Mark)> {
         self.marks.iter().filter_map(|mark| match mark {
-            Mark::Line { name, .. } | Mark::Dots { name, .. } if !name.is_empty() => {
+            Mark::Line { name, .. }
+            | Mark::Dots { name, .. }
+            | Mark::Envelope { name, .. }
+            | Mark::Band { name, .. }
+                if !name.is_empty() =>
+            {
                 Some((name.as_str(), mark))
             }
             Mark::Span { name, .. } if !name.is_empty() && self.key == Key::Above => {
@@ -166,6 +178,15 @@ impl Figure {
         match mark {
             Mark::Line { x, y, style, .. } => html! {
                 path class=(format!("line {}", style.class())) d=(self.path(x, y, frame)) {}
+            },
+            Mark::Envelope { from, to, low, high, style, .. } => {
+                let ends = (self.at_x(frame, *from), self.at_x(frame, *to));
+                let columns =
+                    low.iter().zip(high).map(|(low, high)| (self.at_y(frame, *high), self.at_y(frame, *low)));
+                html! { path class=(format!("line {}", style.class())) d=(envelope(ends, low.len(), columns)) {} }
+            }
+            Mark::Band { x, low, high, style, .. } => html! {
+                path class=(format!("band {}", style.class())) d=(self.band(x, low, high, frame)) {}
             },
             Mark::Dots { x, y, style, radius, .. } => html! {
                 path class=(format!("dots {}", style.class())) d=(self.dots(x, y, frame))
@@ -221,6 +242,27 @@ impl Figure {
         d
     }
 
+    /// Forth along the upper line and back along the lower one.
+    fn band(&self, x: &[f64], low: &[f64], high: &[f64], frame: Frame) -> String {
+        let points: Vec<(f64, f64, f64)> = x
+            .iter()
+            .zip(low.iter().zip(high))
+            .map(|(x, (low, high))| (*x, *low, *high))
+            .filter(|(x, low, high)| self.x.0.holds(*x) && low.is_finite() && high.is_finite())
+            .collect();
+        let mut d = String::new();
+        let forth = points.iter().map(|(x, _, high)| (x, high));
+        let back = points.iter().rev().map(|(x, low, _)| (x, low));
+        for (at, (x, y)) in forth.chain(back).enumerate() {
+            let pen = if at == 0 { 'M' } else { 'L' };
+            let _ = write!(d, "{pen}{} {}", px(self.at_x(frame, *x)), px(self.at_y(frame, *y)));
+        }
+        if !d.is_empty() {
+            d.push('Z');
+        }
+        d
+    }
+
     /// Strokes of no length with round caps: a dot takes fewer characters than a circle.
     fn dots(&self, x: &[f64], y: &[f64], frame: Frame) -> String {
         let mut d = String::new();
@@ -246,13 +288,16 @@ impl Figure {
         html! {
             @for (x, name, mark) in keys {
                 @match mark {
-                    Mark::Line { style, .. } => {
+                    Mark::Line { style, .. } | Mark::Envelope { style, .. } => {
                         line class=(format!("line {}", style.class()))
                             x1=(px(x)) x2=(px(x + 22.0)) y1=(px(y)) y2=(px(y)) {}
                     }
                     Mark::Dots { style, .. } => {
                         path class=(format!("dots {}", style.class())) stroke-width="5"
                             d=(format!("M{} {}h0m8 0h0m7 -3h0", px(x + 4.0), px(y))) {}
+                    }
+                    Mark::Band { style, .. } => {
+                        rect class=(format!("band {}", style.class())) x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {}
                     }
                     _ => { rect.span x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {} }
                 }
@@ -283,6 +328,38 @@ impl Figure {
             }
         }
     }
+}
+
+/// A line that runs up and down in each of `n` columns between these ends, from the upper to the lower place of the
+/// column. Whole pixels, each relative to the one before, keep an hour of a channel within some kilobytes.
+fn envelope(ends: (f64, f64), n: usize, columns: impl Iterator<Item = (f64, f64)>) -> String {
+    let mut d = String::new();
+    let mut pen: Option<(i64, i64)> = None;
+    for (column, (top, bottom)) in columns.enumerate() {
+        if !(top.is_finite() && bottom.is_finite()) {
+            pen = None;
+            continue;
+        }
+        let x = (ends.0 + (ends.1 - ends.0) * (column as f64 + 0.5) / n as f64).round() as i64;
+        let (top, bottom) = (top.round() as i64, bottom.round() as i64);
+        let first = match pen {
+            Some((before, y)) => {
+                let nearest = if (y - top).abs() <= (y - bottom).abs() { top } else { bottom };
+                let _ = write!(d, "l{} {}", x - before, nearest - y);
+                nearest
+            }
+            None => {
+                let _ = write!(d, "M{x} {top}");
+                top
+            }
+        };
+        let last = if first == top { bottom } else { top };
+        if last != first {
+            let _ = write!(d, "v{}", last - first);
+        }
+        pen = Some((x, last));
+    }
+    d
 }
 
 /// Moves sorted positions apart until neighbours are at least a line of text apart.
@@ -337,6 +414,17 @@ mod tests {
         let d = svg.split(" d=\"").nth(1).unwrap().split('"').next().unwrap();
         assert_eq!(d.matches('M').count(), 2);
         assert!(!d.contains('L') && d.ends_with(" 158"), "{d}");
+    }
+
+    #[test]
+    fn an_envelope_runs_through_all_extremes_in_few_characters() {
+        // Two columns of 10 pixels: from 20 to 40, then from 90 to 60, the nearer end first.
+        assert_eq!(envelope((0.0, 20.0), 2, [(20.0, 40.0), (60.0, 90.0)].into_iter()), "M5 20v20l10 20v30");
+        assert_eq!(
+            envelope((0.0, 30.0), 3, [(1.0, 1.0), (f64::NAN, 2.0), (3.0, 3.0)].into_iter()),
+            "M5 1M25 3"
+        );
+        assert_eq!(envelope((0.0, 20.0), 0, [].into_iter()), "");
     }
 
     #[test]

@@ -1,12 +1,16 @@
-//! Plots as inline SVG: axes, lines, dots, bars, spans, whiskers. Colours are classes that the page's
+//! Plots as inline SVG: axes, lines, envelopes, bands, dots, bars, spans, whiskers, matrices. Colours are classes that the page's
 //! style sheet sets for light, dark and print; every line differs from its neighbours by more than its
 //! colour (width or dashes), and every plot has a description in words.
 
 mod figure;
+mod file;
+mod matrix;
 mod rows;
 mod scale;
 
 pub use figure::{Figure, Key, Mark};
+pub use file::picture;
+pub use matrix::Matrix;
 pub use rows::{BarRow, WhiskerRow, bars, whiskers};
 pub use scale::{Axis, Scale};
 
@@ -21,7 +25,12 @@ pub enum Style {
     After,
     /// The noise floor.
     Noise,
+    /// One of several lines of equal rank, by its place; eight differ in colour and dashes.
+    Series(usize),
 }
+
+/// Classes of lines of equal rank.
+const SERIES: [&str; 8] = ["s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7"];
 
 impl Style {
     fn class(self) -> &'static str {
@@ -30,6 +39,7 @@ impl Style {
             Self::Before => "before",
             Self::After => "after",
             Self::Noise => "noise",
+            Self::Series(place) => SERIES[place % SERIES.len()],
         }
     }
 }

@@ -53,7 +53,7 @@ fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup
     let (title_id, description_id) = (format!("{id}-title"), format!("{id}-desc"));
     html! {
         svg role="img" aria-labelledby=(format!("{title_id} {description_id}"))
-            viewBox=(format!("0 0 {} {}", px(WIDTH), px(height))) style=(format!("--w:{}px", px(WIDTH))) {
+            viewBox=(format!("0 0 {} {}", px(WIDTH), px(height))) width=(px(WIDTH)) height=(px(height)) {
             title id=(title_id) { (title) }
             desc id=(description_id) { (description) }
             (content)

@@ -35,7 +35,7 @@ fn path(route: &Route, job: &str) -> String {
     let filled = ["{run}", "{diagnosis}", "{iteration}", "{token}"]
         .iter()
         .fold(filled, |path, name| path.replace(name, UNKNOWN));
-    filled.replace("{asset}", "swagger-ui.css")
+    filled.replace("{asset}", "swagger-ui.css").replace("{digest}", "0").replace("{file}", "style.css")
 }
 
 /// Sends the request of this test to an operation: harmless, and the same for every caller.

@@ -2,7 +2,7 @@
 
 mod adoption;
 mod refusals;
-mod rig;
+pub mod rig;
 
 use rigcast::engine::model::Preprocess;
 use serde_json::json;

@@ -78,7 +78,11 @@ impl TestApp {
         let address = ready.recv().expect("the service starts");
         Self {
             address,
-            client: reqwest::Client::new(),
+            // A redirect is an answer like any other.
+            client: reqwest::Client::builder()
+                .redirect(reqwest::redirect::Policy::none())
+                .build()
+                .expect("a client"),
             directory,
             token: None,
             succeeded: Arc::default(),

@@ -6,6 +6,8 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use jsonschema::Validator;
 use serde_json::{Value, json};
 
+use rigcast::http::routes::{Audience, ROUTES};
+
 use super::reply::Reply;
 
 /// The contract's text.
@@ -49,6 +51,12 @@ impl Contract {
         assert!(reply.headers.contains_key("x-request-id"), "{place}: no X-Request-Id");
         let media_type = reply.headers.get("content-type").map(|v| v.to_str().expect("text"));
         let media_type = media_type.map(|t| t.split(';').next().unwrap_or_default().to_owned());
+        if is_page(method, path) || (path == "/" && media_type.as_deref() == Some("text/html")) {
+            if media_type.as_deref() == Some("application/problem+json") {
+                self.check_problem(&place, reply);
+            }
+            return None;
+        }
         if reply.status >= 400 {
             assert_eq!(media_type.as_deref(), Some("application/problem+json"), "{place}");
             self.check_problem(&place, reply);
@@ -154,6 +162,19 @@ impl Contract {
 }
 
 /// One token of a JSON pointer.
+/// Whether a path is a page's, which the contract does not describe.
+fn is_page(method: &str, path: &str) -> bool {
+    let parts: Vec<&str> = path.split('/').collect();
+    let fits = |template: &str| {
+        let template: Vec<&str> = template.split('/').collect();
+        template.len() == parts.len()
+            && template.iter().zip(&parts).all(|(t, p)| t == p || t.starts_with('{'))
+    };
+    ROUTES
+        .iter()
+        .any(|r| r.audience == Audience::People && (r.method == method || r.path == path) && fits(r.path))
+}
+
 fn token(text: &str) -> String {
     text.replace('~', "~0").replace('/', "~1")
 }

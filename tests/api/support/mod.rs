@@ -13,5 +13,5 @@ pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
 pub use program::{Program, lives, rigcast, signal, try_signal};
 pub use raw::{exchange, read_all};
-pub use reply::Reply;
+pub use reply::{Call, Reply};
 pub use vectors::{columns, vector_file, vector_rig};

@@ -17,9 +17,9 @@ use crate::http::problem::Answer;
 
 /// Errors by channel name.
 #[derive(Debug, Serialize)]
-pub(super) struct ErrorReport {
+pub(in crate::http::predict) struct ErrorReport {
     settings: ComparisonSettings,
-    channels: BTreeMap<String, ChannelErrors>,
+    pub(in crate::http::predict) channels: BTreeMap<String, ChannelErrors>,
 }
 
 /// How a prediction was compared with its target.
@@ -41,7 +41,7 @@ pub(super) struct DamageAnswer {
 }
 
 /// Damage of every output, and Multi-Rain of every group of the rig whose channels are outputs.
-pub(super) fn damages(
+pub(in crate::http::predict) fn damages(
     rig: &Rig,
     outputs: &[String],
     response: &Signal,
@@ -92,7 +92,7 @@ fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> (Vec<DamageGroup<'a>>, Vec<Om
 }
 
 /// Errors of the outputs that have a target.
-pub(super) fn distances(
+pub(in crate::http::predict) fn distances(
     outputs: &[String],
     response: &Signal,
     target: &Target,

@@ -7,6 +7,8 @@ mod npy;
 
 use std::sync::Arc;
 
+pub(super) use comparison::{damages, distances};
+
 use super::inputs::{Drive, Target};
 use super::memory::Share;
 use super::request::Include;
@@ -136,7 +138,7 @@ impl PredictionTask {
 }
 
 /// The refusal of a prediction that ended in an error of the engine.
-fn refusal(error: &EngineError, outputs: &[String]) -> Problem {
+pub(in crate::http::predict) fn refusal(error: &EngineError, outputs: &[String]) -> Problem {
     match error {
         EngineError::Cancelled => deadline::over(),
         error => errors::engine(error, outputs, "/drive/channels"),
@@ -187,7 +189,7 @@ pub fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
     Err(Problem::new(codes::PREDICT_SAMPLE_RATE, detail).with(FieldError::new(at, limit)))
 }
 
-fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
+pub(in crate::http::predict) fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
     if drive.n_samples() == target.n_samples() {
         return Ok(());
     }
@@ -197,7 +199,7 @@ fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
 }
 
 /// The target behind the model's filter, as in its fit: the model predicts nothing else.
-fn filtered(target: Target, preprocess: &Preprocess) -> Answer<Target> {
+pub(in crate::http::predict) fn filtered(target: Target, preprocess: &Preprocess) -> Answer<Target> {
     let Target { names, signal } = target;
     let signal =
         preprocess.apply_to(signal).map_err(|error| errors::engine(&error, &names, "/target/channels"))?;

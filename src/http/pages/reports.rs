@@ -1,0 +1,82 @@
+//! Diagnoses and iterations: the forms that start them, and the pages of their results.
+
+use axum::extract::State;
+
+use super::figure::FigureQuery;
+use super::rigs::{find, items, whole};
+use super::{Visitor, html};
+use crate::compute::Class;
+use crate::http::params::{NoParams, Params};
+use crate::http::paths::{OfDiagnosis, OfIteration, OfRig, no_iteration};
+use crate::http::problem::Answer;
+use crate::http::{Shared, diagnoses};
+use crate::storage::RunQuery;
+use crate::ui;
+
+/// `GET /rigs/{rig}/diagnose`
+pub async fn diagnose(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    visitor: Visitor,
+    mut params: Params,
+) -> Answer {
+    let run = params.one("run")?;
+    let model = params.parse::<u32>("model", "a version")?;
+    params.finish()?;
+    let rig = find(&http, &id).await?;
+    let runs = items(http.store.runs(&id, &RunQuery::default(), &whole()).await?);
+    let models = items(http.store.models(&id, &whole()).await?);
+    html(ui::diagnosis::form(&visitor.shown, &rig, &runs, &models, (run.as_deref(), model)))
+}
+
+/// `GET /rigs/{rig}/diagnoses/{diagnosis}`
+pub async fn diagnosis(
+    State(http): State<Shared>,
+    OfDiagnosis(rig, id): OfDiagnosis,
+    visitor: Visitor,
+    _: NoParams,
+) -> Answer {
+    let diagnosis = diagnoses::find(&http, &rig, id).await?;
+    let mut findings = http.store.findings(&diagnosis).await?;
+    let heading = diagnoses::heading(&http, &diagnosis, &findings.report).await?;
+    let names = diagnoses::run_names(&http, &rig, &findings.report).await?;
+    ui::diagnosis::name_runs(&mut findings.report, &mut findings.views, &names);
+    let draw = move || ui::diagnosis::framed(&visitor.shown, &heading, &findings.report, &findings.views);
+    html(http.off_thread(Class::Predict, draw).await?)
+}
+
+/// `GET /rigs/{rig}/iterate`
+pub async fn iterate(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    visitor: Visitor,
+    mut params: Params,
+) -> Answer {
+    let run = params.one("run")?;
+    params.finish()?;
+    let rig = find(&http, &id).await?;
+    let runs = items(http.store.runs(&id, &RunQuery::default(), &whole()).await?);
+    let models = items(http.store.models(&id, &whole()).await?);
+    html(ui::iteration::form(&visitor.shown, &rig, &runs, &models, run.as_deref()))
+}
+
+/// `GET /rigs/{rig}/iterations/{iteration}`, and its figure.
+pub async fn iteration(
+    State(http): State<Shared>,
+    OfIteration(rig_id, id): OfIteration,
+    visitor: Visitor,
+    mut params: Params,
+) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
+    let found = http.store.iteration(&rig_id, id).await?.ok_or_else(|| no_iteration(&id.to_string()))?;
+    match query.name.as_deref() {
+        None => {}
+        Some("steps") => {
+            return query.answer(&ui::iteration::steps(&found, query.width), &format!("{rig_id}-iteration"));
+        }
+        Some(_) => return Err(query.unknown("steps")),
+    }
+    let rig = find(&http, &rig_id).await?;
+    html(ui::iteration::page(&visitor.shown, &rig, &found))
+}

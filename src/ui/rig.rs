@@ -1,0 +1,299 @@
+//! The page of one rig: what was measured, what was fitted, what goes on, and what to do next.
+
+use maud::{Markup, html};
+
+use super::frame::{Frame, Section, Visitor, csrf};
+use super::text::{number, percent};
+use super::words::{self, count, duration};
+use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
+
+/// Everything that the page shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigView {
+    /// The rig.
+    pub rig: Rig,
+    /// Its runs, the newest first.
+    pub runs: Vec<Run>,
+    /// Whether there are older ones.
+    pub more_runs: bool,
+    /// Its models, the newest first.
+    pub models: Vec<Model>,
+    /// Its last jobs, the newest first.
+    pub jobs: Vec<Job>,
+    /// Its diagnoses, the newest first.
+    pub diagnoses: Vec<DiagnosisSummary>,
+    /// Its iterations, the newest first.
+    pub iterations: Vec<IterationSummary>,
+    /// `ETag` of the active model.
+    pub active_tag: String,
+}
+
+/// The page.
+pub fn page(visitor: &Visitor, of: &RigView) -> String {
+    let rig = &of.rig;
+    let at = format!("/rigs/{}", rig.id);
+    let active = of.models.iter().find(|model| model.active);
+    let operator = visitor.may(TokenRole::Operator);
+    let main = html! {
+        div.head {
+            div {
+                h1 { bdi { (rig.name) } }
+                p.soft { (rig.id) " · " (number(rig.sample_rate_hz)) " Hz · "
+                    (count(rig.drives().count(), "drive", "drives")) ", " (count(rig.responses().count(), "response", "responses")) }
+            }
+            div.actions {
+                @if operator { a.button.main[of.runs.is_empty()] href={ (at) "/upload" } { "Upload a run" } }
+                @if operator && !of.runs.is_empty() { a.button.main[active.is_none()] href={ (at) "/fit" } { "Fit a model" } }
+                @if active.is_some() { a.button.main href={ (at) "/predict" } { "Predict and compare" } }
+                @if operator && active.is_some() {
+                    a.button href={ (at) "/diagnose" } { "Diagnose" }
+                    a.button href={ (at) "/iterate" } { "Find a drive" }
+                }
+            }
+        }
+        (next(of, &at, operator))
+        div.cards {
+            section.card aria-labelledby="active" {
+                h2 #active { "Active model" }
+                @match active {
+                    Some(model) => (active_model(model, &at)),
+                    None => p.soft { "None: predictions under “active” are refused." },
+                }
+            }
+            section.card aria-labelledby="work" {
+                h2 #work { "Work" }
+                (jobs(&of.jobs))
+                @if !of.jobs.is_empty() { p { a href={ "/jobs?rig=" (rig.id) } { "All jobs of this rig" } } }
+            }
+        }
+        h2 #runs { "Runs" }
+        (runs(of, &at))
+        h2 #models { "Models" }
+        (models(of, &at, visitor))
+        (studies(of, &at))
+        h2 #channels { "Channels" }
+        (channels(rig))
+        (policy(rig, visitor))
+        @if visitor.may(TokenRole::Admin) { (removal(rig, visitor)) }
+    };
+    let frame = Frame::new(&rig.name, Section::Rigs, visitor).below(&[("/".into(), "Rigs")]);
+    frame.page(&main)
+}
+
+/// The next step of a rig that is not ready to predict.
+fn next(of: &RigView, at: &str, operator: bool) -> Markup {
+    let working = of.jobs.iter().any(|job| !job.state.is_terminal());
+    let step = match (of.runs.is_empty(), of.models.is_empty()) {
+        _ if !operator => return html! {},
+        (true, _) => {
+            html! { "Upload two noise runs of a minute or more: a model needs them, and two of them make its error honest. " a href={ (at) "/upload" } { "Upload a run" } "." }
+        }
+        (false, true) if !working => {
+            html! { "There are runs, but no model yet. " a href={ (at) "/fit" } { "Fit a model" } "." }
+        }
+        _ => return html! {},
+    };
+    html! { div.empty { p { b { "Next: " } (step) } } }
+}
+
+fn active_model(model: &Model, at: &str) -> Markup {
+    let rms: Vec<f64> =
+        model.report.iter().flat_map(|report| &report.validation_rms).flatten().copied().collect();
+    html! {
+        p { a href={ (at) "/models/" (model.version) } { "Version " (model.version) } " (" (model.kind_in_words()) ")" }
+        @if !rms.is_empty() {
+            p.figure-of { (percent(rms.iter().sum::<f64>() / rms.len() as f64)) }
+            p.soft { "RMS error on validation data, mean over the responses" }
+        }
+    }
+}
+
+/// Jobs as a short table.
+pub(super) fn jobs(jobs: &[Job]) -> Markup {
+    html! {
+        @if jobs.is_empty() { p.soft { "Nothing waits or runs." } }
+        @else {
+            div.wide { table.full {
+                thead { tr { th { "Job" } th { "State" } th { "Stage" } th { "Queued" } } }
+                tbody { @for job in jobs {
+                    tr {
+                        td { a href={ "/jobs/" (job.id) } { (job.kind.as_str()) } }
+                        td { (words::state(job.state)) }
+                        td { (job.stage.as_deref().unwrap_or_default()) @if !job.state.is_terminal() && job.progress > 0.0 { " " span.soft { (percent(job.progress)) } } }
+                        td.soft { (words::minute(&job.created_at)) }
+                    }
+                } }
+            } }
+        }
+    }
+}
+
+fn runs(of: &RigView, at: &str) -> Markup {
+    if of.runs.is_empty() {
+        return html! { p.soft { "None yet." } };
+    }
+    html! {
+        div.wide { table.full {
+            thead { tr { th { "Run" } th { "Kind" } th { "Split" } th.number { "Length" } th { "Channels" } th { "Quality" } th { "Accepted" } } }
+            tbody { @for run in &of.runs {
+                tr {
+                    td { a href={ (at) "/runs/" (run.id) } { bdi { (name_of(run)) } } @for tag in &run.tags { " " span.tag { bdi { (tag) } } } }
+                    td { (run.kind.as_str()) }
+                    td { (run.split.as_str()) }
+                    td.number { (duration(run.duration_s)) }
+                    td { (run.channels.len()) }
+                    td { @match run.quality.warnings.len() { 0 => span.soft { "no warning" }, n => span.tag { (count(n, "warning", "warnings")) } } }
+                    td.soft { (words::minute(&run.created_at)) }
+                }
+            } }
+        } }
+        @if of.more_runs { p.soft { "Older runs are not shown here; " code { "GET /v1/rigs/" (of.rig.id) "/runs" } " lists all." } }
+    }
+}
+
+/// A run's name, or where it has none the end of its id.
+pub(super) fn name_of(run: &Run) -> String {
+    if run.name.trim().is_empty() {
+        let id = run.id.to_string();
+        return format!("run …{}", &id[id.len() - 6..]);
+    }
+    run.name.clone()
+}
+
+fn models(of: &RigView, at: &str, visitor: &Visitor) -> Markup {
+    if of.models.is_empty() {
+        return html! { p.soft { "None yet." } };
+    }
+    html! {
+        div.wide { table.full {
+            thead { tr { th { "Version" } th { "Kind" } th { "Origin" } th.number { "Error on validation data" } th { "Made" } th { "" } } }
+            tbody { @for model in &of.models {
+                tr {
+                    td { a href={ (at) "/models/" (model.version) } { "Version " (model.version) } @if model.active { " " span.tag.good { "active" } } }
+                    td { (model.kind_in_words()) }
+                    td { (model.origin.as_str()) }
+                    td.number { @match super::model::mean_error(model) { Some(rms) => (percent(rms)), None => span.soft { "–" } } }
+                    td.soft { (words::minute(&model.created_at)) }
+                    td { @if !model.active && model.is_forward(&of.rig) && visitor.may(TokenRole::Operator) { (super::model::activation(model, &of.active_tag, visitor, "Activate")) } }
+                }
+            } }
+        } }
+    }
+}
+
+fn studies(of: &RigView, at: &str) -> Markup {
+    html! {
+        @if !of.diagnoses.is_empty() {
+            h2 { "Diagnoses" }
+            div.wide { table.full {
+                thead { tr { th { "Diagnosis" } th { "Model" } th { "Verdict" } } }
+                tbody { @for diagnosis in &of.diagnoses { tr {
+                    td { a href={ (at) "/diagnoses/" (diagnosis.id) } { (words::minute(&diagnosis.created_at)) } }
+                    td { @match &diagnosis.model { Some(model) => { "Version " (model.version) } None => "outside simulation" } }
+                    td { (super::diagnosis::kind_in_words(diagnosis.verdict.kind)) }
+                } } }
+            } }
+        }
+        @if !of.iterations.is_empty() {
+            h2 { "Iterations" }
+            div.wide { table.full {
+                thead { tr { th { "Iteration" } th { "Model" } th.number { "Error left" } } }
+                tbody { @for iteration in &of.iterations { tr {
+                    td { a href={ (at) "/iterations/" (iteration.id) } { (words::minute(&iteration.created_at)) } }
+                    td { "Version " (iteration.model.version) }
+                    td.number { (percent(iteration.total_error)) }
+                } } }
+            } }
+        }
+    }
+}
+
+fn channels(rig: &Rig) -> Markup {
+    html! {
+        div.wide { table.full {
+            thead { tr { th { "Name" } th { "Role" } th { "Unit" } th { "Quantity" } th { "Axis" } th { "Group" } th { "Names in files" } } }
+            tbody { @for channel in &rig.channels { tr {
+                td { bdi { (channel.name) } }
+                td { (match channel.role { Role::Drive => "drive", Role::Response => "response" }) }
+                td { bdi { (channel.unit) } }
+                td { (words::word(channel.quantity)) }
+                td { bdi { (channel.axis.as_deref().unwrap_or("–")) } }
+                td { bdi { (channel.group.as_deref().unwrap_or("–")) } }
+                td { bdi { (channel.aliases.join(", ")) } }
+            } } }
+        } }
+    }
+}
+
+fn policy(rig: &Rig, visitor: &Visitor) -> Markup {
+    let policy = rig.fit_policy.as_ref();
+    html! {
+        h2 #policy { "Fits of arriving runs" }
+        @match policy {
+            Some(policy) => p {
+                "Once training runs of the kind " (policy.kinds.iter().map(|kind| kind.as_str()).collect::<Vec<_>>().join(", "))
+                " last " (duration(policy.min_total_s)) " together, each new one queues: "
+                (policy.fits.iter().map(|fit| fit.kind.as_str()).collect::<Vec<_>>().join(", ")) "."
+            },
+            None => p.soft { "Nothing is fitted by itself: runs wait until somebody starts a fit." },
+        }
+        @if visitor.may(TokenRole::Operator) {
+            details {
+                summary { "Change the name or the fits" }
+                form.fields data-api={ "PATCH /v1/rigs/" (rig.id) } data-if-match=(rig.etag()) data-type="application/merge-patch+json" {
+                    (csrf(visitor))
+                    label { "Name" input name="name" value=(rig.name); }
+                    label { "Fits, as JSON"
+                        textarea name="fit_policy" data-as="json" rows="4" spellcheck="false" {
+                            (policy.map_or_else(
+                                || r#"{"kinds": ["noise"], "min_total_s": 60, "fits": [{"kind": "frf"}, {"kind": "hybrid2"}]}"#.to_owned(),
+                                |policy| serde_json::to_string(policy).unwrap_or_default(),
+                            ))
+                        }
+                        span.soft { "Fitted one after the other, whenever new training runs of these kinds have come." }
+                    }
+                    div { button type="submit" { "Change" } }
+                }
+            }
+        }
+    }
+}
+
+fn removal(rig: &Rig, visitor: &Visitor) -> Markup {
+    html! {
+        details {
+            summary { "Delete this rig" }
+            form data-api={ "DELETE /v1/rigs/" (rig.id) } data-then="/"
+                data-confirm={ "Delete the rig " (rig.id) " with all its runs, models and reports? There is no way back." } {
+                (csrf(visitor))
+                p { "Its runs, models and reports go with it." }
+                button.grave type="submit" { "Delete the rig" }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ui::testing::{hostile_rig, visitor};
+
+    #[test]
+    fn a_new_rig_says_what_to_do_next_and_its_names_are_text() {
+        let view = RigView {
+            rig: hostile_rig(),
+            runs: Vec::new(),
+            more_runs: false,
+            models: Vec::new(),
+            jobs: Vec::new(),
+            diagnoses: Vec::new(),
+            iterations: Vec::new(),
+            active_tag: "\"a0\"".into(),
+        };
+        let html = page(&visitor(TokenRole::Operator), &view);
+        assert!(html.contains("Upload two noise runs") && html.contains("/rigs/bench/upload"), "{html}");
+        assert!(!html.contains("<img") && !html.contains("<script>alert") && !html.contains("<i>"), "{html}");
+        assert!(!html.contains("DELETE /v1/rigs"), "only an admin deletes");
+        assert!(page(&visitor(TokenRole::Admin), &view).contains("DELETE /v1/rigs/bench"));
+    }
+}
