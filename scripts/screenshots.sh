@@ -7,5 +7,5 @@ cd "$(dirname "$0")/.."
 cargo test --locked --test api browser::story -- --nocapture
 pictures=$(realpath -m "${CARGO_TARGET_DIR:-target}")/pages
 for name in run model predict; do
-  cp "$pictures/$name.png" "docs/page-$name.png"
+  cp "$pictures/$name-top.png" "docs/page-$name.png"
 done

@@ -26,7 +26,8 @@ impl Drawing {
     pub fn part(&self) -> Markup {
         html! {
             @match self {
-                Self::Plots(figures) => div.plot.fill { @for figure in figures { (figure.svg()) } },
+                // Pictures as wide as the page grow with it; narrower ones keep their size.
+                Self::Plots(figures) => div.plot.fill[figures.iter().all(|figure| figure.size.0 > 900.0)] { @for figure in figures { (figure.svg()) } },
                 Self::Matrix(matrix) => div.plot { (matrix.svg()) },
                 Self::Nothing(why) => p.soft { (why) },
             }

@@ -186,6 +186,6 @@ mod tests {
                 assert!(estimate(&rig, &[], kind, preset).is_finite());
             }
         }
-        assert_eq!((rounded(0.0), rounded(1.2), rounded(31.0)), (0.001, 2.0, 40.0));
+        assert_eq!((rounded(0.0), rounded(1.2), rounded(31.0)), (0.0, 2.0, 40.0));
     }
 }

@@ -138,7 +138,7 @@ fn frf(of: &ModelView<'_>, at: &str) -> Markup {
         }
         div.pair {
             (late(&address(&shown, "magnitude"), &html! { "Magnitude of the response to each drive; the band holds the true value with a probability of " (percent(CONFIDENCE)) "." }))
-            (late(&address(&shown, "phase"), &html! { "Phase, where the drive leads the response it is negative." }))
+            (late(&address(&shown, "phase"), &html! { "Phase: negative where the response lags behind the drive." }))
             (late(&address(&shown, "coherence"), &html! { (term("coherence")) " The multiple coherence counts all drives together." }))
         }
         p.soft { a href={ "/v1" (at) "/frf" } { "All lines for programs" } }

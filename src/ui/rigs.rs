@@ -108,7 +108,7 @@ fn table(rows: &[Row]) -> Markup {
 /// The form of a new rig, with the channels of a single-axis rig as an example.
 fn form(visitor: &Visitor) -> Markup {
     html! {
-        form.fields data-api="POST /v1/rigs" data-then="follow" {
+        form.fields.broad data-api="POST /v1/rigs" data-then="follow" {
             (csrf(visitor))
             div.row {
                 label { "Id" input name="id" required pattern="[a-z0-9][a-z0-9_\\-]{0,62}" placeholder="hydromount-3x"; span.soft { "small letters, digits, - and _; it stays" } }

@@ -14,7 +14,7 @@ use crate::engine::fatigue::Counts;
 use crate::engine::spectral::Psd;
 
 /// Height of a channel's row, pixels, and of a plot that stands alone.
-const ROW: f64 = 118.0;
+const ROW: f64 = 136.0;
 const TALL: f64 = 320.0;
 
 /// Points of a line of a spectrum.

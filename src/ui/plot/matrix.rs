@@ -62,7 +62,7 @@ impl Matrix {
                 text.name x="2" y="14" { (self.names[0]) }
                 text.name x=(px(LEFT + 0.5 * SIDE)) y=(px(ABOVE + SIDE + 35.0)) text-anchor="middle" { (self.names[1]) }
                 text.name x=(px(LEFT + SIDE + 18.0)) y=(px(ABOVE + 10.0)) { "Cycles" }
-                @for step in 0..STEPS {
+                @for step in (0..STEPS).filter(|step| !self.cells_of(*step, most).is_empty()) {
                     @let y = ABOVE + 24.0 + 22.0 * (STEPS - 1 - step) as f64;
                     path class=(format!("heat h{step}")) d=(format!("M{} {}h18v14h-18z", px(LEFT + SIDE + 18.0), px(y))) {}
                     text x=(px(LEFT + SIDE + 42.0)) y=(px(y + 11.0)) { (bound(step, most)) }

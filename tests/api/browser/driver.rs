@@ -45,13 +45,18 @@ fn program(names: &[&str]) -> Option<PathBuf> {
 impl Browser {
     /// A browser for the service at `base`; `None`, with a message, where there is none on this machine.
     pub async fn start(base: &str) -> Option<Self> {
-        let (Some(browser), Some(driver)) = (program(&["chromium", "google-chrome"]), program(&["chromedriver"]))
+        let (Some(browser), Some(driver)) =
+            (program(&["chromium", "google-chrome"]), program(&["chromedriver"]))
         else {
             println!("skipped: no chromium and chromium-driver on this machine");
             return None;
         };
-        let mut driver =
-            Command::new(driver).arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("a driver");
+        let mut driver = Command::new(driver)
+            .arg("--port=0")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("a driver");
         let out = BufReader::new(driver.stdout.take().expect("its output"));
         let port = out.lines().map_while(Result::ok).find_map(|line| {
             let rest = line.split("started successfully on port ").nth(1)?;
@@ -167,11 +172,6 @@ impl Browser {
         .await;
     }
 
-    /// Accepts the question that the page asks.
-    pub async fn accept_question(&self) {
-        self.ask("/alert/accept", json!({})).await.unwrap_or_else(|error| panic!("no question: {error}"));
-    }
-
     /// Whether the page shows a text.
     pub async fn shows(&self, text: &str) -> bool {
         self.eval(&format!("document.body.innerText.includes({text:?})")).await == Value::Bool(true)
@@ -179,8 +179,11 @@ impl Browser {
 
     async fn look(&self, width: u32, dark: bool) {
         let scheme = if dark { "dark" } else { "light" };
-        self.cdp("Emulation.setEmulatedMedia", json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]}))
-            .await;
+        self.cdp(
+            "Emulation.setEmulatedMedia",
+            json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]}),
+        )
+        .await;
         let size = json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false});
         self.cdp("Emulation.setDeviceMetricsOverride", size).await;
     }
@@ -193,16 +196,30 @@ impl Browser {
             let size = self.cdp("Page.getLayoutMetrics", json!({})).await["cssContentSize"].clone();
             let height = size["height"].as_f64().expect("a height").min(4000.0);
             let clip = json!({"x": 0, "y": 0, "width": width, "height": height, "scale": 1});
-            let picture = self.cdp("Page.captureScreenshot", json!({"captureBeyondViewport": true, "clip": clip})).await;
+            let picture = self
+                .cdp("Page.captureScreenshot", json!({"captureBeyondViewport": true, "clip": clip}))
+                .await;
             let bytes = STANDARD.decode(picture["data"].as_str().expect("a picture")).expect("base64");
             std::fs::create_dir_all(folder).expect("a directory");
             std::fs::write(folder.join(format!("{name}{ending}.png")), bytes).expect("a file");
+            if ending.is_empty() {
+                self.shoot_top(folder, name).await;
+            }
             if width == 1280 {
                 self.check_by_axe(&format!("{name}{ending}")).await;
             }
         }
         let wide = self.eval("document.documentElement.scrollWidth > innerWidth + 1").await;
         assert_eq!(wide, Value::Bool(false), "{name} is wider than its window");
+    }
+
+    /// The upper part of the page, for the README.
+    async fn shoot_top(&self, folder: &Path, name: &str) {
+        let clip = json!({"x": 0, "y": 0, "width": 1280, "height": 800, "scale": 0.75});
+        let picture =
+            self.cdp("Page.captureScreenshot", json!({"captureBeyondViewport": true, "clip": clip})).await;
+        let bytes = STANDARD.decode(picture["data"].as_str().expect("a picture")).expect("base64");
+        std::fs::write(folder.join(format!("{name}-top.png")), bytes).expect("a file");
     }
 
     /// No serious violation of the rules of accessibility.

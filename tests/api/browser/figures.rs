@@ -47,14 +47,18 @@ async fn the_first_page_and_an_hour_of_nine_channels_open_in_time() {
         }
     }
     let file = npy("<f4", false, &format!("({HOUR}, 9)"), &bytes);
-    let run = app.post_file("/v1/rigs/hour/runs?kind=noise", "application/x-npy", file).await.expect(201).json();
+    let run =
+        app.post_file("/v1/rigs/hour/runs?kind=noise", "application/x-npy", file).await.expect(201).json();
     let path = format!("/rigs/hour/runs/{}", run["id"].as_str().expect("an id"));
     load(&browser, "/").await;
     let (first_ms, first_bytes) = load(&browser, "/").await;
     let (run_ms, run_bytes) = load(&browser, &path).await;
     let (again_ms, _) = load(&browser, &path).await;
     println!("first page: {first_ms:.0} ms, {:.0} kB", first_bytes / 1e3);
-    println!("run of 1 h x 9 channels: {run_ms:.0} ms at first, {again_ms:.0} ms again, {:.0} kB", run_bytes / 1e3);
+    println!(
+        "run of 1 h x 9 channels: {run_ms:.0} ms at first, {again_ms:.0} ms again, {:.0} kB",
+        run_bytes / 1e3
+    );
     assert!(first_ms <= 200.0 && run_ms <= 1000.0, "as promised");
     assert!(first_bytes <= 200e3 && run_bytes <= 200e3, "as promised");
 }

@@ -128,8 +128,9 @@ async fn iterate(browser: &Browser, target: &str) {
     browser.shoot(&shots(), "iteration").await;
     browser.click("a.button.main").await;
     for _ in 0..100 {
-        let found = std::fs::read_dir(browser.downloads.path()).expect("a directory").filter_map(Result::ok);
-        if found.into_iter().any(|file| file.path().extension().is_some_and(|ending| ending == "rsp")) {
+        let mut found =
+            std::fs::read_dir(browser.downloads.path()).expect("a directory").filter_map(Result::ok);
+        if found.any(|file| file.path().extension().is_some_and(|ending| ending == "rsp")) {
             return;
         }
         tokio::time::sleep(std::time::Duration::from_millis(100)).await;
@@ -153,7 +154,9 @@ async fn an_engineer_comes_from_the_first_sign_in_to_a_drive_and_rolls_back() {
     let (a, b) = (drive(16.0, 1.0, 1), drive(16.0, 0.7, 2));
     let mut high = Vec::new();
     for (k, drive) in [&a, &b, &b, &a].into_iter().enumerate() {
-        high.push(upload(&app, &format!("kind=service&tag=high&name=load%20{k}"), drive, 11 + k as u64).await);
+        high.push(
+            upload(&app, &format!("kind=service&tag=high&name=load%20{k}"), drive, 11 + k as u64).await,
+        );
     }
     predict(&browser, &high[0]).await;
     diagnose(&browser, &app, &high).await;
@@ -163,7 +166,14 @@ async fn an_engineer_comes_from_the_first_sign_in_to_a_drive_and_rolls_back() {
     browser.click("form[data-api^='PUT'] button").await;
     browser.until("document.querySelector('.tag.good')").await;
     assert_eq!(active(&app).await, 1);
-    for (path, name) in [("/rigs/mass", "rig"), ("/", "rigs"), ("/jobs", "jobs"), ("/tokens", "tokens"), ("/operations", "operations"), ("/docs", "docs")] {
+    for (path, name) in [
+        ("/rigs/mass", "rig"),
+        ("/", "rigs"),
+        ("/jobs", "jobs"),
+        ("/tokens", "tokens"),
+        ("/operations", "operations"),
+        ("/docs", "docs"),
+    ] {
         browser.go(path).await;
         if path == "/docs" {
             browser.until("document.querySelector('.opblock')").await;

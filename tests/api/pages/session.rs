@@ -9,8 +9,8 @@ use crate::support::{Reply, TestApp, bench};
 
 /// The value of a cookie that an answer sets.
 fn cookie(reply: &Reply, name: &str) -> Option<String> {
-    let set = reply.headers.get_all("set-cookie").iter().map(|value| value.to_str().expect("text"));
-    let found = set.into_iter().find(|value| value.starts_with(&format!("{name}=")))?;
+    let mut set = reply.headers.get_all("set-cookie").iter().map(|value| value.to_str().expect("text"));
+    let found = set.find(|value| value.starts_with(&format!("{name}=")))?;
     assert!(found.contains("HttpOnly") && found.contains("SameSite=Strict"), "{found}");
     Some(found.split(';').next().expect("a pair").to_owned())
 }
