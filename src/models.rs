@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::OnceCell;
 
 use crate::compute::{Class, Compute, ComputeError};
-use crate::domain::{Base, DiagnosisId, Model, RigId, RunId};
+use crate::domain::{Base, DiagnosisId, EvaluationId, Model, RigId, RunId};
 use crate::engine::EngineError;
 use crate::engine::model::{Predictor, RigModel, from_safetensors};
 use crate::storage::{CorruptObject, Store, StoreError};
@@ -68,7 +68,7 @@ impl ModelError {
     }
 }
 
-/// A model, run or diagnosis that could not be read when it was last needed; `readyz` lists it as degraded.
+/// A model, run, diagnosis or evaluation that could not be read when it was last needed; `readyz` lists it as degraded.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Degraded {
     /// Rig.
@@ -82,6 +82,9 @@ pub struct Degraded {
     /// Diagnosis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<DiagnosisId>,
+    /// Evaluation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub evaluation: Option<EvaluationId>,
     /// Reason.
     pub reason: String,
 }
@@ -195,6 +198,7 @@ impl Models {
             version: None,
             run: None,
             diagnosis: None,
+            evaluation: None,
             reason: reason.to_owned(),
         };
         let mut degraded: Vec<Degraded> = self
@@ -208,6 +212,7 @@ impl Models {
             match of {
                 CorruptObject::Run(run) => degraded.push(Degraded { run: Some(run), ..found }),
                 CorruptObject::Diagnosis(id) => degraded.push(Degraded { diagnosis: Some(id), ..found }),
+                CorruptObject::Evaluation(id) => degraded.push(Degraded { evaluation: Some(id), ..found }),
                 CorruptObject::Model(version) => {
                     if !degraded.iter().any(|d| d.rig == rig && d.version == Some(version)) {
                         degraded.push(Degraded { version: Some(version), ..found });
@@ -216,7 +221,8 @@ impl Models {
             }
         }
         degraded.sort_by(|a, b| {
-            (&a.rig, a.version, a.run, a.diagnosis).cmp(&(&b.rig, b.version, b.run, b.diagnosis))
+            let place = |d: &Degraded| (d.version, d.run, d.diagnosis, d.evaluation);
+            (&a.rig, place(a)).cmp(&(&b.rig, place(b)))
         });
         Ok(degraded)
     }

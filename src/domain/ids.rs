@@ -16,6 +16,9 @@ pub type JobId = uuid::Uuid;
 /// Id of a diagnosis (UUID v7).
 pub type DiagnosisId = uuid::Uuid;
 
+/// Id of an evaluation (UUID v7).
+pub type EvaluationId = uuid::Uuid;
+
 /// Id of a drive-file iteration (UUID v7).
 pub type IterationId = uuid::Uuid;
 

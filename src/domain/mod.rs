@@ -1,8 +1,10 @@
-//! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, iterations, tokens.
+//! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, iterations,
+//! evaluations, tokens.
 
 pub mod columns;
 mod created;
 pub mod diagnosis;
+pub mod evaluation;
 mod fit_check;
 pub mod fits;
 pub mod ids;
@@ -23,8 +25,9 @@ pub mod units;
 pub use crate::engine::{Quantity, RunKind, Split};
 pub use created::Created;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
+pub use evaluation::{EvaluationRequest, EvaluationSummary, StoredEvaluation};
 pub use fit_check::{FitChannels, task};
-pub use ids::{DiagnosisId, IterationId, JobId, RigId, RunId, new_id};
+pub use ids::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, new_id};
 pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{

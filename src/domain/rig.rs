@@ -160,6 +160,19 @@ impl Rig {
         self.channels.iter().find(|channel| channel.name == name)
     }
 
+    /// Names of its groups of channels, with the names of their members, both in the rig's order.
+    pub fn groups(&self) -> Vec<(&str, Vec<&str>)> {
+        let mut groups: Vec<(&str, Vec<&str>)> = Vec::new();
+        for channel in &self.channels {
+            let Some(group) = channel.group.as_deref() else { continue };
+            match groups.iter_mut().find(|(name, _)| *name == group) {
+                Some((_, members)) => members.push(&channel.name),
+                None => groups.push((group, vec![&channel.name])),
+            }
+        }
+        groups
+    }
+
     /// The draft from which the same rig would be created.
     pub fn draft(&self) -> RigDraft {
         RigDraft {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::spectral::{Detrend, Welch, psd, same_shape};
+use super::spectral::{Detrend, Psd, Welch, psd, same_shape};
 use super::{EngineError, Signal};
 
 /// The settings behind every error figure, echoed with it.
@@ -79,6 +79,14 @@ pub struct Errors {
 /// Signals that differ in channels, length or sample rate, no samples, values whose square
 /// overflows.
 pub fn errors(measured: &Signal, predicted: &Signal) -> Result<Errors, EngineError> {
+    errors_with_spectra(measured, predicted).map(|(errors, _)| errors)
+}
+
+/// The errors of each channel, and the spectra behind `psd_rms`: measured, predicted.
+///
+/// # Errors
+/// As [`errors`].
+pub fn errors_with_spectra(measured: &Signal, predicted: &Signal) -> Result<(Errors, [Psd; 2]), EngineError> {
     const WHAT: &str = "predicted signal";
     same_shape(WHAT, measured, predicted)?;
     let (expected, found) = (measured.n_samples(), predicted.n_samples());
@@ -114,7 +122,7 @@ pub fn errors(measured: &Signal, predicted: &Signal) -> Result<Errors, EngineErr
             }
         })
         .collect::<Result<_, _>>()?;
-    Ok(Errors { settings, channels })
+    Ok((Errors { settings, channels }, [measured_psd, predicted_psd]))
 }
 
 /// `rms_ac` and `mean` of [`ChannelErrors`]; `None` when `measured` is constant.

@@ -6,6 +6,7 @@ pub mod checkpoint;
 pub mod diagnosis;
 pub mod envelope;
 pub mod error;
+pub mod evaluation;
 pub mod fatigue;
 pub mod frf;
 pub mod iteration;

@@ -14,3 +14,16 @@ pub enum Quantity {
     #[default]
     Other,
 }
+
+impl Quantity {
+    /// The word of the contract.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Displacement => "displacement",
+            Self::Velocity => "velocity",
+            Self::Acceleration => "acceleration",
+            Self::Force => "force",
+            Self::Other => "other",
+        }
+    }
+}

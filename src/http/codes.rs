@@ -142,6 +142,13 @@ codes! {
     ITERATION_NOT_FOUND = "iteration.not_found", 404, "No such iteration";
     ITERATION_INVALID = "iteration.invalid", 422, "The iteration does not suit the rig";
 
+    // Evaluations.
+    EVALUATION_NOT_FOUND = "evaluation.not_found", 404, "No such evaluation";
+    EVALUATION_NO_RUNS = "evaluation.no_runs", 409, "No run matches the selection of the evaluation";
+    EVALUATION_INVALID = "evaluation.invalid", 422, "The evaluation does not suit the rig";
+    EVALUATION_NO_COMMON_CHANNELS = "evaluation.no_common_channels", 422, "A model and the runs have no channels in common";
+    EVALUATION_EMPTY_CLASS = "evaluation.empty_class", 422, "A class of the evaluation has no runs";
+
     // Diagnoses.
     DIAGNOSIS_NOT_FOUND = "diagnosis.not_found", 404, "No such diagnosis";
     DIAGNOSIS_NO_RUNS = "diagnosis.no_runs", 409, "No run matches the selection of the diagnosis";

@@ -13,6 +13,7 @@ use super::auth::Caller;
 use super::headers::page_with_style;
 use super::idempotency::{RequestKey, created};
 use super::json::{self, Json};
+use super::negotiate::HTML;
 use super::params::{NoParams, Params, page};
 use super::paths::{OfDiagnosis, OfRig, no_diagnosis, no_rig};
 use super::problem::{Answer, Problem};
@@ -24,9 +25,6 @@ use crate::domain::{
 use crate::engine::diagnosis::Report;
 use crate::ui::assets::STYLE;
 use crate::ui::diagnosis::{self as ui, Heading, Simulation};
-
-/// Media type of the page for people.
-const HTML: &str = "text/html";
 
 /// A report with the fields that the engine does not know: ids, times, names.
 #[derive(Debug, Serialize)]

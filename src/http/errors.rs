@@ -6,7 +6,7 @@ use crate::compute::ComputeError;
 use crate::compute::fair_queue::Refused;
 use crate::engine::{EngineError, rounded};
 use crate::formats::FormatError;
-use crate::jobs::{DiagnosisProblem, FitProblem, IterationProblem};
+use crate::jobs::{DiagnosisProblem, EvaluationProblem, FitProblem, IterationProblem};
 use crate::models::ModelError;
 use crate::storage::StoreError;
 use crate::telemetry::names;
@@ -105,6 +105,16 @@ impl From<IterationProblem> for Problem {
         match error {
             IterationProblem::Store(error) => error.into(),
             IterationProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
+            error => error.problem().into(),
+        }
+    }
+}
+
+impl From<EvaluationProblem> for Problem {
+    fn from(error: EvaluationProblem) -> Self {
+        match error {
+            EvaluationProblem::Store(error) => error.into(),
+            EvaluationProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
             error => error.problem().into(),
         }
     }
@@ -262,6 +272,8 @@ mod tests {
             include_str!("../jobs/diagnosis/mod.rs"),
             include_str!("../jobs/diagnosis/problem.rs"),
             include_str!("../jobs/iteration/mod.rs"),
+            include_str!("../jobs/evaluation/mod.rs"),
+            include_str!("../jobs/evaluation/problem.rs"),
             include_str!("../jobs/iteration/problem.rs"),
             include_str!("../storage/jobs.rs"),
         ];

@@ -18,6 +18,7 @@ mod deadline;
 mod diagnoses;
 mod errors;
 mod etag;
+mod evaluations;
 mod fits;
 mod frf;
 mod headers;

@@ -9,6 +9,9 @@ use super::problem::{Answer, FieldError, Problem};
 /// Media type of tables of text.
 pub const CSV: &str = "text/csv";
 
+/// Media type of pages for people.
+pub const HTML: &str = "text/html";
+
 /// Media type of NumPy arrays.
 pub const NPY: &str = "application/x-npy";
 

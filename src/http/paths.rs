@@ -5,7 +5,7 @@ use axum::http::request::Parts;
 
 use super::codes::{self, Code};
 use super::problem::{Answer, Problem};
-use crate::domain::{DiagnosisId, IterationId, JobId, RigId, RunId, TokenId};
+use crate::domain::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, TokenId};
 
 /// `/v1/rigs/{rig}...`
 #[derive(Debug)]
@@ -22,6 +22,10 @@ pub struct OfModel(pub RigId, pub u32);
 /// `/v1/rigs/{rig}/diagnoses/{diagnosis}...`
 #[derive(Debug)]
 pub struct OfDiagnosis(pub RigId, pub DiagnosisId);
+
+/// `/v1/rigs/{rig}/evaluations/{evaluation}`
+#[derive(Debug)]
+pub struct OfEvaluation(pub RigId, pub EvaluationId);
 
 /// `/v1/rigs/{rig}/iterations/{iteration}`
 #[derive(Debug)]
@@ -53,6 +57,11 @@ pub fn no_model(version: &str) -> Problem {
 /// The refusal of a diagnosis that is not there.
 pub fn no_diagnosis(id: &str) -> Problem {
     Problem::new(codes::DIAGNOSIS_NOT_FOUND, format!("The rig has no diagnosis {id:?}."))
+}
+
+/// The refusal of an evaluation that is not there.
+pub fn no_evaluation(id: &str) -> Problem {
+    Problem::new(codes::EVALUATION_NOT_FOUND, format!("The rig has no evaluation {id:?}."))
 }
 
 /// The refusal of an iteration that is not there.
@@ -120,6 +129,15 @@ impl<S: Send + Sync> FromRequestParts<S> for OfDiagnosis {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
         let rig = parameter(parts, state, "rig", no_rig).await?;
         Ok(Self(rig, parameter(parts, state, "diagnosis", no_diagnosis).await?))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for OfEvaluation {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
+        let rig = parameter(parts, state, "rig", no_rig).await?;
+        Ok(Self(rig, parameter(parts, state, "evaluation", no_evaluation).await?))
     }
 }
 

@@ -7,8 +7,8 @@ use axum::routing::{MethodRouter, delete, get, patch, post, put};
 use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
-    Shared, active_model, adopt, contract, damage, diagnoses, fits, frf, health, inference, iterations, jobs,
-    metrics, models, pages, predict, rigs, runs, tokens,
+    Shared, active_model, adopt, contract, damage, diagnoses, evaluations, fits, frf, health, inference,
+    iterations, jobs, metrics, models, pages, predict, rigs, runs, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -86,6 +86,11 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || {
         get(iterations::show)
     }),
+    route(Method::GET, "/v1/rigs/{rig}/evaluations", Role(Reader), Registry, || get(evaluations::list)),
+    route(Method::POST, "/v1/rigs/{rig}/evaluations", Role(Operator), Jobs, || post(evaluations::start)),
+    route(Method::GET, "/v1/rigs/{rig}/evaluations/{evaluation}", Role(Reader), Registry, || {
+        get(evaluations::show)
+    }),
     route(Method::POST, "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt", Role(Operator), Jobs, || {
         post(adopt::adopt)
     }),
@@ -139,6 +144,7 @@ pub static ROUTES: &[Route] = &[
     page("/rigs/{rig}/diagnoses/{diagnosis}", Role(Reader), Registry, || get(pages::diagnosis)),
     page("/rigs/{rig}/iterate", Role(Operator), Registry, || get(pages::iterate)),
     page("/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || get(pages::iteration)),
+    page("/rigs/{rig}/evaluations/{evaluation}", Role(Reader), Registry, || get(pages::evaluation)),
     page("/rigs/{rig}/runs/{run}", Role(Reader), Predict, || get(pages::run)),
     page("/rigs/{rig}/runs/{run}/file", Role(Reader), Predict, || get(pages::run_file)),
     page("/rigs/{rig}/models/{version}", Role(Reader), Predict, || get(pages::model)),

@@ -7,6 +7,7 @@ mod activate;
 mod checkpoints;
 mod control;
 mod diagnosis;
+mod evaluation;
 mod events;
 pub mod fit;
 mod fit_plan;
@@ -27,7 +28,7 @@ use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Clock, DiagnosisRequest, IterationRequest, Job, JobId, Rig, TokenId};
+use crate::domain::{Clock, DiagnosisRequest, EvaluationRequest, IterationRequest, Job, JobId, Rig, TokenId};
 use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, Store, StoreError};
 
 use control::Stop;
@@ -36,6 +37,7 @@ use runner::{Executor, Runner};
 use work_context::WorkContext;
 
 pub use diagnosis::DiagnosisProblem;
+pub use evaluation::EvaluationProblem;
 pub use fit::{FitPlan, FitProblem};
 pub use iteration::IterationProblem;
 pub use process::{WorkError, WorkerProgram, work};
@@ -196,6 +198,30 @@ impl Jobs {
             }
             JobInsert::MissingRig => Err(IterationProblem::RigGone),
             JobInsert::TooManyWaiting => Err(IterationProblem::TooManyWaiting(asker.max_waiting)),
+        }
+    }
+
+    /// Checks an evaluation and queues it for a token, its models and runs resolved.
+    ///
+    /// # Errors
+    /// [`EvaluationProblem`]: an error of the request, or the store's failure.
+    pub async fn submit_evaluation(
+        &self,
+        rig: &Rig,
+        request: &EvaluationRequest,
+        token: Option<TokenId>,
+        key: Option<&IdempotencyKey>,
+    ) -> Result<Job, EvaluationProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        let plan = evaluation::check(store, rig, request).await?;
+        let asker = self.asker(token);
+        match store.insert_evaluation_job(&rig.id, &plan.request, asker, key, clock()).await? {
+            JobInsert::Queued(job) => {
+                self.wake();
+                Ok(*job)
+            }
+            JobInsert::MissingRig => Err(EvaluationProblem::RigGone),
+            JobInsert::TooManyWaiting => Err(EvaluationProblem::TooManyWaiting(asker.max_waiting)),
         }
     }
 

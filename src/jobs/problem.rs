@@ -19,6 +19,14 @@ pub mod codes {
     pub const FIT_NO_RUNS: &str = "fit.no_runs";
     /// The iteration's model, channels, runs or settings do not suit the rig or each other (422).
     pub const ITERATION_INVALID: &str = "iteration.invalid";
+    /// The evaluation's models, runs or settings do not suit the rig or each other (422).
+    pub const EVALUATION_INVALID: &str = "evaluation.invalid";
+    /// No run of an evaluation has the channels of a model (422).
+    pub const EVALUATION_NO_COMMON_CHANNELS: &str = "evaluation.no_common_channels";
+    /// No run of an evaluation is in a class (422).
+    pub const EVALUATION_EMPTY_CLASS: &str = "evaluation.empty_class";
+    /// No run matches a selection of an evaluation (409).
+    pub const EVALUATION_NO_RUNS: &str = "evaluation.no_runs";
     /// The diagnosis' channels, runs or settings do not suit the rig or each other (422).
     pub const DIAGNOSIS_INVALID: &str = "diagnosis.invalid";
     /// A run lacks a channel of the diagnosis (422).
@@ -161,6 +169,16 @@ pub(super) fn sentence(error: &FieldError) -> String {
         None => error.pointer.clone(),
     };
     format!("{place}: {}", error.limit.as_deref().unwrap_or("not valid"))
+}
+
+/// The field of a setting outside its limits.
+pub(super) fn of_setting(error: &EngineError) -> FieldError {
+    match error {
+        EngineError::Setting { setting, found, limit } => {
+            FieldError::new(format!("/{}", setting.replace('.', "/")), format!("{limit}; found {found}"))
+        }
+        other => FieldError::new("", other.to_string()),
+    }
 }
 
 /// An engine error about a fit, with channel names in place of numbers.

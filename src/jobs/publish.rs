@@ -5,7 +5,7 @@ use crate::storage::Claim;
 use super::activate::last_words;
 use super::problem::JobError;
 use super::runner::Runner;
-use super::spec::{DiagnosisOutput, IterationOutput, JobOutput, ModelOutput};
+use super::spec::{DiagnosisOutput, EvaluationOutput, IterationOutput, JobOutput, ModelOutput};
 
 /// Publishes in one transaction, which succeeds only while the lease is held.
 pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> Result<(), JobError> {
@@ -31,6 +31,12 @@ pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> 
             let stored = runner.store.publish_iteration(&claim.lease, rig, iteration, &stage, now).await?;
             let id = stored.ok_or(JobError::Stopped)?;
             tracing::info!(iteration.id = %id, stage, "stored an iteration");
+        }
+        JobOutput::Evaluation(made) => {
+            let EvaluationOutput { evaluation, stage } = *made;
+            let stored = runner.store.publish_evaluation(&claim.lease, evaluation, &stage, now).await?;
+            let id = stored.ok_or(JobError::Stopped)?;
+            tracing::info!(evaluation.id = %id, stage, "stored an evaluation");
         }
     }
     Ok(())

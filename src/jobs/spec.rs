@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::domain::{JobId, JobKind, Problem, RigId};
-use crate::storage::{Activation, Claim, NewDiagnosis, NewIteration, NewModel};
+use crate::storage::{Activation, Claim, NewDiagnosis, NewEvaluation, NewIteration, NewModel};
 
 use super::problem::{JobError, codes};
 
@@ -46,6 +46,7 @@ pub(super) enum JobOutput {
     Model(Box<ModelOutput>),
     Diagnosis(Box<DiagnosisOutput>),
     Iteration(Box<IterationOutput>),
+    Evaluation(Box<EvaluationOutput>),
 }
 
 /// A fitted model, and whether it becomes the active one.
@@ -73,6 +74,14 @@ pub(super) struct IterationOutput {
     pub stage: String,
 }
 
+/// An evaluation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct EvaluationOutput {
+    pub evaluation: NewEvaluation,
+    /// The last stage text of the job.
+    pub stage: String,
+}
+
 impl JobOutput {
     /// The large part, which is sent beside the JSON.
     pub(super) fn bytes(&mut self) -> &mut Bytes {
@@ -80,6 +89,7 @@ impl JobOutput {
             Self::Model(made) => &mut made.model.weights,
             Self::Diagnosis(made) => &mut made.diagnosis.findings,
             Self::Iteration(made) => &mut made.iteration.samples,
+            Self::Evaluation(made) => &mut made.evaluation.report,
         }
     }
 }

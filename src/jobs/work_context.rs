@@ -9,6 +9,7 @@ use crate::storage::Store;
 
 use super::control::Control;
 use super::diagnosis;
+use super::evaluation;
 use super::fit::{self, FitFunction};
 use super::iteration;
 use super::problem::{JobError, codes};
@@ -31,7 +32,10 @@ impl WorkContext {
             JobKind::Fit => JobOutput::Model(Box::new(fit::make(self, spec, control).await?)),
             JobKind::Diagnosis => JobOutput::Diagnosis(Box::new(diagnosis::make(self, spec, control).await?)),
             JobKind::Iteration => JobOutput::Iteration(Box::new(iteration::make(self, spec, control).await?)),
-            JobKind::Evaluation | JobKind::Study => {
+            JobKind::Evaluation => {
+                JobOutput::Evaluation(Box::new(evaluation::make(self, spec, control).await?))
+            }
+            JobKind::Study => {
                 let detail = "A newer version of the program queued this job.";
                 let title = "The job cannot be read";
                 return Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)));

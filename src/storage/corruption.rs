@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::rows::parsed;
 use super::{Store, StoreError};
-use crate::domain::{DiagnosisId, RigId, RunId};
+use crate::domain::{DiagnosisId, EvaluationId, RigId, RunId};
 
 /// Names of objects that could not be read as they were stored.
 #[derive(Debug, Clone, Default)]
@@ -36,6 +36,8 @@ pub enum CorruptObject {
     Model(u32),
     /// Findings of a diagnosis.
     Diagnosis(DiagnosisId),
+    /// Report of an evaluation.
+    Evaluation(EvaluationId),
 }
 
 impl Store {
@@ -50,7 +52,8 @@ impl Store {
             let rows: Vec<(String, String, String)> = sqlx::query_as(
                 "SELECT rig, 'run', id FROM runs WHERE object = ?1
                  UNION ALL SELECT rig, 'model', CAST(version AS TEXT) FROM models WHERE sha256 = ?1
-                 UNION ALL SELECT rig, 'diagnosis', id FROM diagnoses WHERE findings = ?1",
+                 UNION ALL SELECT rig, 'diagnosis', id FROM diagnoses WHERE findings = ?1
+                 UNION ALL SELECT rig, 'evaluation', id FROM evaluations WHERE report = ?1",
             )
             .bind(&digest)
             .fetch_all(self.reader())
@@ -59,7 +62,8 @@ impl Store {
                 let of = match kind.as_str() {
                     "run" => CorruptObject::Run(parsed("runs", &id, &id)?),
                     "model" => CorruptObject::Model(parsed("models", &id, &id)?),
-                    _ => CorruptObject::Diagnosis(parsed("diagnoses", &id, &id)?),
+                    "diagnosis" => CorruptObject::Diagnosis(parsed("diagnoses", &id, &id)?),
+                    _ => CorruptObject::Evaluation(parsed("evaluations", &id, &id)?),
                 };
                 found.push((parsed("rigs", &rig, &rig)?, of));
             }

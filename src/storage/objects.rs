@@ -214,7 +214,8 @@ impl Objects {
 
 /// Names of all objects that rows refer to.
 pub(super) const REFERENCED: &str =
-    "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses";
+    "SELECT object FROM runs UNION SELECT sha256 FROM models UNION SELECT findings FROM diagnoses
+     UNION SELECT report FROM evaluations";
 
 /// Every file below a directory of objects.
 ///
@@ -331,7 +332,8 @@ impl Store {
         let found: i64 = sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM runs WHERE object = ?1)
                  OR EXISTS (SELECT 1 FROM models WHERE sha256 = ?1)
-                 OR EXISTS (SELECT 1 FROM diagnoses WHERE findings = ?1)",
+                 OR EXISTS (SELECT 1 FROM diagnoses WHERE findings = ?1)
+                 OR EXISTS (SELECT 1 FROM evaluations WHERE report = ?1)",
         )
         .bind(digest)
         .fetch_one(self.reader())

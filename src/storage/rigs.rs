@@ -195,8 +195,8 @@ impl Store {
         Ok(RigUpdate::Updated(row.try_into()?))
     }
 
-    /// Removes a rig with its runs, models, diagnoses and jobs; tells whether it was there. Unreferenced
-    /// objects are removed after the rows.
+    /// Removes a rig with all that belongs to it; tells whether it was there. Unreferenced objects are removed
+    /// after the rows.
     ///
     /// # Errors
     /// The store's failures.
@@ -208,7 +208,8 @@ impl Store {
         let mut tx = self.write_with_reserve().await?;
         let objects: Vec<String> = sqlx::query_scalar(
             "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1
-             UNION SELECT findings FROM diagnoses WHERE rig = ?1",
+             UNION SELECT findings FROM diagnoses WHERE rig = ?1
+             UNION SELECT report FROM evaluations WHERE rig = ?1",
         )
         .bind(id.as_str())
         .fetch_all(&mut *tx)

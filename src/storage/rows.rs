@@ -12,8 +12,8 @@ use sqlx::{FromRow, Row};
 use super::StoreError;
 use crate::domain::iteration::IterationReport;
 use crate::domain::{
-    Adoption, Base, DiagnosisSummary, IterationSummary, Job, Lineage, Model, ModelFrf, Rig, RigId, Run,
-    SecretDigest, StoredDiagnosis, StoredIteration, Token, UsedModel,
+    Adoption, Base, DiagnosisSummary, EvaluationSummary, IterationSummary, Job, Lineage, Model, ModelFrf,
+    Rig, RigId, Run, SecretDigest, StoredDiagnosis, StoredEvaluation, StoredIteration, Token, UsedModel,
 };
 use crate::engine::model::{ModelKind, VersionKind};
 
@@ -403,6 +403,44 @@ impl TryFrom<IterationRow> for StoredIteration {
             stopped: report.stopped,
         };
         Ok(Self { summary, request: columns.json(&row.request)?, elapsed_s: row.elapsed_s, report })
+    }
+}
+
+row! {
+    struct EvaluationRow {
+        id: String,
+        rig: String,
+        job: String,
+        request: String,
+        outline: String,
+        report: String,
+        elapsed_s: f64,
+        created_us: i64,
+    }
+}
+
+impl TryFrom<EvaluationRow> for EvaluationSummary {
+    type Error = StoreError;
+
+    fn try_from(row: EvaluationRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "evaluations", key: &row.id };
+        Ok(Self {
+            id: columns.id(&row.id)?,
+            rig: columns.rig(row.rig)?,
+            created_at: columns.time(row.created_us)?,
+            job: columns.id(&row.job)?,
+            outline: columns.json(&row.outline)?,
+        })
+    }
+}
+
+impl TryFrom<EvaluationRow> for StoredEvaluation {
+    type Error = StoreError;
+
+    fn try_from(row: EvaluationRow) -> Result<Self, StoreError> {
+        let request = Columns { table: "evaluations", key: &row.id }.json(&row.request)?;
+        let (elapsed_s, report) = (row.elapsed_s, row.report.clone());
+        Ok(Self { summary: row.try_into()?, request, elapsed_s, report })
     }
 }
 

@@ -13,7 +13,7 @@ use super::{Store, StoreError, journal};
 pub struct Usage {
     /// The registry.
     pub database: u64,
-    /// Samples of runs, weights of models, findings of diagnoses.
+    /// Samples of runs, weights of models, findings of diagnoses, reports of evaluations.
     pub objects: u64,
     /// Uploads under way.
     pub scratch: u64,

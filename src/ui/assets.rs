@@ -20,7 +20,11 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Rules for pages and plots.
-pub const STYLE: &str = concat!(include_str!("assets/style.css"), include_str!("plot/plot.css"));
+pub const STYLE: &str = concat!(
+    include_str!("assets/style.css"),
+    include_str!("plot/plot.css"),
+    include_str!("evaluation/style.css")
+);
 
 /// All files.
 pub static ASSETS: [Asset; 7] = [

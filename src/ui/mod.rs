@@ -3,6 +3,7 @@
 
 pub mod assets;
 pub mod diagnosis;
+pub mod evaluation;
 pub mod figures;
 pub mod fit;
 pub mod frame;

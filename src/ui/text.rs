@@ -65,6 +65,12 @@ pub(super) fn exponents(unit: &str) -> String {
     unit.replace("^2", "²").replace("^3", "³")
 }
 
+/// The unit of a density over frequency.
+pub(super) fn density_unit(unit: &str) -> String {
+    let single = unit.chars().all(char::is_alphanumeric);
+    if single { format!("{unit}²/Hz") } else { format!("({})²/Hz", exponents(unit)) }
+}
+
 /// `10^n` without the ten.
 pub(super) fn superscript(exponent: i32) -> String {
     let digits = exponent.abs().to_string();

@@ -18,12 +18,14 @@ async fn every_creating_request_is_done_once_under_its_key() {
     let app = TestApp::start();
     let weights = gain_weights(&["u"], &["y"], 2.0);
     let diagnosis = json!({"model": 1, "runs": {"kinds": ["noise"]}, "baseline_runs": {"kinds": ["noise"]}});
-    let calls: [(&str, &str, Vec<u8>); 5] = [
+    let evaluation = br#"{"models": [1], "runs": {"split": "training"}}"#.to_vec();
+    let calls: [(&str, &str, Vec<u8>); 6] = [
         ("/v1/rigs", "application/json", serde_json::to_vec(&bench()).expect("JSON")),
         ("/v1/rigs/bench/runs?kind=noise", "text/csv", noise_csv(6000, 3).into_bytes()),
         ("/v1/rigs/bench/models", SAFETENSORS, weights),
         (FRF, "application/json", br#"{"kind": "frf"}"#.to_vec()),
         ("/v1/rigs/bench/diagnoses", "application/json", serde_json::to_vec(&diagnosis).expect("JSON")),
+        ("/v1/rigs/bench/evaluations", "application/json", evaluation),
     ];
     for (path, media_type, body) in calls {
         let send = async |key: &str, path: &str, body: &[u8]| {
@@ -48,7 +50,7 @@ async fn every_creating_request_is_done_once_under_its_key() {
     }
     let count = async |path: &str| app.get(path).await.expect(200).json()["items"].as_array().map(Vec::len);
     assert_eq!(count("/v1/rigs/bench/runs").await, Some(1));
-    assert_eq!(count("/v1/jobs").await, Some(3));
+    assert_eq!(count("/v1/jobs").await, Some(4));
     // The first job is over, and the answer to its request is what it was.
     let again = app.call("POST", FRF).header(KEY, FRF).json(&json!({"kind": "frf"})).send().await;
     again.problem(422, "idempotency_key.reused");

@@ -54,6 +54,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     inference(&app, version).await;
     diagnose(&app).await;
     iterate(&app).await;
+    evaluate(&app).await;
 
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", "*");
     put.json(&json!({"version": null})).send().await.expect(200);
@@ -112,6 +113,19 @@ async fn diagnose(app: &TestApp) {
         app.call("GET", report).header("accept", accept).send().await.expect(200);
     }
     app.post_json(&format!("{report}/adopt"), &json!({})).await.expect(201);
+}
+
+/// The models on the runs, as JSON, as a table and as a page.
+async fn evaluate(app: &TestApp) {
+    let evaluations = "/v1/rigs/bench/evaluations";
+    let request = json!({"models": [1], "runs": {"split": "training"}, "include_fitted": true});
+    let job = app.post_json(evaluations, &request).await.expect(202).json();
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    app.get(evaluations).await.expect(200);
+    let report = job["result"]["href"].as_str().unwrap_or_else(|| panic!("a report: {job}"));
+    for accept in ["application/json", "text/csv", "text/html"] {
+        app.call("GET", report).header("accept", accept).send().await.expect(200);
+    }
 }
 
 /// The drive of a run, found from its response.

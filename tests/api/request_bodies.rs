@@ -154,7 +154,11 @@ async fn values_of_wrong_types_are_refused_without_the_types_of_our_code() {
         routes += 1;
         let id = "0197f1a0-0000-7000-8000-000000000000";
         let path = template.replace("{rig}", "bench").replace("{version}", "1");
-        let path = path.replace("{diagnosis}", id).replace("{iteration}", id).replace("{run}", id);
+        let path = path
+            .replace("{diagnosis}", id)
+            .replace("{iteration}", id)
+            .replace("{evaluation}", id)
+            .replace("{run}", id);
         let mut wrong = wrong_bodies(&content[media_type]["schema"], 4);
         wrong.sort_by_key(Value::to_string);
         wrong.dedup();

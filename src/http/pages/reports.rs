@@ -1,4 +1,4 @@
-//! Diagnoses and iterations: the forms that start them, and the pages of their results.
+//! Diagnoses, evaluations and iterations: the forms that start them, and the pages of their results.
 
 use axum::extract::State;
 
@@ -7,7 +7,7 @@ use super::rigs::{find, items, whole};
 use super::{Visitor, html};
 use crate::compute::Class;
 use crate::http::params::{NoParams, Params};
-use crate::http::paths::{OfDiagnosis, OfIteration, OfRig, no_iteration};
+use crate::http::paths::{OfDiagnosis, OfEvaluation, OfIteration, OfRig, no_evaluation, no_iteration};
 use crate::http::problem::Answer;
 use crate::http::{Shared, diagnoses};
 use crate::storage::RunQuery;
@@ -42,6 +42,20 @@ pub async fn diagnosis(
     let names = diagnoses::run_names(&http, &rig, &findings.report).await?;
     ui::diagnosis::name_runs(&mut findings.report, &mut findings.views, &names);
     let draw = move || ui::diagnosis::framed(&visitor.shown, &heading, &findings.report, &findings.views);
+    html(http.off_thread(Class::Predict, draw).await?)
+}
+
+/// `GET /rigs/{rig}/evaluations/{evaluation}`
+pub async fn evaluation(
+    State(http): State<Shared>,
+    OfEvaluation(rig, id): OfEvaluation,
+    visitor: Visitor,
+    _: NoParams,
+) -> Answer {
+    let found = http.store.evaluation(&rig, id).await?.ok_or_else(|| no_evaluation(&id.to_string()))?;
+    let report = http.store.evaluation_report(&found).await?;
+    let name = find(&http, &rig).await?.name;
+    let draw = move || ui::evaluation::framed(&visitor.shown, &name, &found, &report);
     html(http.off_thread(Class::Predict, draw).await?)
 }
 

@@ -63,16 +63,7 @@ pub(super) fn runs(
 fn once(runs: &[Run], places: &[&str], lens: &[usize]) -> Result<(), DiagnosisProblem> {
     let pointers =
         places.iter().zip(lens).flat_map(|(place, n)| (0..*n).map(move |i| format!("{place}/{i}")));
-    let mut seen: HashMap<&str, RunId> = HashMap::new();
-    let mut errors = Vec::new();
-    for (run, pointer) in runs.iter().zip(pointers) {
-        if let Some(first) = seen.insert(&run.sha256, run.id) {
-            errors.push(FieldError::new(
-                pointer,
-                format!("each measurement once: its bytes are those of run {first}"),
-            ));
-        }
-    }
+    let errors = selection::repeated(runs, pointers);
     if errors.is_empty() { Ok(()) } else { Err(DiagnosisProblem::Invalid(errors)) }
 }
 
@@ -163,17 +154,7 @@ fn by_id(all: &[Run], ids: &[RunId], pointer: &str) -> Result<Vec<Run>, Diagnosi
 /// # Errors
 /// Kinds and splits that do not exist.
 fn matching(all: &[Run], filter: &RunFilter, pointer: &str) -> Result<Vec<Run>, DiagnosisProblem> {
-    let mut errors = Vec::new();
-    for (i, kind) in filter.kinds.iter().flatten().enumerate() {
-        if !RunKind::ALL.iter().any(|known| known.as_str() == kind) {
-            let limit = "noise, service, sine, sweep or other";
-            errors.push(FieldError::new(format!("{pointer}/kinds/{i}"), limit));
-        }
-    }
-    let split = filter.split.as_deref().unwrap_or(Split::Training.as_str());
-    if !Split::ALL.iter().any(|known| known.as_str() == split) {
-        errors.push(FieldError::new(format!("{pointer}/split"), "training, validation or test"));
-    }
+    let errors = selection::unknown_words(filter, pointer);
     if !errors.is_empty() {
         return Err(DiagnosisProblem::Invalid(errors));
     }

@@ -9,7 +9,8 @@ use crate::engine::iteration::DriveLimit;
 use crate::engine::{Signal, rounded};
 use crate::storage::Store;
 
-use super::problem::{IterationProblem, of_setting};
+use super::super::problem::of_setting;
+use super::problem::IterationProblem;
 
 /// Fewest samples of a target.
 const MIN_SAMPLES: u64 = 64;

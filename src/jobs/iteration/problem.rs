@@ -5,7 +5,8 @@ use crate::engine::EngineError;
 use crate::storage::StoreError;
 
 use crate::jobs::problem::{
-    JobError, codes, no_model, none_active, of_engine, rig_gone, sentence, store_failed, too_many_waiting,
+    JobError, codes, no_model, none_active, of_engine, of_setting, rig_gone, sentence, store_failed,
+    too_many_waiting,
 };
 
 use super::plan::IterationPlan;
@@ -92,15 +93,5 @@ pub(super) fn of_iteration(error: &EngineError, plan: &IterationPlan) -> JobErro
         }
         EngineError::Setting { .. } => IterationProblem::Invalid(vec![of_setting(error)]).into(),
         other => of_engine(other, &plan.channels()),
-    }
-}
-
-/// The field of a setting outside its limits.
-pub(super) fn of_setting(error: &EngineError) -> FieldError {
-    match error {
-        EngineError::Setting { setting, found, limit } => {
-            FieldError::new(format!("/{}", setting.replace('.', "/")), format!("{limit}; found {found}"))
-        }
-        other => FieldError::new("", other.to_string()),
     }
 }

@@ -294,7 +294,8 @@ async fn check_objects(data_dir: &Path) -> Result<Vec<Lost>, StoreError> {
             let rows: Vec<String> = sqlx::query_scalar(
                 "SELECT 'runs ' || rig || '/' || id FROM runs WHERE object = ?1
                  UNION ALL SELECT 'models ' || rig || '/' || version FROM models WHERE sha256 = ?1
-                 UNION ALL SELECT 'diagnoses ' || rig || '/' || id FROM diagnoses WHERE findings = ?1",
+                 UNION ALL SELECT 'diagnoses ' || rig || '/' || id FROM diagnoses WHERE findings = ?1
+                 UNION ALL SELECT 'evaluations ' || rig || '/' || id FROM evaluations WHERE report = ?1",
             )
             .bind(digest)
             .fetch_all(&mut connection)

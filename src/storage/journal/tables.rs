@@ -15,13 +15,14 @@ pub(super) struct Table {
 }
 
 /// In an order in which rows can be inserted.
-pub(super) const TABLES: [Table; 8] = [
+pub(super) const TABLES: [Table; 9] = [
     Table { name: "rigs", key: &["id"] },
     Table { name: "models", key: &["rig", "version"] },
     Table { name: "runs", key: &["id"] },
     Table { name: "jobs", key: &["id"] },
     Table { name: "diagnoses", key: &["id"] },
     Table { name: "iterations", key: &["id"] },
+    Table { name: "evaluations", key: &["id"] },
     Table { name: "tokens", key: &["id"] },
     Table { name: "idempotency_keys", key: &["owner", "key"] },
 ];

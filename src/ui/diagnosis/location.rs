@@ -6,7 +6,7 @@ use super::{figure, heading, quiet};
 use crate::engine::diagnosis::views::ResponseSpectra;
 use crate::engine::diagnosis::{RangeShare, Report, SegmentChi2, VerdictKind, Views};
 use crate::ui::plot::{Axis, BarRow, Figure, Key, Mark, Scale, Style, bars};
-use crate::ui::text::{exponents, number, percent, with_unit};
+use crate::ui::text::{density_unit, number, percent, with_unit};
 
 /// Most spans of time in the plot.
 const STRETCHES: usize = 500;
@@ -149,11 +149,6 @@ pub fn spectral(
         key: Key::Ends,
         marks,
     }
-}
-
-fn density_unit(unit: &str) -> String {
-    let single = unit.chars().all(char::is_alphanumeric);
-    if single { format!("{unit}²/Hz") } else { format!("({})²/Hz", exponents(unit)) }
 }
 
 fn shares(report: &Report, views: &Views) -> Markup {

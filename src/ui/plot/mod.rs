@@ -5,12 +5,14 @@
 mod figure;
 mod file;
 mod matrix;
+mod ratios;
 mod rows;
 mod scale;
 
 pub use figure::{Figure, Key, Mark};
 pub use file::picture;
 pub use matrix::Matrix;
+pub use ratios::{RatioRow, ratios};
 pub use rows::{BarRow, WhiskerRow, bars, whiskers};
 pub use scale::{Axis, Scale};
 

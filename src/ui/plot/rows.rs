@@ -7,9 +7,9 @@ use super::{Axis, Scale, Style, px, text_width};
 use crate::ui::text::percent;
 
 /// Width of these plots.
-const WIDTH: f64 = 720.0;
+pub(super) const WIDTH: f64 = 720.0;
 /// Height of a row.
-const ROW: f64 = 26.0;
+pub(super) const ROW: f64 = 26.0;
 /// Least distance of ticks.
 const TICK: f64 = 42.0;
 /// Longest name that is written out.
@@ -37,19 +37,19 @@ pub struct WhiskerRow {
     pub chosen: bool,
 }
 
-fn cut(name: &str) -> String {
+pub(super) fn cut(name: &str) -> String {
     if name.chars().count() <= NAME {
         return name.to_owned();
     }
     name.chars().take(NAME - 1).chain(['…']).collect()
 }
 
-fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
+pub(super) fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
     // Some of them are bold.
     names.map(|n| 1.15 * text_width(&cut(n))).fold(60.0, f64::max) + 14.0
 }
 
-fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup) -> Markup {
+pub(super) fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup) -> Markup {
     let (title_id, description_id) = (format!("{id}-title"), format!("{id}-desc"));
     html! {
         svg role="img" aria-labelledby=(format!("{title_id} {description_id}"))

@@ -63,6 +63,8 @@ async fn foreign_and_unknown_ids_look_alike() {
         "/diagnoses/x",
         "/iterations",
         "/iterations/x",
+        "/evaluations",
+        "/evaluations/x",
         &format!("/runs/{run}"),
         &format!("/runs/{run}/data"),
         &format!("/runs/{run}?kind=nonsense"),

@@ -348,6 +348,12 @@ fn bodies(size: usize) -> Vec<Case> {
         big("a diagnosis of texts", "POST", "/v1/rigs/bench/diagnoses", &|size| {
             in_array(r#"{"runs":[],"catalogue":["#, "\"\"", "]}", size)
         }),
+        big("an evaluation of models", "POST", "/v1/rigs/bench/evaluations", &|size| {
+            in_array(r#"{"models":["#, "1", "]}", size)
+        }),
+        big("an evaluation of classes", "POST", "/v1/rigs/bench/evaluations", &|size| {
+            in_array(r#"{"classes":["#, "\"\"", "]}", size)
+        }),
         big("a token for many rigs", "POST", "/v1/tokens", &|size| {
             numbered(r#"{"role":"reader","rigs":["#, "\"#\",", "\"z\"]}", size)
         }),

@@ -34,6 +34,7 @@ sessions! {
         ("docs/fits.md", "The FRF: coherence, confidence, inverse"),
         ("docs/weights.md", "Weights made elsewhere"),
         ("docs/iterations.md", "A drive for a service load"),
+        ("docs/evaluations.md", "A report"),
         ("docs/predictions.md", "Open Inference Protocol"),
     ];
     the_demos_rig_is_diagnosed_and_its_model_mended runs on_the_demo on [
@@ -89,6 +90,13 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
             .expect("JSON");
     assert!(found["total_error"].as_f64().is_some_and(|error| error < 0.1), "{found}");
     assert!(std::fs::read(folder.join("drive.drv")).expect("the drive was written").starts_with(b"FORMAT"));
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("report.json")).expect("a report")).expect("JSON");
+    let table = report["table"].as_array().expect("a table");
+    assert_eq!(table.len(), 2, "two models on service loads: {report}");
+    assert!(table.iter().all(|row| row["channels"]["disp"]["damage_ratio"].is_number()), "{report}");
+    let page = std::fs::read_to_string(folder.join("evaluation.html")).expect("a page");
+    assert!(page.contains("Runs: service") && page.contains("version 2 (hybrid2)"), "{page}");
     let weights = std::fs::read(folder.join("model.safetensors")).expect("weights were written");
     assert_eq!(
         rigcast::engine::model::from_safetensors(&weights).expect("weights of ours").inputs,

@@ -68,16 +68,8 @@ pub(in crate::http::predict) fn damages(
 /// Groups with the places of their channels among the outputs, in the rig's order; and those of which
 /// only a part is among them.
 fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> (Vec<DamageGroup<'a>>, Vec<OmittedGroup>) {
-    let mut members: Vec<(&str, Vec<&str>)> = Vec::new();
-    for channel in &rig.channels {
-        let Some(group) = channel.group.as_deref() else { continue };
-        match members.iter_mut().find(|(name, _)| *name == group) {
-            Some((_, names)) => names.push(&channel.name),
-            None => members.push((group, vec![&channel.name])),
-        }
-    }
     let (mut whole, mut partial) = (Vec::new(), Vec::new());
-    for (name, members) in members {
+    for (name, members) in rig.groups() {
         let place = |member: &&str| outputs.iter().position(|output| output == member);
         let places: Vec<usize> = members.iter().filter_map(place).collect();
         if let Ok(channels) = <[usize; 3]>::try_from(&places[..]) {

@@ -1,0 +1,176 @@
+//! The section of one class of runs.
+
+use maud::{Markup, html};
+
+use super::{named, tables};
+use crate::domain::evaluation::{ClassRow, EvaluatedChannel, EvaluationReport};
+use crate::engine::evaluation::Spectra;
+use crate::ui::plot::{Axis, Figure, Key, Mark, RatioRow, Scale, Style, ratios};
+use crate::ui::text::{density_unit, number, percent};
+
+/// Decades below the largest density that a plot shows.
+const DECADES: f64 = 6.0;
+
+/// Most rows of the plot of damage ratios; the tables have them all.
+const MOST_RATIOS: usize = 40;
+
+/// Its tables and plots. `spectra_left` counts the plots of spectra that the page may still have.
+pub fn section(k: usize, report: &EvaluationReport, rows: &[&ClassRow], spectra_left: &mut usize) -> Markup {
+    let class = &rows[0].class;
+    let drawn: Vec<Figure> = worst_channels(report, rows)
+        .into_iter()
+        .filter_map(|channel| spectrum(k, report, rows, channel))
+        .take(*spectra_left)
+        .collect();
+    *spectra_left -= drawn.len();
+    html! {
+        h2 id=(format!("class-{k}")) { "Runs: " (class) }
+        (facts(report, rows))
+        (tables::groups(report, rows))
+        @if rows.iter().any(|row| row.runs > 0) {
+            (damage(k, report, rows))
+            @for figure in &drawn {
+                figure { div.plot { (figure.svg()) } figcaption { (figure.title) } }
+            }
+            (tables::channels(report, rows))
+        }
+    }
+}
+
+/// Runs that count, and where each model is worst.
+fn facts(report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
+    html! {
+        ul {
+            @for row in rows {
+                li {
+                    (named(report, row.model)) ": " (count(row.runs)) ", " (number(row.duration_s)) " s"
+                    @if row.left_out > 0 { ", " (count(row.left_out)) " left out that it was fitted on" }
+                    @if let Some(worst) = &row.worst_channel {
+                        ". Worst channel: " (worst.channel) " (" (percent(worst.rms)) ")"
+                    }
+                    @if let Some(worst) = &row.worst_span {
+                        ". Worst span: " (worst.span.channel) " from " (number(worst.span.from_s)) " to "
+                        (number(worst.span.to_s)) " s of " (run_name(report, row)) " (" (percent(worst.span.rms))
+                        " of the channel's RMS)"
+                    }
+                    "."
+                }
+            }
+        }
+    }
+}
+
+fn run_name(report: &EvaluationReport, row: &ClassRow) -> String {
+    let run = row.worst_span.as_ref().map(|worst| worst.run);
+    let found = report.runs.iter().find(|r| Some(r.id) == run);
+    found.map_or_else(String::new, super::runs::name)
+}
+
+fn count(runs: usize) -> String {
+    if runs == 1 { "1 run".into() } else { format!("{runs} runs") }
+}
+
+/// Damage ratios of channels and groups: every model's, with the baseline's beside.
+fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
+    let baseline = report.models.iter().find(|model| model.baseline).map(|model| model.version);
+    let of_baseline = rows.iter().find(|row| Some(row.model) == baseline);
+    let others = || rows.iter().filter(|row| rows.len() == 1 || Some(row.model) != baseline);
+    let mut drawn = Vec::new();
+    for channel in &report.channels {
+        for row in others() {
+            let Some(average) = row.average.channels.get(&channel.name) else { continue };
+            let other = of_baseline.filter(|_| rows.len() > 1);
+            drawn.push(RatioRow {
+                name: format!("{}, version {}", channel.name, row.model),
+                value: average.damage_ratio,
+                other: other.and_then(|row| row.average.channels.get(&channel.name)?.damage_ratio),
+            });
+        }
+    }
+    for group in &report.groups {
+        for row in others() {
+            let Some(value) = row.average.groups.get(&group.name).and_then(|g| g.multi_rain) else {
+                continue;
+            };
+            let other = of_baseline.filter(|_| rows.len() > 1);
+            drawn.push(RatioRow {
+                name: format!("{}, Multi-Rain, version {}", group.name, row.model),
+                value: Some(value),
+                other: other.and_then(|row| row.average.groups.get(&group.name)?.multi_rain),
+            });
+        }
+    }
+    drawn.truncate(MOST_RATIOS);
+    let title = format!("Damage ratios on {}", rows[0].class);
+    let description =
+        "One row a channel and model: predicted over measured damage on a logarithmic axis about 1.";
+    html! {
+        figure {
+            div.plot { (ratios(&format!("damage-{k}"), &title, description, "Predicted over measured damage", &drawn)) }
+            figcaption {
+                b { (title) ". " } "1 is right."
+                @if baseline.is_some() && rows.len() > 1 { " The grey dots are those of the baseline." }
+            }
+        }
+    }
+}
+
+/// Of each group the channel on which the first model is worst.
+fn worst_channels<'a>(report: &'a EvaluationReport, rows: &[&ClassRow]) -> Vec<&'a EvaluatedChannel> {
+    let worst = |group: &crate::engine::evaluation::ChannelGroup| {
+        let first = rows.iter().find(|row| row.runs > 0 && row.average.groups.contains_key(&group.name))?;
+        let errors =
+            group.channels.iter().filter_map(|name| Some((name, first.average.channels.get(name)?.rms?)));
+        let (name, _) = errors.reduce(|a, b| if b.1 > a.1 { b } else { a })?;
+        report.channels.iter().find(|channel| channel.name == *name)
+    };
+    report.groups.iter().filter_map(worst).collect()
+}
+
+/// The measured spectrum of a channel, and those that the first model and the baseline predict.
+fn spectrum(
+    k: usize,
+    report: &EvaluationReport,
+    rows: &[&ClassRow],
+    channel: &EvaluatedChannel,
+) -> Option<Figure> {
+    let baseline = report.models.iter().find(|model| model.baseline).map(|model| model.version);
+    let has = |row: &&&ClassRow| {
+        row.spectra.as_ref().is_some_and(|spectra| spectra.channels.contains_key(&channel.name))
+    };
+    let first = rows.iter().filter(has).find(|row| rows.len() == 1 || Some(row.model) != baseline);
+    let first = first.or_else(|| rows.iter().find(has))?;
+    let other = rows.iter().filter(has).find(|row| Some(row.model) == baseline && row.model != first.model);
+    let spectra = first.spectra.as_ref()?;
+    let line = |spectra: &Spectra, y: &[f64], style, name: String| Mark::Line {
+        x: spectra.freq_hz.clone(),
+        y: y.to_vec(),
+        style,
+        name,
+    };
+    let found = &spectra.channels[&channel.name];
+    let mut marks = vec![line(spectra, &found.target, Style::Measured, "measured".into())];
+    if let Some(other) = other {
+        let of_other = other.spectra.as_ref()?;
+        let predicted = &of_other.channels[&channel.name].predicted;
+        marks.push(line(of_other, predicted, Style::Before, format!("version {}", other.model)));
+    }
+    marks.push(line(spectra, &found.predicted, Style::After, format!("version {}", first.model)));
+    let largest = found.target.iter().chain(&found.predicted).copied().fold(0.0, f64::max);
+    let shown = found.target.iter().chain(&found.predicted).copied().filter(|y| *y > 0.0);
+    let lowest = shown.fold(f64::INFINITY, f64::min).max(largest * 10.0_f64.powf(-DECADES));
+    let ends = [spectra.freq_hz.first(), spectra.freq_hz.last()].map(|f| f.copied().unwrap_or(1.0));
+    Some(Figure {
+        id: format!("spectrum-{k}-{}", report.channels.iter().position(|c| c.name == channel.name)?),
+        title: format!("Spectrum of {} on {}: measured and predicted", channel.name, first.class),
+        description: "Power spectral densities over frequency, means over the runs that count.".into(),
+        size: (720.0, 280.0),
+        x: (Axis::exact(Scale::Log, ends[0], ends[1]), "Frequency in Hz".into()),
+        y: (
+            Axis::around(Scale::Log, [lowest, largest]),
+            format!("Power spectral density in {}", density_unit(&channel.unit)),
+        ),
+        key: Key::Ends,
+        marks,
+    })
+}
