@@ -17,7 +17,7 @@ const STOP_DB: f64 = 100.0;
 const TRANSITION: f64 = 0.1;
 /// Largest factors by which a rate may rise and fall. They bound the size of the result, which follows from
 /// rates that a client declares.
-const MAX_GROWTH: f64 = 32.0;
+pub const MAX_GROWTH: f64 = 32.0;
 const MAX_FALL: f64 = 1000.0;
 /// Rates are taken as equal to a fraction within this relative error: over an hour at 1 kHz the
 /// last sample is then less than a hundredth of a sample off.

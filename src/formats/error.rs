@@ -117,6 +117,16 @@ pub enum FormatError {
         /// Cell of the line, where it has cells.
         column: Option<usize>,
     },
+    /// NaN or infinity in one of the signals of a batch.
+    #[error("channel {channel} of signal {signal} is not finite at sample {sample}")]
+    NonFiniteInBatch {
+        /// The signal, from 0.
+        signal: usize,
+        /// Its channel.
+        channel: ChannelAt,
+        /// Its sample, from 0.
+        sample: usize,
+    },
     /// A sample rate that is not a positive, finite number.
     #[error("sample_rate_hz is {}, it must be positive and finite", short(*found))]
     SampleRate {
@@ -403,7 +413,7 @@ impl FormatError {
             Self::DuplicateChannel { .. } => "run.duplicate_channel",
             Self::LongName { .. } => "run.unknown_channel",
             Self::UnequalLengths { .. } => "run.unequal_lengths",
-            Self::NonFinite { .. } => "run.non_finite",
+            Self::NonFinite { .. } | Self::NonFiniteInBatch { .. } => "run.non_finite",
             Self::SampleRate { .. } => "run.sample_rate",
             Self::CsvHeader { .. } => "csv.header",
             Self::CsvNotANumber { .. } => "csv.not_a_number",
@@ -475,10 +485,19 @@ impl FormatError {
         }
     }
 
+    /// JSON pointer of the part of the file, where it has parts.
+    pub fn pointer(&self) -> String {
+        match self {
+            Self::NonFiniteInBatch { signal, .. } => format!("/{signal}"),
+            _ => String::new(),
+        }
+    }
+
     fn channel_at(&self) -> Option<&ChannelAt> {
         match self {
             Self::UnequalLengths { channel, .. }
             | Self::NonFinite { channel, .. }
+            | Self::NonFiniteInBatch { channel, .. }
             | Self::Uff58Unlike { channel, .. }
             | Self::JsonNotANumber { channel, .. } => Some(channel),
             _ => None,
@@ -504,6 +523,7 @@ impl FormatError {
     pub fn sample(&self) -> Option<usize> {
         match self {
             Self::NonFinite { sample, .. }
+            | Self::NonFiniteInBatch { sample, .. }
             | Self::JsonNotANumber { sample, .. }
             | Self::VariableUnevenTime { sample, .. } => Some(*sample),
             _ => None,

@@ -4,6 +4,7 @@
 //! without a limit and multiplies shapes unchecked, which a file from outside must not reach. The tests read our
 //! files with npyz.
 
+mod batch;
 mod header;
 mod pieces;
 
@@ -13,8 +14,9 @@ use realfft::num_complex::Complex64;
 
 use super::{ChannelAt, FormatError, ParsedRun, ReadError, Spool};
 
+pub use batch::{Batch, read_batch};
 pub(super) use header::ArrayHead;
-pub use header::{Header, header};
+pub use header::{Header, batch_header, header};
 pub use pieces::NpyPieces;
 
 /// Type of one number in a file.
@@ -157,7 +159,7 @@ pub fn write(channels: &[Vec<f64>], dtype: Dtype, order: Order) -> Result<Vec<u8
     Ok(file)
 }
 
-/// Writes a `<f4` file of shape `[samples, channels]` in C order, piece by piece.
+/// Writes a `<f4` file of shape `[samples, channels]` or `[batch, samples, channels]` in C order, piece by piece.
 #[derive(Debug)]
 pub struct Writer {
     file: Vec<u8>,
@@ -168,8 +170,18 @@ pub struct Writer {
 impl Writer {
     /// A file of this size, without its samples.
     pub fn new(samples: usize, channels: usize) -> Self {
-        let mut file = npy_header(samples, channels, Dtype::F4, Order::C);
-        file.reserve_exact(samples * channels * Dtype::F4.size());
+        Self::of_shape(&[samples, channels])
+    }
+
+    /// A file of a batch, without its samples.
+    pub fn of_batch(batch: usize, samples: usize, channels: usize) -> Self {
+        Self::of_shape(&[batch, samples, channels])
+    }
+
+    fn of_shape(shape: &[usize]) -> Self {
+        let mut file = header_of("<f4", shape, Order::C);
+        file.reserve_exact(shape.iter().product::<usize>() * Dtype::F4.size());
+        let samples = shape[..shape.len() - 1].iter().product();
         Self { file, samples, written: 0 }
     }
 

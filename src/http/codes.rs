@@ -178,6 +178,7 @@ codes! {
     PREDICT_MISSING_CHANNEL = "predict.missing_channel", 422, "A channel is missing";
     PREDICT_UNKNOWN_CHANNEL = "predict.unknown_channel", 422, "A channel that the model does not have";
     PREDICT_SAMPLE_RATE = "predict.sample_rate", 422, "Another sample rate than the model's";
+    PREDICT_BATCH_SIZE = "predict.batch_size", 422, "Too many drives in one batch";
     PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
     PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
     PREDICT_DEADLINE = "predict.deadline", 504, "The answer was not ready in time";

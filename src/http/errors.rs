@@ -179,7 +179,7 @@ pub fn format(error: &FormatError, names: &[String]) -> Problem {
     let code = codes::find(error.code()).unwrap_or(codes::RUN_INVALID);
     let named = error.channel().map(str::to_owned);
     let place = FieldError {
-        pointer: String::new(),
+        pointer: error.pointer(),
         channel: named.or_else(|| names.get(error.channel_index()?).cloned()),
         sample: error.sample().map(|s| s as u64),
         row: error.row(),

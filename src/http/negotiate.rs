@@ -30,6 +30,9 @@ pub const RPC3: &str = "application/x-rpc3";
 /// Media type of Universal File Format, data sets 58.
 pub const UFF58: &str = "application/x-uff58";
 
+/// Media type of answers in parts: figures as JSON, then a file.
+pub const MULTIPART: &str = "multipart/mixed";
+
 /// The offer with the highest quality in `Accept`; without `Accept`, and among equals, the first.
 ///
 /// # Errors
@@ -51,6 +54,21 @@ pub fn choose(headers: &HeaderMap, offers: &[&'static str]) -> Answer<&'static s
         let offered = offers.join(", ");
         let detail = format!("Accept allows none of the representations on offer: {offered}.");
         Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", offered))
+    })
+}
+
+/// A parameter of the range of `Accept` that names a media type whole, as `file` of `multipart/mixed; file="text/csv"`.
+pub fn parameter(headers: &HeaderMap, media_type: &str, name: &str) -> Option<String> {
+    let accept = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok());
+    let mut ranges = accept.flat_map(|v| v.split(','));
+    let parameters = ranges.find_map(|range| {
+        let (of, parameters) = range.split_once(';')?;
+        of.trim().eq_ignore_ascii_case(media_type).then_some(parameters)
+    })?;
+    parameters.split(';').find_map(|parameter| {
+        let (key, value) = parameter.split_once('=')?;
+        let value = value.trim().trim_matches('"');
+        key.trim().eq_ignore_ascii_case(name).then(|| value.to_ascii_lowercase())
     })
 }
 
@@ -119,6 +137,22 @@ mod tests {
         assert_eq!(chosen("Text/CSV; charset=utf-8; q=0.3, */*;q=0.1"), Some("text/csv"));
         assert_eq!(chosen("*/*, application/json;q=0"), Some("text/csv"));
         assert_eq!(choose(&HeaderMap::new(), &OFFERS).ok(), Some("application/json"));
+    }
+
+    #[test]
+    fn a_parameter_belongs_to_its_media_type() {
+        let file = |accept: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(ACCEPT, HeaderValue::from_static(accept));
+            parameter(&headers, MULTIPART, "file")
+        };
+        assert_eq!(file("multipart/mixed; file=\"text/CSV\"").as_deref(), Some("text/csv"));
+        assert_eq!(
+            file("text/html;file=x, Multipart/Mixed;q=0.5; File = text/csv").as_deref(),
+            Some("text/csv")
+        );
+        assert_eq!(file("multipart/mixed, text/csv; file=text/html"), None);
+        assert_eq!(file("multipart/mixed; profile=text/csv"), None);
     }
 
     #[test]

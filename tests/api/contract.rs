@@ -38,7 +38,7 @@ fn every_problem_code_is_in_the_contract_with_its_status_and_title() {
         .iter()
         .map(|c| (c.name.to_owned(), c.status.into(), c.title.to_owned()))
         .collect();
-    let codes = &Contract::get().document["components"]["schemas"]["ProblemCode"]["oneOf"];
+    let codes = &Contract::get().document["components"]["schemas"]["ProblemCode"]["x-codes"];
     let theirs: BTreeSet<(String, u64, String)> = codes
         .as_array()
         .expect("a list of codes")

@@ -39,6 +39,27 @@ pub fn header(file: &[u8]) -> Result<Header, FormatError> {
     check(&file[text.clone()], text.end, (file.len() - text.end) as u64)
 }
 
+/// Reads and checks the header of a whole file that holds one signal, or a batch of signals of the same length as
+/// `[batch, samples, channels]`. Gives the number of signals of a batch, and the header of the array in which they
+/// stand one behind the other.
+///
+/// # Errors
+/// As [`header`]; `npy.shape` for more dimensions.
+pub fn batch_header(file: &[u8]) -> Result<(Header, Option<usize>), FormatError> {
+    let text = text(file, file.len() as u64)?;
+    let (data_offset, found) = (text.end, (file.len() - text.end) as u64);
+    let not_text = |_| FormatError::NpyHeader("the header is not text");
+    let mut fields = Fields::parse(std::str::from_utf8(&file[text]).map_err(not_text)?)?;
+    let [batch, samples, channels] = fields.shape[..] else {
+        return Ok((of_fields(fields, data_offset, found)?, None));
+    };
+    let rows = batch.checked_mul(samples).ok_or(FormatError::NpyShape { found: fields.shape.clone() })?;
+    fields.shape = vec![rows, channels];
+    let header = of_fields(fields, data_offset, found)?;
+    // Not 0 and not more than the rows, which fit.
+    Ok((header, Some(batch as usize)))
+}
+
 /// Range of the header's text in a file of `len` bytes with this beginning.
 pub(super) fn text(file: &[u8], len: u64) -> Result<Range<usize>, FormatError> {
     let Some((b"\x93NUMPY", rest)) = file.split_at_checked(6) else {
@@ -65,8 +86,12 @@ pub(super) fn text(file: &[u8], len: u64) -> Result<Range<usize>, FormatError> {
 /// Reads the text of a header before `found` bytes of data, which begin at `data_offset`.
 pub(super) fn check(text: &[u8], data_offset: usize, found: u64) -> Result<Header, FormatError> {
     let text = std::str::from_utf8(text).map_err(|_| FormatError::NpyHeader("the header is not text"))?;
-    let Fields { descr, fortran, shape } = Fields::parse(text)?;
+    of_fields(Fields::parse(text)?, data_offset, found)
+}
 
+/// Checks the fields of a header before `found` bytes of data, which begin at `data_offset`.
+fn of_fields(fields: Fields, data_offset: usize, found: u64) -> Result<Header, FormatError> {
+    let Fields { descr, fortran, shape } = fields;
     let (dtype, big_endian) = dtype(&descr)?;
     let (samples, channels) = match shape[..] {
         [samples] => (samples, 1),

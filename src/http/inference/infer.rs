@@ -37,13 +37,13 @@ pub async fn infer(
     // From here on only the drive holds the body: its memory is given back once it has become a signal.
     let drive = Drive::check(&mut request, binary, &layout)?;
     if let Some(found_hz) = request.sample_rate_hz() {
-        predict::check_rate(model.model(), found_hz, "/parameters/sample_rate_hz")?;
+        predict::check_rate(model.model().sample_rate_hz, found_hz, "/parameters/sample_rate_hz")?;
     }
     let wanted = wanted(&request, &layout)?;
     let bytes = predict::needed(&model, drive.samples, false);
     let memory = http.predictions.take(admission::client_id(), bytes).await?;
     stages.end("load");
-    let class = predict::class(&model.predictor, drive.samples);
+    let class = predict::class(&model.predictor, drive.samples, 1);
     let answering = Answering { rig: id, id: request.id, layout, wanted };
     let loaded = model.clone();
     let work = move |deadline: &Deadline, stages: &mut Stages| {

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::answer::{check_length, check_rate, class, damages, distances, filtered, refusal};
+use super::answer::{check_length, class, damages, distances, filtered, refusal};
+use super::conversion::check_rate;
 use super::inputs::{self, Drive, Found, Target};
 use super::stages::Stages;
 use super::{compute, find, needed};
@@ -109,7 +110,7 @@ pub async fn compare(
         Some(run) => Some(inputs::target(http, Found::Run(Box::new(run)), &model).await?),
         None => None,
     };
-    let class = class(&model.predictor, drive.n_samples());
+    let class = class(&model.predictor, drive.n_samples(), 1);
     let of = Arc::clone(&model);
     let work = move |deadline: &Deadline, stages: &mut Stages| {
         let made = predict(rig, of, drive, target, deadline)?;
@@ -130,18 +131,19 @@ fn predict(
     deadline: &Deadline,
 ) -> Answer<Comparison> {
     let (model, predictor): (_, &Predictor) = (loaded.model(), &loaded.predictor);
-    check_rate(model, drive.sample_rate_hz(), "drive")?;
+    check_rate(model.sample_rate_hz, drive.sample_rate_hz(), "drive")?;
     if let Some(target) = &target {
-        check_rate(model, target.signal.sample_rate_hz(), "target")?;
-        check_length(&drive, &target.signal)?;
+        check_rate(model.sample_rate_hz, target.signal.sample_rate_hz(), "target")?;
+        check_length(drive.n_samples(), target.signal.n_samples())?;
     }
     let target = target.map(|target| filtered(target, &model.preprocess)).transpose()?;
     let begun = predictor.begin(drive.clone());
     let mut prediction = begun.map_err(|error| errors::engine(&error, &model.inputs, "drive"))?;
     let trust = predictor.trust(&prediction);
     let watch = |progress: Progress<'_>| deadline.watch(progress);
-    let response =
-        predictor.rest(&mut prediction, &watch).map_err(|error| refusal(&error, &model.outputs))?;
+    let response = predictor
+        .rest(&mut prediction, &watch)
+        .map_err(|error| refusal(&error, &model.outputs, "/drive/channels"))?;
     let damage = damages(&rig, &model.outputs, &response, target.as_ref(), &DamageSettings::default())?;
     deadline.check()?;
     let errors = match &target {

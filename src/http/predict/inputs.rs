@@ -6,6 +6,7 @@ use super::request::Source;
 use crate::domain::{RigId, Run};
 use crate::engine::{EngineError, Samples, Signal};
 use crate::formats;
+use crate::formats::npy::Batch;
 use crate::http::body::signals::Channels;
 use crate::http::measurement::Measurement;
 use crate::http::paths::no_run;
@@ -28,7 +29,18 @@ pub enum Drive {
 }
 
 impl Drive {
-    /// Samples per second.
+    /// Samples of each input, all drives of a batch together; for an NPY body that cannot be read an upper bound from
+    /// its bytes.
+    pub fn n_samples(&self, inputs: usize) -> usize {
+        match self {
+            Self::Signal(signal) => signal.n_samples(),
+            // The shortest type has two bytes a number.
+            Self::Npy { bytes, .. } => formats::npy::batch_header(bytes)
+                .map_or(bytes.len() / (2 * inputs.max(1)), |(header, _)| header.samples),
+        }
+    }
+
+    /// Samples per second, as the client says.
     pub fn sample_rate_hz(&self) -> f64 {
         match self {
             Self::Signal(signal) => signal.sample_rate_hz(),
@@ -36,17 +48,63 @@ impl Drive {
         }
     }
 
-    /// Samples of each input; for an unparsed NPY body an upper bound from its bytes.
-    pub fn n_samples(&self, inputs: usize) -> usize {
+    /// Number of drives; of an NPY body that cannot be read, one.
+    pub fn n_drives(&self) -> usize {
         match self {
-            Self::Signal(signal) => signal.n_samples(),
-            // The shortest type has two bytes a number.
+            Self::Signal(_) => 1,
             Self::Npy { bytes, .. } => {
-                formats::npy::header(bytes).map_or(bytes.len() / (2 * inputs.max(1)), |header| header.samples)
+                formats::npy::batch_header(bytes).ok().and_then(|(_, batch)| batch).unwrap_or(1)
             }
         }
     }
+
+    /// The drives as signals: the columns of an NPY body are the model's inputs.
+    ///
+    /// # Errors
+    /// Those of the NPY format; another number of columns; more drives than a batch may have.
+    pub fn parse(self, inputs: &[String]) -> Answer<Drives> {
+        let (bytes, sample_rate_hz) = match self {
+            Self::Signal(signal) => return Ok(Drives { signals: vec![signal], is_batch: false }),
+            Self::Npy { bytes, sample_rate_hz } => (bytes, sample_rate_hz),
+        };
+        let refuse = |error| {
+            let problem = errors::format(&error, inputs);
+            errors::count_unreadable("npy", &problem);
+            problem
+        };
+        let (header, batch) = formats::npy::batch_header(&bytes).map_err(refuse)?;
+        if header.channels != inputs.len() {
+            let (columns, limit) =
+                (header.channels, format!("{} columns: {}", inputs.len(), inputs.join(", ")));
+            let detail = format!("The array has {columns} columns; the model takes {limit}.");
+            return Err(Problem::new(codes::SIGNAL_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
+        }
+        if let Some(drives) = batch.filter(|&drives| drives > MAX_BATCH) {
+            let limit = format!("at most {MAX_BATCH} drives");
+            let detail = format!("The batch has {drives} drives; it may have {limit}.");
+            return Err(Problem::new(codes::PREDICT_BATCH_SIZE, detail).with(FieldError::new("", limit)));
+        }
+        let Batch { signals, is_batch } = formats::npy::read_batch(&bytes).map_err(refuse)?;
+        drop(bytes);
+        let signal = |channels| {
+            Signal::new(sample_rate_hz, channels).map_err(|error| errors::engine(&error, inputs, ""))
+        };
+        let signals = signals.into_iter().map(signal).collect::<Answer<_>>()?;
+        Ok(Drives { signals, is_batch })
+    }
 }
+
+/// One drive, or a batch of drives of the same length.
+#[derive(Debug)]
+pub struct Drives {
+    /// The drives, at least one.
+    pub signals: Vec<Signal>,
+    /// Whether the answer has the dimension of the batch, with one drive too.
+    pub is_batch: bool,
+}
+
+/// Most drives of a batch: a generation of a search, and as many figures as an answer may hold beside its file.
+const MAX_BATCH: usize = 1024;
 
 /// Some or all of a model's outputs, in their order.
 #[derive(Debug)]
@@ -74,6 +132,14 @@ impl Found {
             Self::Signals(_, channels) => {
                 channels.0.iter().map(|(_, samples)| samples.len()).max().unwrap_or_default()
             }
+        }
+    }
+
+    /// Samples per second, as the client says.
+    pub fn sample_rate_hz(&self) -> f64 {
+        match self {
+            Self::Run(run) => run.sample_rate_hz,
+            Self::Signals(rate, _) => *rate,
         }
     }
 

@@ -1,12 +1,16 @@
 //! Predictions: a drive in, the response out, with damage, errors and trust.
 //!
-//! [`request`] reads the request, [`memory`] waits for the memory that it needs, [`inputs`] makes signals for
-//! the model, [`answer`] computes and writes the answer.
+//! [`receive`] takes a request in each of its forms and [`request`] says what is asked for, [`memory`] waits for the
+//! memory that it needs, [`inputs`] makes signals for the model, which [`conversion`] brings to its sample rate,
+//! [`answer`] computes and writes the answer in the [`form`] that the client prefers.
 
 mod answer;
 mod compare;
+mod conversion;
+mod form;
 mod inputs;
 pub(super) mod memory;
+mod receive;
 mod request;
 mod stages;
 
@@ -21,117 +25,48 @@ use axum::response::{IntoResponse, Response};
 
 use super::body::signals::header_names;
 use super::deadline::Deadline;
-use super::negotiate::{self, CSV, MAT, NPY, RPC3};
+use super::negotiate::NPY;
 use super::params::Params;
 use super::paths::{OfRig, no_model, no_rig};
 use super::problem::{Answer, Problem};
-use super::{Shared, admission, body, codes, json, measurement, upload};
+use super::{Shared, body, codes, json};
 use crate::compute::Class;
 use crate::domain::{ModelRef, Rig, RigId};
-use crate::engine::Samples;
-use crate::formats::Format;
 use crate::models::LoadedModel;
 use crate::telemetry::names;
-use answer::{Computed, PredictionTask};
-use inputs::Drive;
-use request::{MeasurementQuery, NpyQuery, PredictRequest};
+use answer::Computed;
+use receive::Incoming;
 
-pub(super) use answer::{check_rate, class};
+pub(super) use answer::class;
 pub use compare::{Comparison, Comparisons, compare};
+pub(super) use conversion::check_rate;
 pub use memory::PredictionMemory;
 pub(super) use stages::Stages;
 
 /// `POST /v1/rigs/{rig}/predict`
 pub async fn predict(
     State(http): State<Shared>,
-    OfRig(id): OfRig,
+    OfRig(rig): OfRig,
     params: Params,
     headers: HeaderMap,
-    request: Body,
+    body: Body,
 ) -> Answer {
-    let found = body::media_type(&headers);
+    let media_type = body::media_type(&headers);
+    let incoming = Incoming { rig, params, headers, body };
     let mut stages = Stages::begin();
-    match found.as_deref() {
-        Some(json::MEDIA_TYPE) => {
-            params.finish()?;
-            let media_type = negotiate::choose(&headers, &forms(json::MEDIA_TYPE))?;
-            let request: PredictRequest = json::take_signals(&headers, request, &http).await?;
-            stages.end("receive");
-            let (rig, model) = find(&http, &id, request.model).await?;
-            let include = request.includes()?;
-            let drive = inputs::find(&http, &id, request.drive, "/drive").await?;
-            let target = match request.target {
-                Some(source) => Some(inputs::find(&http, &id, source, "/target").await?),
-                None => None,
-            };
-            let bytes = needed(&model, drive.n_samples(), target.is_some());
-            let memory = http.predictions.take(admission::client_id(), bytes).await?;
-            let drive = inputs::drive(&http, drive, &model).await?;
-            let target = match target {
-                Some(found) => Some(inputs::target(&http, found, &model).await?),
-                None => None,
-            };
-            stages.end("load");
-            let task = PredictionTask {
-                rig,
-                model,
-                drive,
-                target,
-                include,
-                damage: request.damage.unwrap_or_default(),
-                media_type,
-                memory,
-            };
-            predicted(&http, task, stages).await
-        }
-        Some(NPY) => {
-            let query = NpyQuery::take(params)?;
-            let media_type = negotiate::choose(&headers, &forms(NPY))?;
-            let bytes = body::Limited::new(&headers, request, http.limits.drive_bytes, http.limits.pace)?
-                .collect()
-                .await?;
-            let (rig, model) = find(&http, &id, query.model).await?;
-            let drive = Drive::Npy { bytes, sample_rate_hz: query.sample_rate_hz };
-            let samples = drive.n_samples(model.model().inputs.len());
-            let memory =
-                http.predictions.take(admission::client_id(), needed(&model, samples, false)).await?;
-            predicted(&http, PredictionTask::of_file(rig, model, drive, media_type, memory), stages).await
-        }
-        other => {
-            // General types are not looked into here: they would hide an NPY file without its rate.
-            let Some(format) = measurement::format(other)? else {
-                return Err(body::unsupported(other, &measurement::OFFERED));
-            };
-            let query = MeasurementQuery::take(params)?;
-            let own = match format {
-                Format::Rpc3 => RPC3,
-                Format::Mat => MAT,
-                _ => CSV,
-            };
-            let media_type = negotiate::choose(&headers, &forms(own))?;
-            let (rig, model) = find(&http, &id, query.model).await?;
-            let upload = upload::receive_at_most(&http, http.limits.drive_bytes, &headers, request).await?;
-            stages.end("receive");
-            let (class, scratch) = (Class::of_bytes(upload.size()), http.store.scratch_dir());
-            let of_rig = rig.clone();
-            let read = move || query.file.read(&of_rig, Some(format), upload, &scratch);
-            let measurement = http.off_thread(class, read).await??;
-            let bytes = needed(&model, measurement.samples.n_samples(), false);
-            let memory = http.predictions.take(admission::client_id(), bytes).await?;
-            let of_model = model.clone();
-            let drive = http.off_thread(class, move || inputs::measured(measurement, &of_model)).await??;
-            stages.end("load");
-            predicted(&http, PredictionTask::of_file(rig, model, drive, media_type, memory), stages).await
-        }
-    }
-}
-
-/// Media types of an answer: that of the request first, which is chosen without `Accept`.
-fn forms(own: &'static str) -> [&'static str; 5] {
-    let mut forms = [json::MEDIA_TYPE, NPY, CSV, RPC3, MAT];
-    let place = forms.iter().position(|&form| form == own).expect("an answer has the forms of requests");
-    forms[..=place].rotate_right(1);
-    forms
+    let task = match media_type.as_deref() {
+        Some(json::MEDIA_TYPE) => incoming.json(&http, &mut stages).await?,
+        Some(NPY) => incoming.npy(&http, &mut stages).await?,
+        other => incoming.measurement(&http, other, &mut stages).await?,
+    };
+    let (model, class) = (task.model.clone(), task.class());
+    let work = |deadline: &Deadline, stages: &mut Stages| {
+        let computed = task.run(deadline, stages)?;
+        let samples = computed.samples;
+        Ok((computed, samples))
+    };
+    let computed = compute(&http, &model, class, stages, work).await?;
+    respond(&http, &model, computed)
 }
 
 /// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, and a target.
@@ -158,17 +93,6 @@ pub(super) async fn find(http: &Shared, id: &RigId, name: ModelRef) -> Answer<(R
         }
     };
     Ok((rig, model))
-}
-
-async fn predicted(http: &Shared, task: PredictionTask, stages: Stages) -> Answer {
-    let (model, class) = (task.model.clone(), task.class());
-    let work = |deadline: &Deadline, stages: &mut Stages| {
-        let computed = task.run(deadline, stages)?;
-        let samples = computed.samples;
-        Ok((computed, samples))
-    };
-    let computed = compute(http, &model, class, stages, work).await?;
-    respond(http, &model, computed)
 }
 
 /// Predicts before the deadline, and counts the prediction. The work gives its result and the number of
@@ -201,10 +125,10 @@ where
 }
 
 fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Response> {
-    let Computed { written, size, media_type, inside, .. } = computed;
+    let Computed { written, size, content_type, inside, .. } = computed;
     let mut response = written.into_body(&http.compute).into_response();
     let headers = response.headers_mut();
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
+    headers.insert(CONTENT_TYPE, HeaderValue::try_from(content_type).map_err(Problem::internal)?);
     if let Some(size) = size {
         headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
     }
@@ -215,6 +139,7 @@ fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Res
     };
     put("rigcast-model-version", model.version.to_string())?;
     put("rigcast-model-digest", model.sha256.clone())?;
+    put("rigcast-sample-rate-hz", model.model().sample_rate_hz.to_string())?;
     put("rigcast-channels", header_names(&model.model().outputs))?;
     if let Some(inside) = inside {
         put("rigcast-trust-inside", inside.to_string())?;

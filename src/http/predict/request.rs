@@ -3,10 +3,12 @@
 use serde::Deserialize;
 
 use crate::domain::ModelRef;
+use crate::engine::EngineError;
 use crate::engine::fatigue::DamageSettings;
 use crate::http::body::HoldsSignals;
 use crate::http::body::signals::Channels;
 use crate::http::codes;
+use crate::http::jobs::word;
 use crate::http::measurement::FileQuery;
 use crate::http::params::{Params, invalid};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -83,22 +85,19 @@ impl PredictRequest {
     /// # Errors
     /// `predict.target_missing` for errors without a target.
     pub fn includes(&self) -> Answer<Include> {
-        let Some(parts) = &self.include else {
-            let target = self.target.is_some();
-            return Ok(Include {
-                response: true,
-                damage: target || self.damage.is_some(),
-                errors: target,
-                trust: true,
-            });
+        let include = Include::of(self.include.as_deref(), self.target.is_some(), self.damage.is_some());
+        include.ok_or_else(|| no_target("/target"))
+    }
+}
+
+impl Include {
+    /// The parts that are asked for, or those that follow from what was sent; none for errors without a target.
+    fn of(parts: Option<&[AnswerPart]>, target: bool, damage: bool) -> Option<Self> {
+        let Some(parts) = parts else {
+            return Some(Self { response: true, damage: target || damage, errors: target, trust: true });
         };
         let wants = |part| parts.contains(&part);
-        if wants(AnswerPart::Errors) && self.target.is_none() {
-            let detail = "Errors compare a prediction with a target; the request has none.";
-            return Err(Problem::new(codes::PREDICT_TARGET_MISSING, detail)
-                .with(FieldError::new("/target", "needed for errors")));
-        }
-        Ok(Include {
+        (target || !wants(AnswerPart::Errors)).then(|| Self {
             response: wants(AnswerPart::Response),
             damage: wants(AnswerPart::Damage),
             errors: wants(AnswerPart::Errors),
@@ -107,61 +106,127 @@ impl PredictRequest {
     }
 }
 
+fn no_target(pointer: &str) -> Problem {
+    let detail = "Errors compare a prediction with a target; the request has none.";
+    Problem::new(codes::PREDICT_TARGET_MISSING, detail).with(FieldError::new(pointer, "needed for errors"))
+}
+
+/// The query beside a file, of any format.
+#[derive(Debug)]
+pub struct FileRequest {
+    /// Which model.
+    pub model: ModelRef,
+    /// The run that the response is compared with.
+    pub target: Option<Source>,
+    /// Parts of the answer.
+    pub include: Include,
+    /// Settings of the damage.
+    pub damage: DamageSettings,
+}
+
 /// The query beside an NPY body.
 #[derive(Debug)]
 pub struct NpyQuery {
-    /// Which model.
-    pub model: ModelRef,
+    /// What is asked for.
+    pub request: FileRequest,
     /// Sample rate of the drive.
     pub sample_rate_hz: f64,
+    /// Whether a drive of another rate is converted.
+    pub resample: bool,
 }
 
 /// The query beside a measurement file.
 #[derive(Debug)]
 pub struct MeasurementQuery {
-    /// Which model.
-    pub model: ModelRef,
+    /// What is asked for.
+    pub request: FileRequest,
     /// How the file is read.
     pub file: FileQuery,
 }
 
-impl MeasurementQuery {
-    /// Takes `model` and the parameters of a file.
-    ///
-    /// # Errors
-    /// `query.*`
-    pub fn take(mut params: Params) -> Answer<Self> {
-        let model = model(&mut params)?;
-        let file = FileQuery::take(&mut params)?;
-        params.finish()?;
-        Ok(Self { model, file })
+impl FileRequest {
+    /// Takes `model`, `target`, `include` and the settings of the damage.
+    fn take(params: &mut Params) -> Answer<Self> {
+        let model = params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
+            ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
+        })?;
+        let target = params.parse("target", "the id of a run")?;
+        let target = target.map(|run| Source { run: Some(run), sample_rate_hz: None, channels: None });
+        let damage = damage(params)?;
+        let include = params.all("include");
+        let parts: Vec<&str> = include.iter().flat_map(|text| text.split(',')).map(str::trim).collect();
+        let parts: Vec<AnswerPart> = parts.into_iter().map(AnswerPart::parse).collect::<Answer<_>>()?;
+        let parts = (!include.is_empty()).then_some(&parts[..]);
+        let include = Include::of(parts, target.is_some(), damage.is_some());
+        let include = include.ok_or_else(|| no_target("?target"))?;
+        Ok(Self { model, target, include, damage: damage.unwrap_or_default() })
     }
 }
 
-/// The parameter `model`; the active one without it.
-fn model(params: &mut Params) -> Answer<ModelRef> {
-    params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
-        ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
-    })
+impl AnswerPart {
+    fn parse(text: &str) -> Answer<Self> {
+        let part = serde_json::from_value(text.into());
+        part.map_err(|_| {
+            invalid("include", format!("is {text:?}"), "some of response, damage, errors, trust")
+        })
+    }
+}
+
+/// The settings of the damage, if there are some.
+fn damage(params: &mut Params) -> Answer<Option<DamageSettings>> {
+    let mut damage = DamageSettings::default();
+    let before = damage;
+    let slope = params.number("slope", "a number above 0, at most 50")?;
+    let constant = params.number("constant", "a positive number")?;
+    let residue = word(params, "residue", RESIDUES)?;
+    let directions = params.parse("directions", "a number from 1 to 10000")?;
+    let given = slope.is_some() || constant.is_some() || residue.is_some() || directions.is_some();
+    damage.slope = slope.unwrap_or(before.slope);
+    damage.constant = constant.unwrap_or(before.constant);
+    damage.residue = residue.unwrap_or(before.residue);
+    damage.directions = directions.unwrap_or(before.directions);
+    damage.check().map_err(|error| match error {
+        EngineError::Setting { setting, found, limit } => {
+            invalid(setting.trim_start_matches("damage."), format!("is {found}"), &limit)
+        }
+        error => Problem::internal(error),
+    })?;
+    Ok(given.then_some(damage))
+}
+
+impl MeasurementQuery {
+    /// Takes what is asked for and the parameters of a file.
+    ///
+    /// # Errors
+    /// `query.*`; `predict.target_missing`
+    pub fn take(mut params: Params) -> Answer<Self> {
+        let request = FileRequest::take(&mut params)?;
+        let file = FileQuery::take(&mut params)?;
+        params.finish()?;
+        Ok(Self { request, file })
+    }
 }
 
 impl NpyQuery {
-    /// Takes `model` and `sample_rate_hz`.
+    /// Takes what is asked for, `sample_rate_hz` and `resample`.
     ///
     /// # Errors
-    /// `query.*`; the sample rate is required, because an NPY file has none.
+    /// `query.*`; `predict.target_missing`; the sample rate is required, because an NPY file has none.
     pub fn take(mut params: Params) -> Answer<Self> {
-        let model = model(&mut params)?;
+        let request = FileRequest::take(&mut params)?;
         let limit = "the drive's sample rate, a positive number";
         let sample_rate_hz = params.number("sample_rate_hz", limit)?;
+        let resample = params.flag("resample")?;
         params.finish()?;
         let sample_rate_hz = sample_rate_hz.ok_or_else(|| invalid("sample_rate_hz", "is missing", limit))?;
         if sample_rate_hz <= 0.0 {
             return Err(invalid("sample_rate_hz", format!("is {sample_rate_hz}"), limit));
         }
-        Ok(Self { model, sample_rate_hz })
+        Ok(Self { request, sample_rate_hz, resample })
     }
 }
+
+const RESIDUES: &str = "ignore, half or repeated";
 
 const MODEL_LIMIT: &str = "active or the number of a version";
 

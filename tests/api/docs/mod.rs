@@ -1,6 +1,7 @@
 //! The README and the pages under `docs/`: their blocks are run, their links lead somewhere.
 
 mod pages;
+mod python;
 mod sessions;
 mod shell;
 
@@ -11,8 +12,8 @@ use sessions::SESSIONS;
 
 use crate::support::rigcast;
 
-/// Languages of blocks. `sh` is run; `console` would be run on another machine or for too long; `text` is no command.
-const LANGUAGES: &[&str] = &["sh", "console", "text", "json", "python"];
+/// Languages of blocks. `sh` is run, as is the `python` of `docs/clients.md`; `console` would be run on another machine or for too long; `text` is no command.
+const LANGUAGES: &[&str] = &["sh", "console", "text", "json", "python", "matlab"];
 
 #[test]
 fn each_runnable_block_of_each_page_belongs_to_a_session() {

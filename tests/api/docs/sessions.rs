@@ -36,6 +36,7 @@ sessions! {
         ("docs/iterations.md", "A drive for a service load"),
         ("docs/evaluations.md", "A report"),
         ("docs/predictions.md", "Open Inference Protocol"),
+        ("docs/clients.md", "curl"),
     ];
     the_demos_rig_is_diagnosed_and_its_model_mended runs on_the_demo on [
         ("docs/diagnosis.md", "Where model and rig differ"),
@@ -97,6 +98,11 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
     assert!(table.iter().all(|row| row["channels"]["disp"]["damage_ratio"].is_number()), "{report}");
     let page = std::fs::read_to_string(folder.join("evaluation.html")).expect("a page");
     assert!(page.contains("Runs: service") && page.contains("version 2 (hybrid2)"), "{page}");
+    let figures: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("figures.json")).expect("figures were written"))
+            .expect("JSON");
+    assert!(figures["errors"]["channels"]["disp"]["rms"].is_number(), "{figures}");
+    assert!(out.contains(r#""format":"csv""#), "what is understood of a file: {out}");
     let weights = std::fs::read(folder.join("model.safetensors")).expect("weights were written");
     assert_eq!(
         rigcast::engine::model::from_safetensors(&weights).expect("weights of ours").inputs,

@@ -6,7 +6,7 @@ use std::process::Command;
 use super::pages::Page;
 
 /// Address that the pages give for the service.
-const ADDRESS: &str = "http://127.0.0.1:8080";
+pub const ADDRESS: &str = "http://127.0.0.1:8080";
 
 /// The `sh` blocks of a section in their order, for the service at `base`; a refusal ends the session.
 pub fn blocks(page: &str, section: &str, base: &str) -> Vec<String> {

@@ -79,8 +79,11 @@ impl Contract {
         if reply.status < 400 {
             self.check_success(&place, &format!("{operation}/responses/{key}"), media_type.as_deref(), reply);
             if let Some(sent) = sent {
-                let body = format!("{operation}/requestBody/content/application~1json/schema");
-                self.validate(&format!("{place}, request"), &body, sent);
+                let content = format!("{operation}/requestBody/content");
+                // A merge patch is sent as JSON too.
+                let is_patch = self.at(&content).get("application/json").is_none();
+                let media_type = if is_patch { "application~1merge-patch+json" } else { "application~1json" };
+                self.validate(&format!("{place}, request"), &format!("{content}/{media_type}/schema"), sent);
             }
         }
         Some(id)

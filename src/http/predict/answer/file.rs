@@ -1,55 +1,73 @@
-//! A prediction as a measurement file: the outputs as columns of a table, as an RPC III response file or as a MAT file.
+//! A prediction as a measurement file: the outputs as columns of a table, as an RPC III response file, as a MAT file
+//! or as an array.
 
-use super::{Begun, refusal};
-use crate::engine::Progress;
+use super::npy::of_response;
+use super::{Body, Setting};
+use crate::engine::Signal;
+use crate::engine::model::Prediction;
 use crate::formats::csv::{CsvPieces, TimeOfRows};
 use crate::formats::mat::MatPieces;
 use crate::formats::rpc3::Rpc3Pieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::errors;
-use crate::http::negotiate::{MAT, RPC3, too_large_for_mat};
+use crate::http::negotiate::{MAT, NPY, RPC3, too_large_for_mat};
+use crate::http::predict::memory::Share;
 use crate::http::predict::stages::Stages;
 use crate::http::problem::{Answer, Problem};
 
-/// Predicts and writes the beginning of the file; returns its size where it is known.
+/// Predicts and writes the beginning of the file.
 ///
 /// # Errors
 /// A result that is not finite; a channel that CSV has no name for; the deadline.
 pub(super) fn write(
-    begun: Begun<'_>,
+    setting: &Setting<'_>,
+    prediction: Prediction,
     media_type: &str,
+    mut memory: Share,
     stages: &mut Stages,
-) -> Answer<(Written, Option<u64>)> {
-    let Begun { rig, loaded, mut prediction, mut memory, deadline, .. } = begun;
-    let names = &loaded.model().outputs;
-    let watch = |progress: Progress<'_>| deadline.watch(progress);
-    let response = loaded.predictor.rest(&mut prediction, &watch).map_err(|error| refusal(&error, names))?;
-    drop(prediction);
+) -> Answer<Body> {
+    let response = setting.response(prediction, "/drive/channels")?;
     stages.end("simulate");
     memory.keep(response.n_samples() * response.n_channels() * size_of::<f64>());
-    let unit = |name: &String| rig.channel(name).map(|channel| channel.unit.clone()).unwrap_or_default();
-    let units: Vec<String> = names.iter().map(unit).collect();
-    let (pieces, size): (Pieces, _) = match media_type {
-        RPC3 => {
-            let pieces = Rpc3Pieces::new(names.clone(), units, false, response);
-            let size = pieces.size() as u64;
-            (Box::new(pieces), Some(size))
-        }
-        MAT => {
-            let pieces = MatPieces::new(names, &units, response).ok_or_else(too_large_for_mat)?;
-            let size = pieces.size();
-            (Box::new(pieces), Some(size))
-        }
-        _ => {
-            let time = TimeOfRows::beside(names, 0);
-            let pieces = CsvPieces::new(names.clone(), units, time, response);
-            (Box::new(pieces.map_err(|error| errors::format(&error, names))?), None)
-        }
-    };
-    let pieces = pieces.inspect(move |_| {
-        // The share of the memory is given back when the last piece has gone out.
-        let _held = &memory;
-    });
-    let written = Written::begin(Box::new(pieces)).map_err(Problem::internal)?;
+    let (pieces, size) = setting.file(response, media_type)?;
+    let written = Written::begin(held(pieces, memory)).map_err(Problem::internal)?;
     Ok((written, size))
+}
+
+/// Pieces that give the share of the memory back when the last of them has gone out.
+pub(super) fn held(pieces: Pieces, memory: Share) -> Pieces {
+    Box::new(pieces.inspect(move |_| {
+        let _held = &memory;
+    }))
+}
+
+impl Setting<'_> {
+    /// A response as a file, and its size where that is known.
+    ///
+    /// # Errors
+    /// A channel that CSV has no name for; a number beyond the range of the file.
+    pub(super) fn file(&self, response: Signal, media_type: &str) -> Answer<(Pieces, Option<u64>)> {
+        let names = &self.loaded.model().outputs;
+        let unit =
+            |name: &String| self.rig.channel(name).map(|channel| channel.unit.clone()).unwrap_or_default();
+        let units: Vec<String> = names.iter().map(unit).collect();
+        Ok(match media_type {
+            NPY => of_response(response, names)?,
+            RPC3 => {
+                let pieces = Rpc3Pieces::new(names.clone(), units, false, response);
+                let size = pieces.size() as u64;
+                (Box::new(pieces), Some(size))
+            }
+            MAT => {
+                let pieces = MatPieces::new(names, &units, response).ok_or_else(too_large_for_mat)?;
+                let size = pieces.size();
+                (Box::new(pieces), Some(size))
+            }
+            _ => {
+                let time = TimeOfRows::beside(names, 0);
+                let pieces = CsvPieces::new(names.clone(), units, time, response);
+                (Box::new(pieces.map_err(|error| errors::format(&error, names))?), None)
+            }
+        })
+    }
 }

@@ -1,18 +1,13 @@
-//! A prediction as JSON: the response, and what was asked about it.
+//! A prediction as JSON: the response, and the figures that were asked for.
 
 use std::iter;
 
-use serde::Serialize;
-
-use super::comparison::{DamageAnswer, damages, distances};
-use super::{Begun, refusal};
-use crate::domain::Base;
-use crate::engine::Progress;
-use crate::engine::model::{Preprocess, TrustSpan, VersionKind};
+use super::{Begun, Setting};
 use crate::http::body::pieces::Written;
 use crate::http::body::signal_pieces::JsonPieces;
 use crate::http::body::signals::write_json;
 use crate::http::json::Object;
+use crate::http::predict::memory::Share;
 use crate::http::predict::stages::Stages;
 use crate::http::problem::{Answer, Problem};
 
@@ -20,44 +15,24 @@ use crate::http::problem::{Answer, Problem};
 /// ten seconds of a large rig, some 2.5 MB of text.
 const WRITTEN_AT_ONCE: usize = 1 << 17;
 
-/// Trust; unknown for imported weights without a range.
-#[derive(Debug, Serialize)]
-struct TrustAnswer {
-    inside: Option<f64>,
-    spans: Vec<TrustSpan>,
-}
-
-#[derive(Debug, Serialize)]
-struct ModelAnswer<'a> {
-    version: u32,
-    kind: VersionKind,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    base: Option<&'a Base>,
-    sha256: &'a str,
-}
-
 /// Predicts, compares and counts; writes the beginning of the document, or all of a short one.
 ///
 /// # Errors
 /// A result that is not finite, settings outside their limits; the deadline.
-pub(super) fn write(begun: Begun<'_>, stages: &mut Stages) -> Answer<Written> {
-    let Begun { rig, loaded, mut prediction, trust, target, include, damage, mut memory, deadline } = begun;
-    let (model, predictor) = (loaded.model(), &loaded.predictor);
-    let outputs = &model.outputs;
-    let watch = |progress: Progress<'_>| deadline.watch(progress);
-    let response = predictor.rest(&mut prediction, &watch).map_err(|error| refusal(&error, outputs))?;
-    drop(prediction);
+pub(super) fn write(
+    setting: &Setting<'_>,
+    begun: Begun,
+    mut memory: Share,
+    stages: &mut Stages,
+) -> Answer<Written> {
+    let outputs = &setting.loaded.model().outputs;
+    let Begun { prediction, trust } = begun;
+    let response = setting.response(prediction, "/drive/channels")?;
     stages.end("simulate");
-    let name = ModelAnswer {
-        version: loaded.version,
-        kind: model.version_kind(),
-        base: loaded.base.as_ref(),
-        sha256: &loaded.sha256,
-    };
     let mut answer = Object::new();
-    answer.add("model", &name)?;
+    setting.add_model(&mut answer)?;
     let mut before = None;
-    if include.response {
+    if setting.include.response {
         let text = answer.field("response");
         if response.n_samples() * outputs.len() <= WRITTEN_AT_ONCE {
             write_json(text, outputs, &response);
@@ -65,20 +40,7 @@ pub(super) fn write(begun: Begun<'_>, stages: &mut Stages) -> Answer<Written> {
             before = Some(std::mem::take(text));
         }
     }
-    if include.damage {
-        deadline.check()?;
-        let report = damages(rig, outputs, &response, target.as_ref(), &damage)?;
-        let preprocess = if target.is_some() { model.preprocess } else { Preprocess::default() };
-        answer.add("damage", &DamageAnswer { report, preprocess })?;
-    }
-    if let Some(target) = target.as_ref().filter(|_| include.errors) {
-        deadline.check()?;
-        answer.add("errors", &distances(outputs, &response, target, model.preprocess)?)?;
-    }
-    if include.trust {
-        let known = !model.range.is_empty();
-        answer.add("trust", &TrustAnswer { inside: known.then_some(trust.inside), spans: trust.spans })?;
-    }
+    setting.add_figures(&mut answer, &response, trust)?;
     let written = match before {
         None => Written::Whole(answer.finish()),
         Some(before) => {

@@ -1,24 +1,28 @@
-//! Computes a prediction and writes the answer, off the async threads: one file a format.
+//! Computes a prediction and writes the answer, off the async threads: one file a form.
 
+mod batch;
 mod comparison;
+mod figures;
 mod file;
 mod json;
+mod multipart;
 mod npy;
 
 use std::sync::Arc;
 
 pub(super) use comparison::{damages, distances};
 
-use super::inputs::{Drive, Target};
+use super::conversion::{Conversion, ConvertedFrom, Part};
+use super::form::Form;
+use super::inputs::{Drive, Drives, Target};
 use super::memory::Share;
 use super::request::Include;
 use super::stages::Stages;
 use crate::compute::Class;
 use crate::domain::Rig;
 use crate::engine::fatigue::DamageSettings;
-use crate::engine::model::{Prediction, Predictor, Preprocess, RigModel, Trust};
-use crate::engine::{EngineError, Signal, rounded};
-use crate::formats;
+use crate::engine::model::{Prediction, Predictor, Preprocess, Trust};
+use crate::engine::{EngineError, Progress, Signal};
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
 use crate::http::negotiate::{CSV, MAT, NPY, RPC3};
@@ -45,8 +49,10 @@ pub struct PredictionTask {
     pub include: Include,
     /// Settings of the damage.
     pub damage: DamageSettings,
-    /// Media type of the answer.
-    pub media_type: &'static str,
+    /// Form of the answer.
+    pub form: Form,
+    /// Conversion of drive and target to the model's rate.
+    pub conversion: Conversion,
     /// The memory that the prediction may take.
     pub memory: Share,
 }
@@ -58,143 +64,177 @@ pub struct Computed {
     pub written: Written,
     /// Its size, where it is known before all of it is written.
     pub size: Option<u64>,
-    /// Its media type.
-    pub media_type: &'static str,
+    /// Its `Content-Type`.
+    pub content_type: String,
     /// Samples predicted, all outputs together.
     pub samples: u64,
     /// Share of samples at which every input is inside the range that the model was fitted on, if that
-    /// range is known.
+    /// range is known; of a batch the least of its drives.
     pub inside: Option<f64>,
 }
 
-/// A prediction whose inputs were checked.
-struct Begun<'a> {
+/// The beginning of an answer's body, and the size of all of it where that is known.
+type Body = (Written, Option<u64>);
+
+/// Holds for every drive of a request.
+struct Setting<'a> {
     rig: &'a Rig,
     loaded: &'a LoadedModel,
-    prediction: Prediction,
-    trust: Trust,
     /// Behind the model's filter; none where the answer does not need it.
     target: Option<Target>,
     include: Include,
     damage: DamageSettings,
-    memory: Share,
+    converted_from: ConvertedFrom,
     deadline: &'a Deadline,
 }
 
-impl PredictionTask {
-    /// A prediction whose drive came as a file: no target, no settings.
-    pub fn of_file(
-        rig: Rig,
-        model: Arc<LoadedModel>,
-        drive: Drive,
-        media_type: &'static str,
-        memory: Share,
-    ) -> Self {
-        let include = Include { response: true, damage: false, errors: false, trust: true };
-        let damage = DamageSettings::default();
-        Self { rig, model, drive, target: None, include, damage, media_type, memory }
-    }
+/// A prediction whose inputs were checked.
+struct Begun {
+    prediction: Prediction,
+    trust: Trust,
+}
 
+impl PredictionTask {
     /// Short or long work, by the size of drive and network.
     pub fn class(&self) -> Class {
         let inputs = self.model.model().inputs.len();
-        class(&self.model.predictor, self.drive.n_samples(inputs))
+        let samples = self.drive.n_samples(inputs);
+        // A drive of a few samples may become a long one.
+        let samples = samples.max(self.conversion.converted(samples, self.drive.sample_rate_hz()));
+        class(&self.model.predictor, samples, self.drive.n_drives())
     }
 
     /// Predicts, compares, counts, and writes the beginning of the answer.
     ///
     /// # Errors
     /// Another sample rate than the model's, a target of another length, settings outside their
-    /// limits, a result that is not finite; the deadline.
+    /// limits, a batch that the form has no room for, a result that is not finite; the deadline.
     pub fn run(self, deadline: &Deadline, stages: &mut Stages) -> Answer<Computed> {
-        let Self { rig, model: loaded, drive, target, include, damage, media_type, memory } = self;
-        let (model, predictor) = (loaded.model(), &loaded.predictor);
-        check_rate(model, drive.sample_rate_hz(), "/drive/sample_rate_hz")?;
-        let drive = parsed(drive, &model.inputs)?;
-        stages.end("parse");
-        if let Some(target) = &target {
-            check_rate(model, target.signal.sample_rate_hz(), "/target/sample_rate_hz")?;
-            check_length(&drive, &target.signal)?;
+        let Self { rig, model: loaded, drive, target, include, damage, form, mut conversion, memory } = self;
+        let model = loaded.model();
+        let Drives { mut signals, is_batch } = drive.parse(&model.inputs)?;
+        if is_batch {
+            form.check_batch()?;
         }
+        stages.end("parse");
+        let mut convert = |signal| {
+            deadline.check()?;
+            conversion.apply(signal, &model.inputs, Part::Drive)
+        };
+        signals = signals.into_iter().map(&mut convert).collect::<Answer<_>>()?;
+        let target = match target {
+            Some(target) => Some(matching(target, signals[0].n_samples(), &mut conversion)?),
+            None => None,
+        };
         let target = match target {
             Some(target) if include.damage || include.errors => Some(filtered(target, &model.preprocess)?),
             _ => None,
         };
-        let prediction = predictor
-            .begin(drive)
-            .map_err(|error| errors::engine(&error, &model.inputs, "/drive/channels"))?;
-        let trust = predictor.trust(&prediction);
-        let samples = (prediction.n_samples() * model.outputs.len()) as u64;
-        let inside = (!model.range.is_empty()).then_some(trust.inside);
-        let (rig, loaded) = (&rig, loaded.as_ref());
-        let begun = Begun { rig, loaded, prediction, trust, target, include, damage, memory, deadline };
-        let (written, size) = match media_type {
-            NPY => npy::write(begun, stages).map(|(written, size)| (written, Some(size)))?,
-            CSV | RPC3 | MAT => file::write(begun, media_type, stages)?,
-            _ => (json::write(begun, stages)?, None),
-        };
-        Ok(Computed { written, size, media_type, samples, inside })
+        let samples = (signals.iter().map(Signal::n_samples).sum::<usize>() * model.outputs.len()) as u64;
+        let converted_from = conversion.made();
+        let setting =
+            Setting { rig: &rig, loaded: &loaded, target, include, damage, converted_from, deadline };
+        let (body, content_type, inside);
+        if is_batch {
+            (body, content_type, inside) = batch::write(&setting, signals, form, memory, stages)?;
+        } else {
+            let begun = setting.begin(signals.swap_remove(0), "/drive/channels")?;
+            inside = begun.trust.inside;
+            (body, content_type) = write(&setting, begun, form, memory, stages)?;
+        }
+        let inside = (!model.range.is_empty()).then_some(inside);
+        Ok(Computed { written: body.0, size: body.1, content_type, samples, inside })
     }
 }
 
-/// The refusal of a prediction that ended in an error of the engine.
-pub(in crate::http::predict) fn refusal(error: &EngineError, outputs: &[String]) -> Problem {
+/// The answer to one drive, and its `Content-Type`.
+fn write(
+    setting: &Setting<'_>,
+    begun: Begun,
+    form: Form,
+    memory: Share,
+    stages: &mut Stages,
+) -> Answer<(Body, String)> {
+    let media_type = form.media_type;
+    if form.with_figures {
+        return multipart::write(setting, begun, media_type, memory, stages);
+    }
+    let body = match media_type {
+        NPY => npy::write(setting, begun.prediction, memory, stages)?,
+        CSV | RPC3 | MAT => file::write(setting, begun.prediction, media_type, memory, stages)?,
+        _ => (json::write(setting, begun, memory, stages)?, None),
+    };
+    Ok((body, media_type.to_owned()))
+}
+
+impl Setting<'_> {
+    /// Begins the prediction for a drive that was sent at `pointer`.
+    ///
+    /// # Errors
+    /// A result of the model's filter that is not finite.
+    fn begin(&self, drive: Signal, pointer: &str) -> Answer<Begun> {
+        let (model, predictor) = (self.loaded.model(), &self.loaded.predictor);
+        let prediction =
+            predictor.begin(drive).map_err(|error| errors::engine(&error, &model.inputs, pointer))?;
+        let trust = predictor.trust(&prediction);
+        Ok(Begun { prediction, trust })
+    }
+
+    /// The whole response to the drive at `pointer`.
+    ///
+    /// # Errors
+    /// A result that is not finite; the deadline.
+    fn response(&self, mut prediction: Prediction, pointer: &str) -> Answer<Signal> {
+        let watch = |progress: Progress<'_>| self.deadline.watch(progress);
+        let response = self.loaded.predictor.rest(&mut prediction, &watch);
+        response.map_err(|error| self.refusal(&error, pointer))
+    }
+
+    /// The refusal of a prediction that ended in an error of the engine.
+    fn refusal(&self, error: &EngineError, pointer: &str) -> Problem {
+        refusal(error, &self.loaded.model().outputs, pointer)
+    }
+}
+
+/// The refusal of a prediction for the drive at `pointer` that ended in an error of the engine.
+pub(in crate::http::predict) fn refusal(error: &EngineError, outputs: &[String], pointer: &str) -> Problem {
     match error {
         EngineError::Cancelled => deadline::over(),
-        error => errors::engine(error, outputs, "/drive/channels"),
+        error => errors::engine(error, outputs, pointer),
     }
 }
 
-/// Short or long work, by the size of the drive and of the network.
-pub fn class(predictor: &Predictor, samples: usize) -> Class {
-    if predictor.network_work(samples) > SHORT_WORK {
+/// Short or long work, by the samples of the drives together, their number, and the size of the network.
+pub fn class(predictor: &Predictor, samples: usize, drives: usize) -> Class {
+    let of_each = predictor.network_work(samples / drives.max(1));
+    if of_each * drives as f64 > SHORT_WORK {
         return Class::Long;
     }
     let model = predictor.model();
     Class::of_values(samples.saturating_mul(model.inputs.len() + model.outputs.len()))
 }
 
-/// The drive as a signal; an NPY body has the model's inputs as columns.
-fn parsed(drive: Drive, inputs: &[String]) -> Answer<Signal> {
-    let (bytes, sample_rate_hz) = match drive {
-        Drive::Signal(signal) => return Ok(signal),
-        Drive::Npy { bytes, sample_rate_hz } => (bytes, sample_rate_hz),
-    };
-    let refuse = |error| {
-        let problem = errors::format(&error, inputs);
-        errors::count_unreadable("npy", &problem);
-        problem
-    };
-    let columns = formats::npy::header(&bytes).map_err(refuse)?.channels;
-    if columns != inputs.len() {
-        let limit = format!("{} columns: {}", inputs.len(), inputs.join(", "));
-        let detail = format!("The array has {columns} columns; the model takes {limit}.");
-        return Err(Problem::new(codes::SIGNAL_CHANNEL_COUNT, detail).with(FieldError::new("", limit)));
+/// The target at the model's rate, as long as a drive of `samples`.
+fn matching(target: Target, samples: usize, conversion: &mut Conversion) -> Answer<Target> {
+    let Target { names, signal } = target;
+    // Before it may become many times as long.
+    let converted = conversion.converted(signal.n_samples(), signal.sample_rate_hz());
+    if converted.abs_diff(samples) > 1 {
+        conversion.check(&signal, Part::Target)?;
+        check_length(samples, converted)?;
     }
-    let run = formats::npy::read(&bytes).map_err(refuse)?;
-    Signal::new(sample_rate_hz, run.channels).map_err(|error| errors::engine(&error, inputs, ""))
+    let signal = conversion.apply(signal, &names, Part::Target)?;
+    check_length(samples, signal.n_samples())?;
+    Ok(Target { names, signal })
 }
 
-/// Refuses another sample rate than the model's.
-///
-/// # Errors
-/// `predict.sample_rate`, which points at `at`.
-pub fn check_rate(model: &RigModel, found_hz: f64, at: &str) -> Answer<()> {
-    let expected_hz = model.sample_rate_hz;
-    if Signal::same_rate(found_hz, expected_hz) {
+/// Refuses a target of another length than the drive's `expected` samples.
+pub(in crate::http::predict) fn check_length(expected: usize, found: usize) -> Answer<()> {
+    if expected == found {
         return Ok(());
     }
-    let limit = format!("{} Hz", rounded(expected_hz, 10));
-    let detail = format!("{at} is {} Hz; the model was fitted at {limit}.", rounded(found_hz, 10));
-    Err(Problem::new(codes::PREDICT_SAMPLE_RATE, detail).with(FieldError::new(at, limit)))
-}
-
-pub(in crate::http::predict) fn check_length(drive: &Signal, target: &Signal) -> Answer<()> {
-    if drive.n_samples() == target.n_samples() {
-        return Ok(());
-    }
-    let limit = format!("{} samples, as many as the drive", drive.n_samples());
-    let detail = format!("The target has {} samples; it must have {limit}.", target.n_samples());
+    let limit = format!("{expected} samples, as many as the drive");
+    let detail = format!("The target has {found} samples; it must have {limit}.");
     Err(Problem::new(codes::PREDICT_UNEQUAL_LENGTHS, detail).with(FieldError::new("/target/channels", limit)))
 }
 
@@ -213,7 +253,7 @@ mod tests {
 
     use super::*;
     use crate::engine::lstm::{LstmNet, Recombine};
-    use crate::engine::model::{LstmPart, ModelKind, Preprocess, Scaler};
+    use crate::engine::model::{LstmPart, ModelKind, Preprocess, RigModel, Scaler};
 
     /// A network of three inputs and six outputs at 1 kHz, windows of 256.
     fn network(cells: usize, hop: usize) -> Predictor {
@@ -239,10 +279,13 @@ mod tests {
 
     #[test]
     fn an_hour_is_long_and_so_is_a_minute_of_a_large_network() {
-        assert_eq!(class(&network(39, 128), 60_000), Class::Predict);
-        assert_eq!(class(&network(39, 128), 3_600_000), Class::Long);
-        assert_eq!(class(&network(39, 1), 60_000), Class::Long, "a window a sample");
-        assert_eq!(class(&network(200, 128), 60_000), Class::Long);
-        assert_eq!(class(&network(200, 128), 1000), Class::Predict);
+        assert_eq!(class(&network(39, 128), 60_000, 1), Class::Predict);
+        assert_eq!(class(&network(39, 128), 3_600_000, 1), Class::Long);
+        assert_eq!(class(&network(39, 1), 60_000, 1), Class::Long, "a window a sample");
+        assert_eq!(class(&network(200, 128), 60_000, 1), Class::Long);
+        assert_eq!(class(&network(200, 128), 1000, 1), Class::Predict);
+        // Each drive of a batch has windows that reach beyond its ends.
+        assert_eq!(class(&network(39, 128), 60_000, 60), Class::Predict);
+        assert_eq!(class(&network(39, 128), 60_000, 60_000), Class::Long);
     }
 }

@@ -1,0 +1,70 @@
+//! The figures of a prediction, as fields of a JSON object: model, damage, errors, trust.
+
+use serde::Serialize;
+
+use super::Setting;
+use super::comparison::{DamageAnswer, damages, distances};
+use crate::domain::Base;
+use crate::engine::Signal;
+use crate::engine::model::{Preprocess, Trust, TrustSpan, VersionKind};
+use crate::http::json::Object;
+use crate::http::problem::Answer;
+
+/// Trust; unknown for imported weights without a range.
+#[derive(Debug, Serialize)]
+struct TrustAnswer {
+    inside: Option<f64>,
+    spans: Vec<TrustSpan>,
+}
+
+#[derive(Debug, Serialize)]
+struct ModelAnswer<'a> {
+    version: u32,
+    kind: VersionKind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    base: Option<&'a Base>,
+    sha256: &'a str,
+}
+
+impl Setting<'_> {
+    /// Adds the model, and the sample rates that its inputs were converted from.
+    pub(super) fn add_model(&self, answer: &mut Object) -> Answer<()> {
+        let loaded = self.loaded;
+        let model = ModelAnswer {
+            version: loaded.version,
+            kind: loaded.model().version_kind(),
+            base: loaded.base.as_ref(),
+            sha256: &loaded.sha256,
+        };
+        answer.add("model", &model)?;
+        if !self.converted_from.is_none() {
+            answer.add("resampled_from_hz", &self.converted_from)?;
+        }
+        Ok(())
+    }
+
+    /// Adds what is asked for of damage, errors and trust.
+    ///
+    /// # Errors
+    /// Settings outside their limits, a figure beyond its range; the deadline.
+    pub(super) fn add_figures(&self, answer: &mut Object, response: &Signal, trust: Trust) -> Answer<()> {
+        let model = self.loaded.model();
+        let outputs = &model.outputs;
+        if self.include.damage {
+            self.deadline.check()?;
+            let report = damages(self.rig, outputs, response, self.target.as_ref(), &self.damage)?;
+            let preprocess = if self.target.is_some() { model.preprocess } else { Preprocess::default() };
+            answer.add("damage", &DamageAnswer { report, preprocess })?;
+        }
+        if let Some(target) = self.target.as_ref().filter(|_| self.include.errors) {
+            self.deadline.check()?;
+            answer.add("errors", &distances(outputs, response, target, model.preprocess)?)?;
+        }
+        if self.include.trust {
+            let known = !model.range.is_empty();
+            answer
+                .add("trust", &TrustAnswer { inside: known.then_some(trust.inside), spans: trust.spans })?;
+        }
+        Ok(())
+    }
+}
