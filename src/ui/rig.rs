@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::{number, percent};
 use super::words::{self, count, duration};
+use crate::domain::evaluation::EvaluationSummary;
 use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
 
 /// Everything that the page shows.
@@ -22,6 +23,8 @@ pub struct RigView {
     pub jobs: Vec<Job>,
     /// Its diagnoses, the newest first.
     pub diagnoses: Vec<DiagnosisSummary>,
+    /// Its evaluations, the newest first.
+    pub evaluations: Vec<EvaluationSummary>,
     /// Its iterations, the newest first.
     pub iterations: Vec<IterationSummary>,
     /// `ETag` of the active model.
@@ -183,6 +186,16 @@ fn models(of: &RigView, at: &str, visitor: &Visitor) -> Markup {
 
 fn studies(of: &RigView, at: &str) -> Markup {
     html! {
+        @if !of.evaluations.is_empty() {
+            h2 { "Evaluations" }
+            div.wide { table.full {
+                thead { tr { th { "Evaluation" } th { "Models" } } }
+                tbody { @for evaluation in &of.evaluations { tr {
+                    td { a href={ (at) "/evaluations/" (evaluation.id) } { (words::minute(&evaluation.created_at)) } }
+                    td { (evaluation.outline.models.iter().map(|version| format!("version {version}")).collect::<Vec<_>>().join(", ")) }
+                } } }
+            } }
+        }
         @if !of.diagnoses.is_empty() {
             h2 { "Diagnoses" }
             div.wide { table.full {
@@ -287,6 +300,7 @@ mod tests {
             models: Vec::new(),
             jobs: Vec::new(),
             diagnoses: Vec::new(),
+            evaluations: Vec::new(),
             iterations: Vec::new(),
             active_tag: "\"a0\"".into(),
         };

@@ -95,6 +95,8 @@ pub async fn show(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor
     models.sort_by_key(|model| std::cmp::Reverse(model.version));
     let mut diagnoses = items(http.store.diagnoses(&id, &whole()).await?);
     diagnoses.sort_by_key(|diagnosis| std::cmp::Reverse(diagnosis.id));
+    let mut evaluations = items(http.store.evaluations(&id, &whole()).await?);
+    evaluations.sort_by_key(|evaluation| std::cmp::Reverse(evaluation.id));
     let mut iterations = items(http.store.iterations(&id, &whole()).await?);
     iterations.sort_by_key(|iteration| std::cmp::Reverse(iteration.id));
     let mut jobs =
@@ -102,7 +104,17 @@ pub async fn show(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor
     jobs.sort_by_key(|job| std::cmp::Reverse(job.id));
     jobs.truncate(JOBS);
     let active_tag = http.store.active_model(&id).await?.ok_or_else(|| no_rig(id.as_str()))?.etag();
-    let view = ui::rig::RigView { rig, runs, more_runs, models, jobs, diagnoses, iterations, active_tag };
+    let view = ui::rig::RigView {
+        rig,
+        runs,
+        more_runs,
+        models,
+        jobs,
+        diagnoses,
+        evaluations,
+        iterations,
+        active_tag,
+    };
     html(ui::rig::page(&visitor.shown, &view))
 }
 
