@@ -15,7 +15,11 @@ pub struct Recorded {
 
 /// The programme with so many minutes of training noise, recorded on the rig of this seed.
 pub fn record(minutes: f64, seed: u64) -> Result<Vec<Recorded>, EngineError> {
-    let rig = VirtualRig::draw(seed);
+    record_on(&VirtualRig::draw(seed), minutes, seed)
+}
+
+/// The same on a rig.
+pub fn record_on(rig: &VirtualRig, minutes: f64, seed: u64) -> Result<Vec<Recorded>, EngineError> {
     programme(&ProgrammeSettings::of_minutes(minutes), seed)?
         .into_par_iter()
         .enumerate()
@@ -49,8 +53,13 @@ pub fn fitted(
     data: &FitData,
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
+    fit(data, &settings(kind, preset, lstm), watch)
+}
+
+/// Settings of [`fitted`].
+pub fn settings(kind: ModelKind, preset: Preset, lstm: LstmOptions) -> FitSettings {
     let names = |channels: std::ops::Range<usize>| channels.map(|c| format!("channel_{c}")).collect();
-    let settings = FitSettings {
+    FitSettings {
         kind,
         task: Task::Forward,
         inputs: names(0..3),
@@ -59,6 +68,6 @@ pub fn fitted(
         frf: preset.frf(),
         lstm,
         preset,
-    };
-    fit(data, &settings, watch)
+        start: None,
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use crate::engine::EngineError;
 use crate::engine::frf::FrfSettings;
-use crate::engine::model::{Preset, Task};
+use crate::engine::model::{ModelKind, Preset, Task};
 
 use super::fits::{FitRequest, FrfOptions, RunFilter, RunSelection};
 use super::problem::FieldError;
@@ -67,6 +67,10 @@ impl FitRequest {
         }
         let task = task(channels, &inputs, &outputs);
         setting(&mut errors, self.lstm.check(self.preset, self.kind, task));
+        if self.start.is_some() && self.kind == ModelKind::Frf {
+            errors
+                .push(FieldError::new("/start", "a kind with a network: an FRF has no weights to start at"));
+        }
         check_runs(&mut errors, "/runs", self.runs.as_ref());
         check_runs(&mut errors, "/validation_runs", self.validation_runs.as_ref());
         check_runs(&mut errors, "/frf/runs", self.frf.runs.as_ref());

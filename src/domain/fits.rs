@@ -94,6 +94,14 @@ pub enum Activate {
     Always,
 }
 
+/// The model that a training goes on from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StartFrom {
+    /// A version of the rig, of the same kind and channels.
+    pub version: u32,
+}
+
 /// The request; every field but `kind` has a default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -121,6 +129,10 @@ pub struct FitRequest {
     /// LSTM part.
     #[serde(default)]
     pub lstm: LstmOptions,
+    /// The version whose weights the training begins at; left out: as `lstm.hybrid_start` says. Blocks that are
+    /// left open are those of the version.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<StartFrom>,
     /// Source of what is left open.
     #[serde(default)]
     pub preset: Preset,

@@ -31,7 +31,8 @@ pub use ids::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, new_i
 pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{
-    ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span, UsedModel,
+    ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span, StartedFrom,
+    UsedModel,
 };
 pub use model_ref::ModelRef;
 pub use page::{Cursor, Page, PageRequest};

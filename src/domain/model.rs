@@ -79,10 +79,24 @@ pub struct Lineage {
     /// Data that compare the model with others; the errors in the report are on these. If the model was fitted
     /// again on all runs, they are in `training` too.
     pub validation: Vec<Span>,
+    /// The version whose weights the training began at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<StartedFrom>,
     /// Effects that were adopted from diagnoses, in the order of adoption. The rest of the lineage is that of
     /// the version that they were added to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub diagnoses: Vec<Adopted>,
+}
+
+/// The version whose weights a training began at. It may be gone; what it had seen, the new model has seen too.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StartedFrom {
+    /// The version.
+    pub version: u32,
+    /// SHA-256 of its weight file, hex.
+    pub sha256: String,
+    /// Data that shaped it, stopped its training or chose it.
+    pub seen: Vec<Span>,
 }
 
 /// The origin of an adopted effect.
@@ -109,16 +123,34 @@ impl Lineage {
 
     /// Whether a sample of `span` shaped the model, or stopped its training, or chose it.
     pub fn has_seen(&self, span: &Span) -> bool {
+        self.seen().any(|used| used.overlaps(span))
+    }
+
+    /// Data that shaped the model, stopped its training or chose it, or did so for the version that it began at.
+    pub fn seen(&self) -> impl Iterator<Item = &Span> {
+        let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
         let stopped = self.stopping.as_ref().unwrap_or(&self.validation);
-        let chosen = self.diagnoses.iter().flat_map(|adopted| &adopted.select);
-        self.was_trained_on(span) || stopped.iter().chain(chosen).any(|used| used.overlaps(span))
+        let before = self.start.iter().flat_map(|start| &start.seen);
+        self.training.iter().chain(&self.frf).chain(stopped).chain(effects).chain(before)
+    }
+
+    /// Whether the version that the training began at has seen a sample of `span`.
+    pub fn start_has_seen(&self, span: &Span) -> bool {
+        self.start.iter().flat_map(|start| &start.seen).any(|used| used.overlaps(span))
     }
 
     /// All data that the model has seen, for weights, parameters or choices.
     pub fn spans(&self) -> impl Iterator<Item = &Span> {
         let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
         let stopping = self.stopping.iter().flatten();
-        self.training.iter().chain(&self.frf).chain(stopping).chain(&self.validation).chain(effects)
+        let before = self.start.iter().flat_map(|start| &start.seen);
+        self.training
+            .iter()
+            .chain(&self.frf)
+            .chain(stopping)
+            .chain(&self.validation)
+            .chain(effects)
+            .chain(before)
     }
 }
 
@@ -311,6 +343,7 @@ mod tests {
             frf: vec![span(2, "bb", 0, 10)],
             stopping: Some(vec![span(6, "ff", 0, 10)]),
             validation: vec![span(3, "cc", 0, 10)],
+            start: None,
             diagnoses: vec![Adopted {
                 id: DiagnosisId::nil(),
                 hypothesis: 0,
@@ -324,6 +357,10 @@ mod tests {
         assert!(lineage.was_trained_on(&span(4, "dd", 0, 1)), "an effect's parameters are weights too");
         assert!(!lineage.was_trained_on(&span(5, "ee", 0, 10)));
         assert_eq!(lineage.spans().count(), 6);
+        let started = StartedFrom { version: 1, sha256: "00".into(), seen: vec![span(7, "77", 0, 5)] };
+        let warm = Lineage { start: Some(started), ..lineage.clone() };
+        assert!(warm.has_seen(&span(7, "77", 4, 9)) && !warm.was_trained_on(&span(7, "77", 4, 9)));
+        assert!(!warm.start_has_seen(&span(1, "aa", 0, 1)) && warm.spans().count() == 7);
         let seen = |run, sha256| lineage.has_seen(&span(run, sha256, 0, 1));
         assert!(seen(6, "ff") && seen(5, "ee") && seen(1, "aa") && !seen(3, "cc"));
         let before = Lineage { stopping: None, ..lineage.clone() };

@@ -205,6 +205,10 @@ impl<'a> Side<'a> {
 
     /// Its score on a span. `None` if it has seen the span.
     fn score(&self, span: &Span) -> Option<Score> {
+        // Scores on such data are no measure, whether they are noted or not.
+        if self.lineage.start_has_seen(span) {
+            return None;
+        }
         let place = self.lineage.validation.iter().position(|own| same_data(own, span));
         if let Some(noted) = place.and_then(|place| self.noted.get(place)) {
             return Some(Score::Noted(noted.clone()));
@@ -394,6 +398,12 @@ mod tests {
         );
         assert_eq!(common(&side(&a, 1.0), &side(&b, 2.0)), [], "each has seen what the other left out");
         // A run from after the active model's fit is new to it as it is.
+        let seen = vec![span(2, 0, 10)];
+        let warm = Lineage {
+            start: Some(crate::domain::StartedFrom { version: 1, sha256: "a".into(), seen }),
+            ..left_out(2)
+        };
+        assert_eq!(common(&side(&warm, 1.0), &side(&a, 2.0)), [], "its start was trained on the data");
         let newer = Lineage { training: vec![span(3, 0, 1000)], ..left_out(3) };
         let found = common(&side(&newer, 1.0), &side(&a, 2.0));
         assert_eq!(

@@ -6,10 +6,10 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Origin, Rig, Run};
+use crate::domain::{JobId, Lineage, Origin, Rig, Run};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
-    FitData, FitReport, FitSettings, Fitted, Pair, RigModel, SplitRule, to_safetensors,
+    FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, RigModel, SplitRule, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
@@ -20,6 +20,7 @@ use super::checkpoints::JobCheckpoints;
 use super::control::Control;
 use super::problem::{JobError, of_engine};
 use super::spec::{JobSpec, ModelOutput};
+use super::warm_start;
 use super::work_context::WorkContext;
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
@@ -37,7 +38,7 @@ impl From<FitProblem> for JobError {
     }
 }
 
-/// Does a fit, from the request to a model that is ready to be published.
+/// Does a fit job, from the request to a model that is ready to be published.
 pub(super) async fn make(
     context: &WorkContext,
     spec: &JobSpec,
@@ -45,21 +46,34 @@ pub(super) async fn make(
 ) -> Result<ModelOutput, JobError> {
     let request: FitRequest = spec.request()?;
     let rig = context.store.rig(&spec.rig).await?.ok_or(FitProblem::RigGone)?;
+    fit_model(context, &rig, &request, spec.job, control).await
+}
+
+/// Fits a model for a job, to a version that is ready to be published.
+pub(super) async fn fit_model(
+    context: &WorkContext,
+    rig: &Rig,
+    request: &FitRequest,
+    job: JobId,
+    control: &Arc<Control>,
+) -> Result<ModelOutput, JobError> {
     // Checked again, because runs may have come and gone since the job was queued.
-    let plan = check(&context.store, &rig, &request).await?;
+    let mut plan = check(&context.store, rig, request).await?;
     control.report("loading runs", 0.0);
+    let start = warm_start::load(context, &mut plan).await?;
     let data = load(context, &plan, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
     let (store, every) = (&context.store, context.checkpoint_every);
-    let checkpoints = JobCheckpoints::open(store, spec.job, fingerprint(&plan, isa), every, control).await?;
-    let (model, mut report, weights) = fit(context, &plan, data, checkpoints, control).await?;
+    let checkpoints = JobCheckpoints::open(store, job, fingerprint(&plan, isa), every, control).await?;
+    let (model, mut report, weights) = fit(context, (&plan, start), data, checkpoints, control).await?;
     tell_of_split(&plan, &mut report);
     let lineage = plan.lineage(report.comparison.as_ref().is_some_and(|c| c.refitted));
+    tell_of_start(&lineage, &mut report);
     let model = Arc::new(model);
     control.report("comparing with the active model", 1.0);
     let activate::Decision { activation, why } = activate::decide(
         context,
-        &rig,
+        rig,
         &plan,
         activate::Candidate { model: &model, report: &report, lineage: &lineage },
         control,
@@ -73,7 +87,7 @@ pub(super) async fn make(
         sample_rate_hz: model.sample_rate_hz,
         weights,
         origin: Origin::Fit,
-        job: Some(spec.job),
+        job: Some(job),
         request: Some(plan.request.clone()),
         report: Some(report),
         frf: model.frf_summary(),
@@ -94,8 +108,25 @@ fn tell_of_split(plan: &FitPlan, report: &mut FitReport) {
     }
 }
 
+/// Warns if the version that the training began at has seen data that compare the model.
+fn tell_of_start(lineage: &Lineage, report: &mut FitReport) {
+    if let Some(start) = &lineage.start
+        && lineage.validation.iter().any(|span| lineage.start_has_seen(span))
+    {
+        report.warnings.push(format!(
+            "model version {}, at which the training began, has seen data that compare this model: its errors on them \
+             are too small, and they activate nothing; leave out a run that the version has not seen",
+            start.version
+        ));
+    }
+}
+
 /// Loads every run once and cuts it to the fit's channels.
-async fn load(context: &WorkContext, plan: &FitPlan, control: &Control) -> Result<FitData, JobError> {
+pub(super) async fn load(
+    context: &WorkContext,
+    plan: &FitPlan,
+    control: &Control,
+) -> Result<FitData, JobError> {
     let load = async |runs: Vec<&Run>| -> Result<Vec<Pair>, JobError> {
         let mut pairs = Vec::new();
         for run in runs {
@@ -150,7 +181,7 @@ pub(super) fn pair(
     Ok(Pair { x: select(&inputs, &outputs)?, y: select(&outputs, &[])? })
 }
 
-fn settings(plan: &FitPlan) -> FitSettings {
+pub(super) fn settings(plan: &FitPlan, start: Option<LstmPart>) -> FitSettings {
     FitSettings {
         kind: plan.request.kind,
         task: plan.task,
@@ -160,12 +191,13 @@ fn settings(plan: &FitPlan) -> FitSettings {
         frf: plan.request.frf.settings(plan.request.preset),
         lstm: plan.request.lstm.clone(),
         preset: plan.request.preset,
+        start,
     }
 }
 
 /// Digest of all that a fit depends on. Checkpoints of another program, other settings or other data are
 /// of no use.
-fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
+pub(super) fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
     let all = (crate::VERSION, isa.name(), &plan.request, plan.lineage(false));
     let json = serde_json::to_vec(&all).expect("a request and a lineage always serialise");
     Digest::of(&json).as_str().to_owned()
@@ -174,12 +206,12 @@ fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
 /// Fits on the threads for fits, and writes the weights there too.
 async fn fit(
     context: &WorkContext,
-    plan: &FitPlan,
+    (plan, start): (&FitPlan, Option<LstmPart>),
     data: FitData,
     checkpoints: JobCheckpoints,
     control: &Arc<Control>,
 ) -> Result<(RigModel, FitReport, Bytes), JobError> {
-    let (settings, watched, function) = (settings(plan), Arc::clone(control), context.fit);
+    let (settings, watched, function) = (settings(plan, start), Arc::clone(control), context.fit);
     let started = std::time::Instant::now();
     let fitted = context
         .compute

@@ -6,7 +6,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::domain::fits::{Activate, FitRequest, RunFilter, RunSelection};
 use crate::domain::{
-    FieldError, FitChannels, Lineage, Problem, Rig, Run, RunId, RunKind, Span, Split, model, task,
+    FieldError, FitChannels, Lineage, Model, Problem, Rig, Run, RunId, RunKind, Span, Split, model, task,
 };
 use crate::engine::model::{
     FitSplit, ModelKind, Preset, RunLengths, Section, Sections, Task, own_frf_sections,
@@ -15,6 +15,7 @@ use crate::storage::{Store, StoreError};
 
 use super::problem::{codes, rig_gone, sentence, store_failed, too_many_waiting};
 use super::selection::{by_id, matching};
+use super::warm_start;
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +28,8 @@ pub struct FitPlan {
     pub outputs: Vec<String>,
     /// What the model is for.
     pub task: Task,
+    /// The version that the training begins at.
+    pub start: Option<Model>,
     /// Training runs.
     pub training: Vec<Run>,
     /// Runs of the FRF part, if they differ.
@@ -67,6 +70,9 @@ pub enum FitProblem {
         /// The selection.
         pointer: &'static str,
     },
+    /// The rig has no such version to start from (404 `model.not_found`).
+    #[error("the rig has no model version {0} to start from")]
+    NoStart(u32),
     /// The rig was deleted meanwhile (404 `rig.not_found`).
     #[error("the rig is gone")]
     RigGone,
@@ -104,6 +110,11 @@ impl FitProblem {
                 Problem::new(409, codes::FIT_NO_RUNS, title, format!("{self}."))
                     .with(vec![FieldError::new(*pointer, "at least one run of the rig")])
             }
+            Self::NoStart(_) => {
+                let title = "No such model version";
+                Problem::new(404, codes::MODEL_NOT_FOUND, title, format!("{self}."))
+                    .with(vec![FieldError::new("/start/version", "a version of the rig")])
+            }
             Self::RigGone => rig_gone(format!("{self}.")),
             Self::TooManyWaiting(most) => too_many_waiting(*most),
             Self::Store(_) => store_failed("the fit"),
@@ -121,7 +132,13 @@ pub async fn check(store: &Store, rig: &Rig, request: &FitRequest) -> Result<Fit
         return Err(FitProblem::NotForward);
     }
     let task = task(&rig.channels, &channels.inputs, &channels.outputs);
-    plan(&store.all_runs(&rig.id).await?, request, channels, task)
+    let start = warm_start::check(store, rig, request, &channels).await?;
+    let mut request = request.clone();
+    if let Some(blocks) = start.as_ref().and_then(warm_start::reported_blocks) {
+        request.lstm.blocks.get_or_insert_with(|| blocks.clone());
+    }
+    let plan = plan(&store.all_runs(&rig.id).await?, &request, channels, task)?;
+    Ok(FitPlan { start, ..plan })
 }
 
 fn plan(all: &[Run], request: &FitRequest, channels: FitChannels, task: Task) -> Result<FitPlan, FitProblem> {
@@ -158,7 +175,9 @@ fn plan(all: &[Run], request: &FitRequest, channels: FitChannels, task: Task) ->
     request.validation_runs = if validation.is_empty() { None } else { Some(ids(&validation)) };
     let (split, split_reason) = divide((&request, task), &channels, &training, frf.as_deref(), &validation);
     let FitChannels { inputs, outputs } = channels;
-    let plan = FitPlan { request, inputs, outputs, task, training, frf, validation, split, split_reason };
+    let start = None;
+    let plan =
+        FitPlan { request, inputs, outputs, task, start, training, frf, validation, split, split_reason };
     plan.long_enough()?;
     Ok(plan)
 }
@@ -414,6 +433,7 @@ impl FitPlan {
             training: self.spans(&training),
             stopping: Some(self.spans(&stopping)),
             validation: self.spans(&comparison),
+            start: self.start.as_ref().map(warm_start::lineage),
             diagnoses: Vec::new(),
         }
     }

@@ -18,6 +18,7 @@ mod publish;
 mod runner;
 mod selection;
 mod spec;
+mod warm_start;
 mod work_context;
 
 use std::sync::{Arc, Mutex, PoisonError};

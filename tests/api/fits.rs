@@ -57,6 +57,79 @@ async fn a_small_lstm_is_fitted_too_and_its_weights_go_round() {
 }
 
 #[tokio::test]
+async fn a_fit_starts_at_a_version_and_says_so_and_what_does_not_suit_is_refused() {
+    let app = with_noise(4000).await;
+    let lstm = json!({"blocks": [4], "window_len": 32, "hop": 16, "epochs": 3, "seeds": [1]});
+    let first = fitted(&app, json!({"kind": "lstm", "lstm": lstm})).await;
+    assert_eq!(first["result"]["id"], "1", "{first}");
+    // A new measurement, and blocks that are left open.
+    let new = app.run("kind=noise", &noise_csv(4000, 22)).await["id"].clone();
+    let lstm = json!({"window_len": 32, "hop": 16, "epochs": 2, "seeds": [1]});
+    let request = json!({"kind": "lstm", "lstm": lstm, "runs": [new], "start": {"version": 1}});
+    let job = fitted(&app, request.clone()).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let model = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    assert_eq!(model["request"]["start"], json!({"version": 1}));
+    assert_eq!(model["report"]["lstm"]["blocks"], json!([4]));
+    let start = &model["lineage"]["start"];
+    let one = app.get("/v1/rigs/bench/models/1").await.expect(200).json();
+    assert_eq!((&start["version"], &start["sha256"]), (&json!(1), &one["sha256"]));
+    assert_eq!(start["seen"][0], one["lineage"]["training"][0]);
+    assert_eq!(model["report"]["warnings"], json!([]), "the version has not seen the new run");
+
+    // On the data that the version has seen no error is a measure, and nothing becomes active.
+    let mut again = request.clone();
+    again["runs"] = model["lineage"]["start"]["seen"][0]["run"].clone();
+    let job = fitted(&app, again).await;
+    let seen = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    let warnings = seen["report"]["warnings"].to_string();
+    assert!(!warnings.contains("has seen data"), "the last tenth compared version 1 too: {warnings}");
+    let mut whole = request.clone();
+    whole["validation_runs"] = json!([one["lineage"]["training"][0]["run"]]);
+    let job = fitted(&app, whole).await;
+    let seen = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    assert!(seen["report"]["warnings"].to_string().contains("has seen data"), "{seen}");
+    assert_eq!(seen["active"], false, "{job}");
+
+    // Bad input.
+    for (change, pointer) in [
+        (json!({"kind": "hybrid2"}), "/start/version"),
+        (json!({"kind": "frf"}), "/start"),
+        (json!({"inputs": ["y"], "outputs": ["u"]}), "/start/version"),
+        (json!({"lstm": {"blocks": [5], "window_len": 32, "hop": 16}}), "/lstm/blocks"),
+    ] {
+        let mut bad = request.clone();
+        bad.as_object_mut().expect("an object").extend(change.as_object().expect("an object").clone());
+        let problem = app.post_json(FITS, &bad).await.problem(422, "fit.invalid");
+        assert_eq!(problem["errors"][0]["pointer"], pointer, "{problem}");
+    }
+    let mut bad = request.clone();
+    bad["start"] = json!({"version": 99});
+    let problem = app.post_json(FITS, &bad).await.problem(404, "model.not_found");
+    assert_eq!(problem["errors"][0]["pointer"], "/start/version");
+    // Versions are a rig's own: another rig has none of this number.
+    let mut other = bench();
+    other["id"] = json!("other");
+    app.rig(&other).await;
+    app.post_file("/v1/rigs/other/runs?kind=noise", "text/csv", noise_csv(4000, 23)).await.expect(201);
+    let lstm = json!({"kind": "lstm", "start": {"version": 1}});
+    app.post_json("/v1/rigs/other/fits", &lstm).await.problem(404, "model.not_found");
+    bad["start"] = json!({"version": 1, "weights": "all"});
+    app.post_json(FITS, &bad).await.problem(422, "body.unknown_field");
+    // An imported version tells its blocks only when it is read.
+    let weights = app.get("/v1/rigs/bench/models/1/weights").await.expect(200).bytes;
+    let imported = app.post_file("/v1/rigs/bench/models", "application/x-safetensors", weights).await;
+    let mut from = request.clone();
+    from["start"] = json!({"version": imported.expect(201).json()["version"]});
+    let job = fitted(&app, from.clone()).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    from["lstm"]["blocks"] = json!([5]);
+    let job = fitted(&app, from).await;
+    assert_eq!((&job["state"], &job["problem"]["code"]), (&json!("failed"), &json!("fit.invalid")));
+    assert_eq!(job["problem"]["errors"][0]["pointer"], "/lstm/blocks");
+}
+
+#[tokio::test]
 async fn the_preset_of_the_paper_follows_the_task_and_is_echoed() {
     let app = with_noise(3000).await;
     // From the drive to the response, and back: no forward model, so virtual sensing.

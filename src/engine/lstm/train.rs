@@ -36,6 +36,8 @@ pub struct Segment {
 pub enum Until<'a> {
     /// Over all epochs; kept are the weights of the epoch with the least error on these data.
     Best(&'a [Segment]),
+    /// As [`Until::Best`], but the start is one of the candidates: it stays unless an epoch has less error.
+    BetterThanStart(&'a [Segment]),
     /// Until the end of this epoch of the settings' schedule, whose weights are kept; 0: not at all.
     Epoch(usize),
 }
@@ -81,7 +83,7 @@ const MEMORY_LIMIT: usize = 4 << 30;
 /// samples from the settings' window offset on, reshuffled each epoch (both drawn from `seed`), the
 /// mean squared error after the burn-in, the optimiser and schedule of the settings; keeps the weights
 /// of the epoch with the lowest validation error, or `start` where that is the copy of an FRF and no
-/// epoch is clearly better; or, told an epoch, its weights.
+/// epoch is clearly better, or a model's and none is better; or, told an epoch, its weights.
 ///
 /// A last incomplete window is left out. The result depends on the arguments and the instruction set
 /// only, bit for bit, whatever the number of threads. `watch` is called after every mini-batch. The state
@@ -119,7 +121,7 @@ pub(super) fn train_on(
     settings.check()?;
     start.check()?;
     check_segments(training, start.inputs(), start.outputs)?;
-    if let Until::Best(validation) = until {
+    if let Until::Best(validation) | Until::BetterThanStart(validation) = until {
         check_segments(validation, start.inputs(), start.outputs)?;
     }
     let needed = settings.window_len;
@@ -144,10 +146,28 @@ pub(super) fn train_on(
         });
     }
     let (scored, last_epoch) = match until {
-        Until::Best(validation) => (Some(Scored::new(validation, settings)?), settings.epochs),
+        Until::Best(validation) | Until::BetterThanStart(validation) => {
+            (Some(Scored::new(validation, settings)?), settings.epochs)
+        }
         Until::Epoch(epoch) => (None, epoch.min(settings.epochs)),
     };
-    let task = Training { isa, shape, training, scored, last_epoch, settings, checkpoints, part, watch };
+    let leave_start = match (until, settings.hybrid_start) {
+        (Until::BetterThanStart(_), _) => Some(1.0),
+        (_, HybridStart::Copy) => Some(LEAVE_START),
+        (_, HybridStart::Random) => None,
+    };
+    let task = Training {
+        isa,
+        shape,
+        training,
+        scored,
+        last_epoch,
+        leave_start,
+        settings,
+        checkpoints,
+        part,
+        watch,
+    };
     let row = flatten(start);
     if isa == Isa::Avx512 { task.run::<16, true>(row, seed) } else { task.run::<4, false>(row, seed) }
 }
@@ -177,6 +197,8 @@ struct Training<'a> {
     /// Without it the last epoch is kept.
     scored: Option<Scored<'a>>,
     last_epoch: usize,
+    /// The start stays unless an epoch has less than this share of its mean squared error; `None`: it never stays.
+    leave_start: Option<f64>,
     settings: &'a LstmSettings,
     checkpoints: &'a dyn CheckpointStore,
     part: &'a str,
@@ -302,9 +324,9 @@ impl Training<'_> {
             return Err(EngineError::Diverged { epoch });
         }
         state.history.push(record);
-        let better = match (state.best_epoch, self.settings.hybrid_start) {
-            (0, HybridStart::Copy) => record.validation_mse < LEAVE_START * state.best_mse,
-            (0, HybridStart::Random) => true,
+        let better = match (state.best_epoch, self.leave_start) {
+            (0, Some(share)) => record.validation_mse < share * state.best_mse,
+            (0, None) => true,
             _ => record.validation_mse < state.best_mse,
         };
         if better {

@@ -52,11 +52,36 @@ pub fn fit_resumable(
     checkpoints: &dyn CheckpointStore,
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
+    fitted(data, settings, checkpoints, watch, true)
+}
+
+/// [`fit_resumable`] without the second fit on all runs, for its errors on the data that compare: a trial of settings.
+///
+/// # Errors
+/// As [`fit`].
+pub fn try_out(
+    data: &FitData,
+    settings: &FitSettings,
+    checkpoints: &dyn CheckpointStore,
+    watch: Watch<'_>,
+) -> Result<Fitted, EngineError> {
+    fitted(data, settings, checkpoints, watch, false)
+}
+
+fn fitted(
+    data: &FitData,
+    settings: &FitSettings,
+    checkpoints: &dyn CheckpointStore,
+    watch: Watch<'_>,
+    refits: bool,
+) -> Result<Fitted, EngineError> {
     data.check(settings)?;
+    settings.check_start()?;
     report(watch, "filter", 0.0)?;
     let filtered = data.filtered(&settings.preprocess)?;
     let window_len = settings.lstm.resolve(settings.preset, settings.kind, settings.task, &[])?.window_len;
-    let sections = data.sections(settings.kind, window_len);
+    let mut sections = data.sections(settings.kind, window_len);
+    sections.refit &= refits;
     let fit = Fit { recorded: data, data: &filtered, settings, checkpoints, watch };
     let scored = if sections.comparison.is_empty() { &sections.stopping } else { &sections.comparison };
     if scored.is_empty() || (settings.kind != ModelKind::Frf && sections.stopping.is_empty()) {
@@ -175,8 +200,7 @@ impl Fit<'_> {
             return Ok(Made { model, lstm: None, seeds: Vec::new(), refitted: false, warnings });
         }
         let lstm = self.lstm_settings(&sections.training)?;
-        let course =
-            Course { checkpoints: self.checkpoints, watch: self.watch, progress: frf_end..progress.end };
+        let course = self.course(frf_end..progress.end);
         let data = (&sections.training[..], &sections.stopping[..]);
         let Network { part, seeds } = fit_network::choose(self.data, &model, &lstm, data, &course)?;
         model.lstm = Some(part);
@@ -200,7 +224,7 @@ impl Fit<'_> {
             let settings = self.lstm_settings(&all)?;
             let best = SeedReport::best(&chosen.seeds);
             let (seed, epoch) = best.map_or((settings.seeds[0], 0), |best| (best.seed, best.best_epoch));
-            let course = Course { checkpoints: self.checkpoints, watch: self.watch, progress: frf_end..0.98 };
+            let course = self.course(frf_end..0.98);
             let epoch = same_share(epoch, used.epochs, settings.epochs);
             let course_of = (seed, epoch, part.recombine);
             match fit_network::repeat(self.data, &model, &settings, &all, course_of, &course) {
@@ -225,6 +249,11 @@ impl Fit<'_> {
         }
         warnings.dedup();
         Ok(Made { model, lstm, seeds: chosen.seeds.clone(), refitted: true, warnings })
+    }
+
+    fn course(&self, progress: std::ops::Range<f64>) -> Course<'_> {
+        let start = self.settings.start.as_ref();
+        Course { checkpoints: self.checkpoints, watch: self.watch, progress, start }
     }
 
     fn frf_end(&self, progress: &std::ops::Range<f64>) -> f64 {

@@ -15,6 +15,13 @@ pub struct Pair {
     pub y: Signal,
 }
 
+impl Pair {
+    /// Keeps the first `n` samples.
+    fn cut(&mut self, n: usize) {
+        (self.x, self.y) = (self.x.slice(0..n), self.y.slice(0..n));
+    }
+}
+
 /// The runs of a fit, whole. A run's place counts the training runs first, then the validation runs,
 /// then further runs of the FRF part.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,6 +63,24 @@ impl FitData {
         let first = self.training.len() + self.validation.len();
         self.frf = Some((first..first + runs.len()).collect());
         self.frf_only = runs;
+        self
+    }
+
+    /// The data less those that compare, divided by the same rule: what a choice among settings may see. Of runs that
+    /// compare with a part the other part is left; whole runs that are left out are for the caller to leave out.
+    #[must_use]
+    pub fn without_comparison(mut self) -> Self {
+        match self.split {
+            FitSplit::ValidationHalves => {
+                self.validation.iter_mut().for_each(|pair| pair.cut(pair.x.n_samples() / 2));
+            }
+            FitSplit::LastTenths => {
+                self.training
+                    .iter_mut()
+                    .for_each(|pair| pair.cut(pair.x.n_samples() - pair.x.n_samples() / 10));
+            }
+            FitSplit::ValidationStops | FitSplit::LeftOut { .. } => {}
+        }
         self
     }
 
@@ -189,5 +214,30 @@ impl FitData {
     pub(super) fn seconds(&self, sections: &[Section]) -> f64 {
         let samples: usize = sections.iter().map(|section| section.samples.len()).sum();
         samples as f64 / self.training[0].x.sample_rate_hz()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(n: usize) -> Pair {
+        let signal = || Signal::new(100.0, vec![(0..n).map(|t| t as f64).collect()]).unwrap();
+        Pair { x: signal(), y: signal() }
+    }
+
+    #[test]
+    fn what_a_choice_may_see_holds_no_sample_that_compares() {
+        for (data, run_place) in [
+            (FitData::of_training(vec![run(1000)]), 0),
+            (FitData::with_validation(vec![run(500)], vec![run(801)], FitSplit::ValidationHalves), 1),
+        ] {
+            let compares = data.sections(ModelKind::Lstm, 64).comparison[0].clone();
+            assert_eq!(compares.run, run_place);
+            let cut = data.without_comparison();
+            assert_eq!(cut.run(run_place).x.n_samples(), compares.samples.start);
+            assert_eq!(cut.run(run_place).y.n_samples(), compares.samples.start);
+            assert!(!cut.sections(ModelKind::Lstm, 64).comparison.is_empty(), "and can be divided again");
+        }
     }
 }

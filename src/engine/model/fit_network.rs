@@ -10,10 +10,10 @@ use super::fit_data::FitData;
 use super::fit_report::SeedReport;
 use super::score::{self, with_context};
 use super::split::Section;
-use super::start::start;
+use super::start::{continued, start};
 use super::{LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
 use crate::engine::checkpoint::CheckpointStore;
-use crate::engine::lstm::{self, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
+use crate::engine::lstm::{self, LstmNet, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
 use crate::engine::{EngineError, Progress, Signal, Watch};
 
 /// The checkpoints and the progress of a network's training.
@@ -22,6 +22,8 @@ pub(super) struct Course<'a> {
     pub(super) watch: Watch<'a>,
     /// Share of the whole fit that is done before and after it.
     pub(super) progress: std::ops::Range<f64>,
+    /// The network that the training begins at, if it goes on from a model.
+    pub(super) start: Option<&'a LstmPart>,
 }
 
 /// Standardised data of a network, and their scalers.
@@ -72,7 +74,7 @@ pub(super) fn repeat(
     course: &Course<'_>,
 ) -> Result<LstmPart, EngineError> {
     let prepared = NetworkData::new(data, model, training, &[])?;
-    let start = start(model.kind, &prepared.x, &prepared.y, settings, seed);
+    let start = prepared.start(model.kind, settings, seed, course);
     let stage = format!("LSTM {:?}, all runs", settings.blocks);
     let tell = |p: Progress<'_>| (course.watch)(Progress { stage: &stage, ..p.within(&course.progress) });
     let kept = (course.checkpoints, "all runs");
@@ -140,6 +142,14 @@ impl NetworkData {
         })
     }
 
+    /// The network that the training of one seed begins with.
+    fn start(&self, kind: ModelKind, settings: &LstmSettings, seed: u64, course: &Course<'_>) -> LstmNet {
+        match course.start {
+            Some(part) => continued(part, &self.x, &self.y),
+            None => start(kind, &self.x, &self.y, settings, seed),
+        }
+    }
+
     fn part(&self, trained: &Trained, settings: &LstmSettings) -> LstmPart {
         LstmPart {
             net: trained.net.clone(),
@@ -171,9 +181,12 @@ impl NetworkData {
                     let mean = Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64) };
                     (course.watch)(mean.within(&course.progress))
                 };
-                let start = start(kind, &self.x, &self.y, settings, seed);
+                let start = self.start(kind, settings, seed, course);
                 let part = format!("seed {i}");
-                let until = Until::Best(&self.stopping);
+                let until = match course.start {
+                    Some(_) => Until::BetterThanStart(&self.stopping),
+                    None => Until::Best(&self.stopping),
+                };
                 lstm::train(
                     &self.training,
                     until,

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::ModelKind;
 use super::preprocess::Preprocess;
+use super::{LstmPart, ModelKind};
 use crate::engine::EngineError;
 use crate::engine::frf::{Estimator, FrfSettings};
 use crate::engine::lstm::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
@@ -114,6 +114,39 @@ pub struct FitSettings {
     pub lstm: LstmOptions,
     /// Source of what is left open.
     pub preset: Preset,
+    /// The network at whose function the training begins: that of a model of the same kind and channels, with
+    /// the same blocks. Without one a network starts as the settings say.
+    pub start: Option<LstmPart>,
+}
+
+impl FitSettings {
+    /// Whether the network to start from suits the fit.
+    ///
+    /// # Errors
+    /// [`EngineError::Setting`] for a kind without a network and for other channels or blocks;
+    /// [`EngineError::Weights`] for tensors that do not fit together.
+    pub(super) fn check_start(&self) -> Result<(), EngineError> {
+        let Some(start) = &self.start else { return Ok(()) };
+        start.net.check()?;
+        let x = match self.kind {
+            ModelKind::Hybrid2 => self.inputs.len() + self.outputs.len(),
+            _ => self.inputs.len(),
+        };
+        let blocks = self.lstm.resolve(self.preset, self.kind, self.task, &[])?.blocks;
+        let found = start.net.block_sizes();
+        let fits = self.kind != ModelKind::Frf
+            && (start.net.inputs(), start.net.outputs) == (x, self.outputs.len())
+            && (start.x.mean.len(), start.y.mean.len()) == (x, self.outputs.len())
+            && found == blocks;
+        if fits {
+            return Ok(());
+        }
+        Err(EngineError::Setting {
+            setting: "start",
+            found: format!("blocks {found:?}, {} inputs, {} outputs", start.net.inputs(), start.net.outputs),
+            limit: format!("blocks {blocks:?}, {x} inputs, {} outputs", self.outputs.len()),
+        })
+    }
 }
 
 /// Optimiser steps that the default preset spends on a network.

@@ -1,4 +1,5 @@
-//! The start of training: by default a hybrid begins as its FRF, not at random.
+//! The start of training: by default a hybrid begins as its FRF, not at random; a fit that goes on from a
+//! model begins as that model's network.
 //!
 //! The paper starts at random ([`HybridStart::Random`]). It says (section 2.3) that hybrid 2 "can now
 //! simply be a copy of the FRF prediction or a modification by the LSTM". Starting from that copy, a fit on few or nearly linear data can
@@ -7,7 +8,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::{ModelKind, Scaler};
+use super::{LstmPart, ModelKind, Scaler};
 use crate::engine::lstm::{HybridStart, LstmNet, LstmSettings};
 
 /// Size of the copied signal inside the cells, in standard deviations: `tanh` bends three of them
@@ -76,6 +77,36 @@ fn copy_linear(net: &mut LstmNet, x: &Scaler, y: &Scaler) {
     }
 }
 
+/// A model's network between other scalers: for the same inputs, in their units, it has the same outputs but
+/// for rounding.
+///
+/// With z = (v - mean) / std on both sides, the first block's input weights become `w * std_new / std_old`, its
+/// bias takes the shift of the means, and the fully connected layer is scaled back.
+pub(super) fn continued(part: &LstmPart, x: &Scaler, y: &Scaler) -> LstmNet {
+    let mut net = part.net.clone();
+    let first = &mut net.blocks[0];
+    for (row, bias) in first.bias.iter_mut().enumerate() {
+        let weights = &mut first.weight_ih[row * first.inputs..(row + 1) * first.inputs];
+        let mut shifted = f64::from(*bias);
+        for (channel, weight) in weights.iter_mut().enumerate() {
+            let old = f64::from(*weight) / part.x.std[channel];
+            shifted += old * (x.mean[channel] - part.x.mean[channel]);
+            *weight = (old * x.std[channel]) as f32;
+        }
+        *bias = shifted as f32;
+    }
+    let cells = net.blocks[net.blocks.len() - 1].cells;
+    for output in 0..net.outputs {
+        let scale = part.y.std[output] / y.std[output];
+        for weight in &mut net.fc_weight[output * cells..(output + 1) * cells] {
+            *weight = (f64::from(*weight) * scale) as f32;
+        }
+        let shift = (part.y.mean[output] - y.mean[output]) / y.std[output];
+        net.fc_bias[output] = (f64::from(net.fc_bias[output]) * scale + shift) as f32;
+    }
+    net
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,6 +141,38 @@ mod tests {
                 assert!(error.sqrt() < 0.015 * std, "output {output}: {}", error.sqrt() / std);
             }
         }
+    }
+
+    #[test]
+    fn a_network_between_other_scalers_predicts_the_same_in_the_channels_units() {
+        let old = |mean: [f64; 2], std: [f64; 2]| Scaler { mean: mean.to_vec(), std: std.to_vec() };
+        let (x_old, y_old) = (old([0.5, -3.0], [2.0, 0.3]), old([10.0, 0.0], [4.0, 0.01]));
+        let (x, y) = (old([-0.2, -2.0], [1.1, 0.9]), old([7.0, 0.02], [9.0, 0.02]));
+        let blocks = settings(vec![6, 5], ModelKind::Lstm);
+        let net = LstmNet::init(2, &blocks.blocks, 2, 1.0, &mut ChaCha8Rng::seed_from_u64(3));
+        let part = LstmPart {
+            net: net.clone(),
+            x: x_old.clone(),
+            y: y_old.clone(),
+            window_len: 64,
+            hop: 32,
+            recombine: Recombine::Stream,
+        };
+        let signals = [wave(400, 0.11), wave(400, 0.31).into_iter().map(|v| v * 0.4 - 2.5).collect()];
+        let run = |net: &LstmNet, x: &Scaler, y: &Scaler| -> Vec<Vec<f64>> {
+            let z: Vec<Vec<f32>> = signals.iter().enumerate().map(|(c, s)| x.standardise(c, s)).collect();
+            let out = predict(net, &z, 64, 32, Recombine::Stream).unwrap();
+            out.iter().enumerate().map(|(c, z)| y.restore(c, z)).collect()
+        };
+        let (before, after) = (run(&net, &x_old, &y_old), run(&continued(&part, &x, &y), &x, &y));
+        for output in 0..2 {
+            let size = y_old.std[output];
+            for (a, b) in before[output].iter().zip(&after[output]) {
+                assert!((a - b).abs() < 1e-4 * size, "{a} {b}");
+            }
+        }
+        assert_ne!(continued(&part, &x, &y), net, "the scalers differ");
+        assert_eq!(continued(&part, &x_old, &y_old).fc_weight, net.fc_weight);
     }
 
     #[test]

@@ -68,6 +68,7 @@ pub(super) fn settings(kind: ModelKind) -> FitSettings {
             ..LstmOptions::default()
         },
         preset: Preset::Default,
+        start: None,
     }
 }
 
@@ -389,6 +390,59 @@ fn networks_beat_the_linear_model_on_a_nonlinear_lag() {
         let error = rms(kind);
         assert!(error < 0.5 * frf, "{kind:?}: {error}, FRF {frf}");
     }
+}
+
+#[test]
+fn a_training_that_begins_at_a_model_is_never_worse_than_it_on_the_data_that_stop_it() {
+    for kind in [ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2] {
+        let mut settings = settings(kind);
+        settings.lstm.seeds = Some(vec![1]);
+        let cold = fit(&data(), &settings, &unwatched).unwrap();
+        settings.start = cold.model.lstm.clone();
+        // Steps that lead nowhere leave the start as it is: the same data have the same scalers.
+        settings.lstm.epochs = Some(1);
+        settings.lstm.learning_rate = Some(1.0);
+        settings.lstm.warmup_steps = Some(0);
+        let warm = fit(&data(), &settings, &unwatched).unwrap();
+        let (before, after) = (&cold.report.seeds[0], &warm.report.seeds[0]);
+        assert_eq!(after.best_epoch, 0, "{kind:?}");
+        assert_eq!(after.validation_mse, before.validation_mse, "{kind:?}");
+        assert_eq!(warm.model, cold.model, "{kind:?}");
+        // A few good ones are kept, even if they gain little.
+        settings.lstm.epochs = Some(4);
+        settings.lstm.learning_rate = Some(1e-3);
+        let warm = fit(&data(), &settings, &unwatched).unwrap();
+        let after = &warm.report.seeds[0];
+        assert!(after.best_epoch > 0 && after.validation_mse < before.validation_mse, "{kind:?}: {after:?}");
+    }
+}
+
+#[test]
+fn a_start_of_other_shapes_is_refused() {
+    let refused = |kind, change: fn(&mut LstmPart)| {
+        let mut part = LstmPart {
+            net: LstmNet::init(1, &[8], 1, 1.0, &mut ChaCha8Rng::seed_from_u64(1)),
+            x: Scaler { mean: vec![0.0], std: vec![1.0] },
+            y: Scaler { mean: vec![0.0], std: vec![1.0] },
+            window_len: 64,
+            hop: 32,
+            recombine: Recombine::Stream,
+        };
+        change(&mut part);
+        let settings = FitSettings { start: Some(part), ..settings(kind) };
+        match fit(&data(), &settings, &unwatched) {
+            Err(EngineError::Setting { setting, .. }) => setting == "start",
+            Err(EngineError::Weights(_) | EngineError::TensorShape { .. }) => true,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(refused(ModelKind::Frf, |_| {}), "no network");
+    assert!(refused(ModelKind::Hybrid2, |_| {}), "the network of another kind");
+    assert!(refused(ModelKind::Lstm, |part| {
+        part.net = LstmNet::init(1, &[8, 8], 1, 1.0, &mut ChaCha8Rng::seed_from_u64(1));
+    }));
+    assert!(refused(ModelKind::Lstm, |part| part.x.mean.push(0.0)));
+    assert!(refused(ModelKind::Lstm, |part| drop(part.net.fc_bias.pop())));
 }
 
 #[test]

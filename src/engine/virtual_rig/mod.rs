@@ -112,6 +112,11 @@ impl VirtualRig {
         Self::assemble(BenchParameters::nominal(0), axes, Effects::default())
     }
 
+    /// The same bench with other axes: another specimen of the same design, say.
+    pub fn with_axes(&self, axes: [AxisParameters; 3]) -> Self {
+        Self::assemble(self.bench, axes, self.effects)
+    }
+
     /// The same bench with other effects.
     ///
     /// # Errors

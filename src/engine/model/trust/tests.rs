@@ -71,6 +71,7 @@ fn fitted(runs: &[ProgrammeRun]) -> RigModel {
         frf: FrfSettings { segment_len: Some(1024), ..FrfSettings::default() },
         lstm: LstmOptions::default(),
         preset: Preset::Default,
+        start: None,
         task: Task::Forward,
     };
     fit(&data, &settings, &unwatched).unwrap().model
