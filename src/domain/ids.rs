@@ -19,6 +19,9 @@ pub type DiagnosisId = uuid::Uuid;
 /// Id of an evaluation (UUID v7).
 pub type EvaluationId = uuid::Uuid;
 
+/// Id of a study: that of its job.
+pub type StudyId = JobId;
+
 /// Id of a drive-file iteration (UUID v7).
 pub type IterationId = uuid::Uuid;
 

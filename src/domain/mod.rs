@@ -1,5 +1,5 @@
 //! The resources of the service and their rules: rigs, runs, fits, jobs, models, diagnoses, iterations,
-//! evaluations, tokens.
+//! evaluations, studies, tokens.
 
 pub mod columns;
 mod created;
@@ -18,6 +18,7 @@ pub mod quality;
 pub mod rig;
 pub mod run;
 pub mod strict;
+pub mod study;
 pub mod token;
 pub mod turns;
 pub mod units;
@@ -27,7 +28,7 @@ pub use created::Created;
 pub use diagnosis::{DiagnosisRequest, DiagnosisSummary, StoredDiagnosis};
 pub use evaluation::{EvaluationRequest, EvaluationSummary, StoredEvaluation};
 pub use fit_check::{FitChannels, task};
-pub use ids::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, new_id};
+pub use ids::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, StudyId, new_id};
 pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{
@@ -40,6 +41,7 @@ pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
 pub use run::{InsertedRun, Run, RunMeta, RunPatch};
+pub use study::{StoredStudy, StudyReport, StudyRequest, StudySummary};
 pub use token::{Secret, SecretDigest, Token, TokenDraft, TokenId, TokenRole};
 
 /// Source of the time. `app` passes the real clock in, tests pass their own.

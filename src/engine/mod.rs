@@ -25,6 +25,7 @@ pub mod samples;
 pub mod signal;
 pub mod simd;
 pub mod spectral;
+pub mod study;
 pub mod virtual_rig;
 pub mod windowing;
 pub mod wording;

@@ -149,6 +149,11 @@ codes! {
     EVALUATION_NO_COMMON_CHANNELS = "evaluation.no_common_channels", 422, "A model and the runs have no channels in common";
     EVALUATION_EMPTY_CLASS = "evaluation.empty_class", 422, "A class of the evaluation has no runs";
 
+    // Studies.
+    STUDY_NOT_FOUND = "study.not_found", 404, "No such study";
+    STUDY_INVALID = "study.invalid", 422, "The study cannot be done as it is asked for";
+    STUDY_NO_TRIAL = "study.no_trial", 422, "No trial of the study came to an end";
+
     // Diagnoses.
     DIAGNOSIS_NOT_FOUND = "diagnosis.not_found", 404, "No such diagnosis";
     DIAGNOSIS_NO_RUNS = "diagnosis.no_runs", 409, "No run matches the selection of the diagnosis";

@@ -6,7 +6,7 @@ use crate::compute::ComputeError;
 use crate::compute::fair_queue::Refused;
 use crate::engine::{EngineError, rounded};
 use crate::formats::FormatError;
-use crate::jobs::{DiagnosisProblem, EvaluationProblem, FitProblem, IterationProblem};
+use crate::jobs::{DiagnosisProblem, EvaluationProblem, FitProblem, IterationProblem, StudyProblem};
 use crate::models::ModelError;
 use crate::storage::StoreError;
 use crate::telemetry::names;
@@ -95,6 +95,16 @@ impl From<DiagnosisProblem> for Problem {
         match error {
             DiagnosisProblem::Store(error) => error.into(),
             DiagnosisProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
+            error => error.problem().into(),
+        }
+    }
+}
+
+impl From<StudyProblem> for Problem {
+    fn from(error: StudyProblem) -> Self {
+        match error {
+            StudyProblem::Store(error) => error.into(),
+            StudyProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
             error => error.problem().into(),
         }
     }
@@ -275,6 +285,7 @@ mod tests {
             include_str!("../jobs/evaluation/mod.rs"),
             include_str!("../jobs/evaluation/problem.rs"),
             include_str!("../jobs/iteration/problem.rs"),
+            include_str!("../jobs/study/problem.rs"),
             include_str!("../storage/jobs.rs"),
         ];
         let is_code = |word: &&str| {

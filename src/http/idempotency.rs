@@ -29,6 +29,7 @@ const CREATING: &[&str] = &[
     "/v1/rigs/{rig}/diagnoses",
     "/v1/rigs/{rig}/iterations",
     "/v1/rigs/{rig}/evaluations",
+    "/v1/rigs/{rig}/studies",
     "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt",
     "/v1/rigs/{rig}/models",
     "/v1/tokens",

@@ -41,6 +41,7 @@ mod refusals;
 mod rigs;
 pub mod routes;
 mod runs;
+mod studies;
 mod tokens;
 mod upload;
 

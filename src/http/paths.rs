@@ -5,7 +5,7 @@ use axum::http::request::Parts;
 
 use super::codes::{self, Code};
 use super::problem::{Answer, Problem};
-use crate::domain::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, TokenId};
+use crate::domain::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, StudyId, TokenId};
 
 /// `/v1/rigs/{rig}...`
 #[derive(Debug)]
@@ -30,6 +30,10 @@ pub struct OfEvaluation(pub RigId, pub EvaluationId);
 /// `/v1/rigs/{rig}/iterations/{iteration}`
 #[derive(Debug)]
 pub struct OfIteration(pub RigId, pub IterationId);
+
+/// `/v1/rigs/{rig}/studies/{study}`
+#[derive(Debug)]
+pub struct OfStudy(pub RigId, pub StudyId);
 
 /// `/v1/jobs/{job}...`
 #[derive(Debug)]
@@ -67,6 +71,11 @@ pub fn no_evaluation(id: &str) -> Problem {
 /// The refusal of an iteration that is not there.
 pub fn no_iteration(id: &str) -> Problem {
     Problem::new(codes::ITERATION_NOT_FOUND, format!("The rig has no iteration {id:?}."))
+}
+
+/// The refusal of a study that is not there.
+pub fn no_study(id: &str) -> Problem {
+    Problem::new(codes::STUDY_NOT_FOUND, format!("The rig has no study {id:?}."))
 }
 
 /// The refusal of a job that is not there.
@@ -147,6 +156,15 @@ impl<S: Send + Sync> FromRequestParts<S> for OfIteration {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
         let rig = parameter(parts, state, "rig", no_rig).await?;
         Ok(Self(rig, parameter(parts, state, "iteration", no_iteration).await?))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for OfStudy {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Answer<Self> {
+        let rig = parameter(parts, state, "rig", no_rig).await?;
+        Ok(Self(rig, parameter(parts, state, "study", no_study).await?))
     }
 }
 

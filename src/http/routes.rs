@@ -8,7 +8,7 @@ use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
     Shared, active_model, adopt, contract, damage, diagnoses, evaluations, fits, frf, health, inference,
-    iterations, jobs, metrics, models, pages, predict, rigs, runs, tokens,
+    iterations, jobs, metrics, models, pages, predict, rigs, runs, studies, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -91,6 +91,9 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/evaluations/{evaluation}", Role(Reader), Registry, || {
         get(evaluations::show)
     }),
+    route(Method::GET, "/v1/rigs/{rig}/studies", Role(Reader), Registry, || get(studies::list)),
+    route(Method::POST, "/v1/rigs/{rig}/studies", Role(Operator), Jobs, || post(studies::start)),
+    route(Method::GET, "/v1/rigs/{rig}/studies/{study}", Role(Reader), Registry, || get(studies::show)),
     route(Method::POST, "/v1/rigs/{rig}/diagnoses/{diagnosis}/adopt", Role(Operator), Jobs, || {
         post(adopt::adopt)
     }),

@@ -2,7 +2,7 @@
 //! stop goes the other.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -19,16 +19,31 @@ pub(super) enum Stop {
     Shutdown = 2,
     /// The lease, or the job, is gone.
     Lost = 3,
+    /// A more urgent job waits.
+    Yield = 4,
 }
 
 /// Shared by the worker, its work, and the request that cancels.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Control {
     /// 0, or the first [`Stop`].
     stop: AtomicU8,
     progress: Mutex<(String, f64)>,
+    /// What stages begin with, and the share of the whole that reported fractions are of.
+    scope: Mutex<(String, Range<f64>)>,
     /// Checkpoints that were not stored yet, the latest of each part.
     kept: Mutex<BTreeMap<String, Checkpoint>>,
+}
+
+impl Default for Control {
+    fn default() -> Self {
+        Self {
+            stop: AtomicU8::new(0),
+            progress: Mutex::default(),
+            scope: Mutex::new((String::new(), 0.0..1.0)),
+            kept: Mutex::default(),
+        }
+    }
 }
 
 impl Control {
@@ -40,7 +55,7 @@ impl Control {
 
     /// The reason to stop, if there is one.
     pub(super) fn stopped(&self) -> Option<Stop> {
-        [Stop::Cancelled, Stop::Shutdown, Stop::Lost]
+        [Stop::Cancelled, Stop::Shutdown, Stop::Lost, Stop::Yield]
             .into_iter()
             .find(|why| *why as u8 == self.stop.load(Ordering::Relaxed))
     }
@@ -51,13 +66,20 @@ impl Control {
         if self.stopped().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Records the progress.
+    /// Records the progress, within the scope.
     pub(super) fn report(&self, stage: &str, fraction: f64) {
+        let scope = self.scope.lock().unwrap_or_else(PoisonError::into_inner);
+        let (prefix, range) = &*scope;
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        if progress.0 != stage {
-            stage.clone_into(&mut progress.0);
+        if progress.0.strip_prefix(prefix.as_str()) != Some(stage) {
+            progress.0 = format!("{prefix}{stage}");
         }
-        progress.1 = fraction;
+        progress.1 = range.start + (range.end - range.start) * fraction;
+    }
+
+    /// Makes all that is reported from here on a part of something larger.
+    pub(super) fn scope(&self, prefix: String, range: Range<f64>) {
+        *self.scope.lock().unwrap_or_else(PoisonError::into_inner) = (prefix, range);
     }
 
     /// Hands over a checkpoint to be stored.
@@ -90,5 +112,15 @@ mod tests {
         assert_eq!(control.stopped(), Some(Stop::Shutdown));
         assert!(control.watch(Progress { stage: "LSTM", fraction: 0.6 }).is_break());
         assert_eq!(control.progress(), ("LSTM".into(), 0.6));
+    }
+
+    #[test]
+    fn progress_within_a_scope_is_a_part_of_the_whole() {
+        let control = Control::default();
+        control.scope("trial 2: ".into(), 0.25..0.75);
+        control.report("LSTM", 0.5);
+        assert_eq!(control.progress(), ("trial 2: LSTM".into(), 0.5));
+        control.report("done", 1.0);
+        assert_eq!(control.progress(), ("trial 2: done".into(), 0.75));
     }
 }

@@ -326,6 +326,11 @@ impl FitPlan {
         FitChannels { inputs: self.inputs.clone(), outputs: self.outputs.clone() }
     }
 
+    /// Window of the fit's network.
+    pub(super) fn window_len(&self) -> usize {
+        window_len(&self.request, self.task)
+    }
+
     /// Refuses runs that leave no window, no segment or nothing to compare on.
     fn long_enough(&self) -> Result<(), FitProblem> {
         let refuse =

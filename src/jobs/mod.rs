@@ -18,6 +18,7 @@ mod publish;
 mod runner;
 mod selection;
 mod spec;
+mod study;
 mod warm_start;
 mod work_context;
 
@@ -29,7 +30,9 @@ use tokio::task::JoinHandle;
 
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
-use crate::domain::{Clock, DiagnosisRequest, EvaluationRequest, IterationRequest, Job, JobId, Rig, TokenId};
+use crate::domain::{
+    Clock, DiagnosisRequest, EvaluationRequest, IterationRequest, Job, JobId, Rig, StudyRequest, TokenId,
+};
 use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, Store, StoreError};
 
 use control::Stop;
@@ -42,6 +45,7 @@ pub use evaluation::EvaluationProblem;
 pub use fit::{FitPlan, FitProblem};
 pub use iteration::IterationProblem;
 pub use process::{WorkError, WorkerProgram, work};
+pub use study::StudyProblem;
 
 /// Settings of the runner.
 #[derive(Debug, Clone)]
@@ -223,6 +227,30 @@ impl Jobs {
             }
             JobInsert::MissingRig => Err(EvaluationProblem::RigGone),
             JobInsert::TooManyWaiting => Err(EvaluationProblem::TooManyWaiting(asker.max_waiting)),
+        }
+    }
+
+    /// Checks a study and queues it for a token, its fit resolved.
+    ///
+    /// # Errors
+    /// [`StudyProblem`]: an error of the request, or the store's failure.
+    pub async fn submit_study(
+        &self,
+        rig: &Rig,
+        request: &StudyRequest,
+        token: Option<TokenId>,
+        key: Option<&IdempotencyKey>,
+    ) -> Result<Job, StudyProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        let plan = study::check(store, rig, request).await?;
+        let asker = self.asker(token);
+        match store.insert_study_job(&rig.id, &plan.request, asker, key, clock()).await? {
+            JobInsert::Queued(job) => {
+                self.wake();
+                Ok(*job)
+            }
+            JobInsert::MissingRig => Err(StudyProblem::RigGone),
+            JobInsert::TooManyWaiting => Err(StudyProblem::TooManyWaiting(asker.max_waiting)),
         }
     }
 

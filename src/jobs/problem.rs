@@ -27,6 +27,10 @@ pub mod codes {
     pub const EVALUATION_EMPTY_CLASS: &str = "evaluation.empty_class";
     /// No run matches a selection of an evaluation (409).
     pub const EVALUATION_NO_RUNS: &str = "evaluation.no_runs";
+    /// Fields of a study leave their limits or do not go together (422).
+    pub const STUDY_INVALID: &str = "study.invalid";
+    /// No trial of a study came to an end (422).
+    pub const STUDY_NO_TRIAL: &str = "study.no_trial";
     /// The diagnosis' channels, runs or settings do not suit the rig or each other (422).
     pub const DIAGNOSIS_INVALID: &str = "diagnosis.invalid";
     /// A run lacks a channel of the diagnosis (422).
@@ -39,6 +43,8 @@ pub mod codes {
     pub const MODEL_NONE_ACTIVE: &str = "model.none_active";
     /// The rig has no such model version (404).
     pub const MODEL_NOT_FOUND: &str = "model.not_found";
+    /// The model has no FRF (409).
+    pub const MODEL_NO_FRF: &str = "model.no_frf";
     /// The weights of a model cannot be read (500).
     pub const MODEL_DAMAGED: &str = "model.damaged";
     /// The rig was deleted (404).

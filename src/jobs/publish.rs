@@ -5,7 +5,7 @@ use crate::storage::Claim;
 use super::activate::last_words;
 use super::problem::JobError;
 use super::runner::Runner;
-use super::spec::{DiagnosisOutput, EvaluationOutput, IterationOutput, JobOutput, ModelOutput};
+use super::spec::{DiagnosisOutput, EvaluationOutput, IterationOutput, JobOutput, ModelOutput, StudyOutput};
 
 /// Publishes in one transaction, which succeeds only while the lease is held.
 pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> Result<(), JobError> {
@@ -37,6 +37,17 @@ pub(super) async fn publish(runner: &Runner, claim: &Claim, made: JobOutput) -> 
             let stored = runner.store.publish_evaluation(&claim.lease, evaluation, &stage, now).await?;
             let id = stored.ok_or(JobError::Stopped)?;
             tracing::info!(evaluation.id = %id, stage, "stored an evaluation");
+        }
+        JobOutput::Study(made) => {
+            let StudyOutput { study, said, why, no_bytes: _ } = *made;
+            let stage = move |published: Option<(u32, bool)>| match published {
+                Some((version, active)) => format!("{said}; {}", last_words(version, active, &why)),
+                None => said,
+            };
+            let rig = &claim.job.rig;
+            let stored = runner.store.publish_study(&claim.lease, rig, study, stage, now).await?;
+            let id = stored.ok_or(JobError::Stopped)?;
+            tracing::info!(study.id = %id, "stored a study");
         }
     }
     Ok(())

@@ -10,6 +10,7 @@ use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use tracing::Instrument;
 
+use crate::domain::turns::Urgency;
 use crate::domain::{Clock, JobId, JobKind};
 use crate::storage::{Beat, Claim, Outcome, Store, StoreError};
 use crate::telemetry::names;
@@ -211,6 +212,7 @@ impl Runner {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut written = (String::new(), 0.0);
         let mut at = Instant::now();
+        let began = Instant::now();
         loop {
             tokio::select! {
                 biased;
@@ -228,7 +230,33 @@ impl Runner {
                         self.beat(claim, control, &progress).await;
                         (written, at) = (progress, Instant::now());
                     }
+                    if claim.job.kind == JobKind::Study && self.gives_way(claim, began.elapsed()).await {
+                        control.stop(Stop::Yield);
+                    }
                 }
+            }
+        }
+    }
+
+    /// Whether a study has to give its turn to a job that waits. It may take hours, so it does not keep the last free
+    /// worker from work that somebody waits for; nor does it meet the time limit of an attempt.
+    async fn gives_way(&self, claim: &Claim, lasted: Duration) -> bool {
+        let limit = match &self.executor {
+            Executor::InProcess(_) => Duration::MAX,
+            Executor::Subprocess(program) => program.time_limit / 2,
+        };
+        if lasted >= limit {
+            return true;
+        }
+        if self.at_work().len() < self.settings.workers {
+            return false;
+        }
+        match self.store.goes_before(&claim.lease, (self.clock)()).await {
+            Ok(urgency) => urgency.is_some_and(|urgency| lasted >= least_turn(urgency)),
+            Err(error) => {
+                error.count();
+                tracing::warn!(%error, "the queue could not be read");
+                false
             }
         }
     }
@@ -290,6 +318,7 @@ impl Runner {
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
                 Some(Stop::Shutdown) => Outcome::Released,
+                Some(Stop::Yield) => Outcome::Yielded,
                 Some(Stop::Lost) | None => {
                     lost();
                     return Ok(());
@@ -301,6 +330,16 @@ impl Runner {
             lost();
         }
         Ok(())
+    }
+}
+
+/// How long the turn of a study lasts at least before a job of this urgency ends it: each change costs the start of a
+/// process and the loading of the runs.
+fn least_turn(urgency: Urgency) -> Duration {
+    match urgency {
+        Urgency::Awaited => Duration::ZERO,
+        Urgency::Requested => Duration::from_secs(60),
+        Urgency::Background => Duration::from_secs(600),
     }
 }
 
@@ -317,7 +356,7 @@ fn note_end(kind: JobKind, end: &Result<(), JobError>, stopped: Option<Stop>, el
         Err(JobError::Retry(_)) => "retry",
         Err(JobError::Stopped) => match stopped {
             Some(Stop::Cancelled) => "cancelled",
-            Some(Stop::Shutdown) => "released",
+            Some(Stop::Shutdown | Stop::Yield) => "released",
             Some(Stop::Lost) | None => "lost",
         },
     };

@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::domain::{JobId, JobKind, Problem, RigId};
-use crate::storage::{Activation, Claim, NewDiagnosis, NewEvaluation, NewIteration, NewModel};
+use crate::storage::{Activation, Claim, NewDiagnosis, NewEvaluation, NewIteration, NewModel, NewStudy};
 
 use super::problem::{JobError, codes};
 
@@ -47,6 +47,7 @@ pub(super) enum JobOutput {
     Diagnosis(Box<DiagnosisOutput>),
     Iteration(Box<IterationOutput>),
     Evaluation(Box<EvaluationOutput>),
+    Study(Box<StudyOutput>),
 }
 
 /// A fitted model, and whether it becomes the active one.
@@ -82,6 +83,19 @@ pub(super) struct EvaluationOutput {
     pub stage: String,
 }
 
+/// What a study has found.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct StudyOutput {
+    pub study: NewStudy,
+    /// The last stage text of the job, without the model.
+    pub said: String,
+    /// Why its model becomes the active one or not, in an engineer's words.
+    pub why: String,
+    /// In place of the weights of a study without a model.
+    #[serde(skip)]
+    pub no_bytes: Bytes,
+}
+
 impl JobOutput {
     /// The large part, which is sent beside the JSON.
     pub(super) fn bytes(&mut self) -> &mut Bytes {
@@ -90,6 +104,10 @@ impl JobOutput {
             Self::Diagnosis(made) => &mut made.diagnosis.findings,
             Self::Iteration(made) => &mut made.iteration.samples,
             Self::Evaluation(made) => &mut made.evaluation.report,
+            Self::Study(made) => match &mut made.study.model {
+                Some((model, _)) => &mut model.weights,
+                None => &mut made.no_bytes,
+            },
         }
     }
 }

@@ -61,7 +61,7 @@ impl Bench {
     }
 }
 
-async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
+pub(super) async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
     let settings = JobSettings {
         sweep: Duration::from_millis(20),
         progress_every: Duration::from_millis(2),
@@ -73,7 +73,7 @@ async fn start(store: &TestStore, fit: FitFunction) -> Jobs {
 }
 
 /// Pseudo-random samples, the same every time (a 32-bit linear congruential generator).
-fn noise(seed: u32, n: usize) -> Vec<f64> {
+pub(super) fn noise(seed: u32, n: usize) -> Vec<f64> {
     let mut state = seed;
     (0..n)
         .map(|_| {

@@ -90,7 +90,7 @@ pub(super) async fn load(context: &WorkContext, plan: &mut FitPlan) -> Result<Op
         let title = "The stored model cannot be read";
         return Err(JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail)));
     };
-    let found = part.net.block_sizes();
+    let found = part.net.cells();
     if *plan.request.lstm.blocks.get_or_insert_with(|| found.clone()) != found {
         return Err(FitProblem::Invalid(vec![other_blocks(version, &found)]).into());
     }

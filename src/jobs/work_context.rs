@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::compute::Compute;
-use crate::domain::{JobKind, Problem};
+use crate::domain::JobKind;
 use crate::storage::Store;
 
 use super::control::Control;
@@ -12,8 +12,9 @@ use super::diagnosis;
 use super::evaluation;
 use super::fit::{self, FitFunction};
 use super::iteration;
-use super::problem::{JobError, codes};
+use super::problem::JobError;
 use super::spec::{JobOutput, JobSpec};
+use super::study;
 
 /// Everything that the work of a job may use.
 #[derive(Debug)]
@@ -35,11 +36,7 @@ impl WorkContext {
             JobKind::Evaluation => {
                 JobOutput::Evaluation(Box::new(evaluation::make(self, spec, control).await?))
             }
-            JobKind::Study => {
-                let detail = "A newer version of the program queued this job.";
-                let title = "The job cannot be read";
-                return Err(JobError::failed(Problem::new(500, codes::JOB_UNKNOWN, title, detail)));
-            }
+            JobKind::Study => JobOutput::Study(Box::new(study::make(self, spec, control).await?)),
         };
         if control.stopped().is_some() { Err(JobError::Stopped) } else { Ok(made) }
     }

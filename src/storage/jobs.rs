@@ -73,6 +73,8 @@ pub enum Outcome {
     Cancelled,
     /// It goes back into the queue, its attempt not counted: the service stops, or has died.
     Released,
+    /// It goes back into the queue, its attempt not counted, and waits for its turn anew: a more urgent job goes first.
+    Yielded,
     /// It goes back into the queue; if its attempts are used up, it has failed.
     Retry(Problem),
 }
@@ -390,11 +392,12 @@ pub(super) async fn leave_running(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let released = matches!(outcome, Outcome::Released);
+    let yielded = matches!(outcome, Outcome::Yielded);
     let (state, problem, attempt) = match outcome {
         Outcome::Failed(problem) => (JobState::Failed, Some(problem), job.attempt),
         Outcome::Cancelled => (JobState::Cancelled, None, job.attempt),
         _ if job.cancel_requested => (JobState::Cancelled, None, job.attempt),
-        Outcome::Released => (JobState::Queued, None, job.attempt.saturating_sub(1)),
+        Outcome::Released | Outcome::Yielded => (JobState::Queued, None, job.attempt.saturating_sub(1)),
         Outcome::Retry(problem) if job.attempt >= MAX_ATTEMPTS => {
             (JobState::Failed, Some(problem), job.attempt)
         }
@@ -406,6 +409,7 @@ pub(super) async fn leave_running(
                          stage = CASE WHEN ?2 = 'failed' THEN stage ELSE NULL END,
                          progress = CASE WHEN ?2 = 'queued' THEN 0 ELSE progress END,
                          goes_on = (?2 = 'queued' AND ?6 AND service_deaths < ?7),
+                         queued_us = CASE WHEN ?2 = 'queued' AND ?8 THEN ?9 ELSE queued_us END,
                          worker = NULL, lease_until_us = NULL, event = event + 1
          WHERE id = ?1",
     )
@@ -416,6 +420,8 @@ pub(super) async fn leave_running(
     .bind(state.is_terminal().then(|| us(now)))
     .bind(released)
     .bind(SUSPECT_AFTER)
+    .bind(yielded)
+    .bind(us(now))
     .execute(connection)
     .await?;
     Ok(())

@@ -16,6 +16,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (10, "job_turns", include_str!("../../migrations/0010_job_turns.sql")),
     (11, "iterations", include_str!("../../migrations/0011_iterations.sql")),
     (12, "evaluations", include_str!("../../migrations/0012_evaluations.sql")),
+    (14, "studies", include_str!("../../migrations/0014_studies.sql")),
 ];
 
 /// Migrations up to this number.

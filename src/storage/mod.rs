@@ -30,6 +30,7 @@ mod rows;
 mod runs;
 mod samples;
 mod store;
+mod studies;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
@@ -55,5 +56,6 @@ pub use rigs::{RigAtAGlance, RigUpdate};
 pub use runs::{RunInsert, RunQuery, RunUpdate};
 pub use samples::StoredSamples;
 pub use store::Store;
+pub use studies::{NewStudy, STUDY_PART};
 pub use tokens::{TokenInsert, TokenTable};
 pub use usage::Usage;

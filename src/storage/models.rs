@@ -183,8 +183,8 @@ impl Store {
                 .fetch_optional(&mut *tx)
                 .await?;
         let Some(rig) = rig.and_then(|rig| rig.parse::<RigId>().ok()) else { return Ok(None) };
-        let Some(version) = insert_row(&mut tx, &rig, digest, &model, now).await? else { return Ok(None) };
-        let active = activate(&mut tx, &rig, version, &activation, now).await?;
+        let published = insert_published(&mut tx, &rig, digest, &model, &activation, now).await?;
+        let Some((version, active)) = published else { return Ok(None) };
         let result = JobResult {
             kind: "model".into(),
             id: version.to_string(),
@@ -403,6 +403,21 @@ async fn point(
     .execute(&mut *connection)
     .await?;
     active_in(connection, rig).await
+}
+
+/// Adds a model of a job under the rig's next number, and applies the decision about the active model: the version,
+/// and whether it is active. `None` when there is no such rig.
+pub(super) async fn insert_published(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    digest: &Digest,
+    model: &NewModel,
+    activation: &Activation,
+    now: Timestamp,
+) -> Result<Option<(u32, bool)>, StoreError> {
+    let Some(version) = insert_row(connection, rig, digest, model, now).await? else { return Ok(None) };
+    let active = activate(connection, rig, version, activation, now).await?;
+    Ok(Some((version, active)))
 }
 
 /// Adds a row under the rig's next number; `None` when there is no such rig.

@@ -13,7 +13,8 @@ use super::StoreError;
 use crate::domain::iteration::IterationReport;
 use crate::domain::{
     Adoption, Base, DiagnosisSummary, EvaluationSummary, IterationSummary, Job, Lineage, Model, ModelFrf,
-    Rig, RigId, Run, SecretDigest, StoredDiagnosis, StoredEvaluation, StoredIteration, Token, UsedModel,
+    Rig, RigId, Run, SecretDigest, StoredDiagnosis, StoredEvaluation, StoredIteration, StoredStudy,
+    StudyRequest, StudySummary, Token, UsedModel,
 };
 use crate::engine::model::{ModelKind, VersionKind};
 
@@ -441,6 +442,36 @@ impl TryFrom<EvaluationRow> for StoredEvaluation {
         let request = Columns { table: "evaluations", key: &row.id }.json(&row.request)?;
         let (elapsed_s, report) = (row.elapsed_s, row.report.clone());
         Ok(Self { summary: row.try_into()?, request, elapsed_s, report })
+    }
+}
+
+row! {
+    struct StudyRow {
+        id: String,
+        rig: String,
+        state: String,
+        request: String,
+        created_us: i64,
+        version: Option<i64>,
+        report: Option<String>,
+    }
+}
+
+impl TryFrom<StudyRow> for StoredStudy {
+    type Error = StoreError;
+
+    fn try_from(row: StudyRow) -> Result<Self, StoreError> {
+        let columns = Columns { table: "studies", key: &row.id };
+        let request: StudyRequest = columns.json(&row.request)?;
+        let summary = StudySummary {
+            id: columns.id(&row.id)?,
+            rig: columns.rig(row.rig)?,
+            kind: request.kind,
+            state: columns.word(&row.state)?,
+            created_at: columns.time(row.created_us)?,
+            model: row.version.map(|version| columns.number(version)).transpose()?,
+        };
+        Ok(Self { summary, request, report: columns.json_opt(row.report.as_deref())? })
     }
 }
 

@@ -58,22 +58,59 @@ impl Store {
     }
 }
 
+impl Store {
+    /// How urgent the waiting job is that would go before this running one, if that waited from now on; `None`: none
+    /// would, or the lease is lost.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn goes_before(&self, lease: &Lease, now: Timestamp) -> Result<Option<Urgency>, StoreError> {
+        let mut tx = self.reader().begin().await?;
+        let row: Option<WaitingRow> = sqlx::query_as(
+            "SELECT owner, rig, urgency, 0, id, ?3 FROM jobs
+             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
+        )
+        .bind(lease.job.to_string())
+        .bind(int(lease.token))
+        .bind(us(now))
+        .fetch_optional(&mut *tx)
+        .await?;
+        let Some(running) = row.map(waiting_jobs).transpose()? else { return Ok(None) };
+        let mut waiting = waiting(&mut tx).await?;
+        if waiting.is_empty() {
+            return Ok(None);
+        }
+        waiting.push(running);
+        let times = times(&mut tx).await?;
+        let first = turns::next(&waiting, &times, now);
+        Ok(first.filter(|first| first.oldest != lease.job).map(|first| first.urgency))
+    }
+}
+
 /// The jobs of which the oldest is next.
 async fn next(connection: &mut SqliteConnection, now: Timestamp) -> Result<Option<WaitingJobs>, StoreError> {
-    let rows: Vec<WaitingRow> = sqlx::query_as(
-        "SELECT owner, rig, urgency, goes_on, min(id), min(created_us)
-         FROM jobs INDEXED BY jobs_waiting WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on",
-    )
-    .fetch_all(&mut *connection)
-    .await?;
-    if rows.is_empty() {
+    let waiting = waiting(connection).await?;
+    if waiting.is_empty() {
         return Ok(None);
     }
-    let waiting: Vec<WaitingJobs> = rows.into_iter().map(waiting_jobs).collect::<Result<_, _>>()?;
+    Ok(turns::next(&waiting, &times(connection).await?, now).cloned())
+}
+
+/// All waiting jobs, by token, rig and urgency.
+async fn waiting(connection: &mut SqliteConnection) -> Result<Vec<WaitingJobs>, StoreError> {
+    let rows: Vec<WaitingRow> = sqlx::query_as(
+        "SELECT owner, rig, urgency, goes_on, min(id), min(coalesce(queued_us, created_us))
+         FROM jobs INDEXED BY jobs_waiting WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on",
+    )
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter().map(waiting_jobs).collect()
+}
+
+async fn times(connection: &mut SqliteConnection) -> Result<Vec<WorkerTime>, StoreError> {
     let rows: Vec<TimeRow> =
         sqlx::query_as("SELECT owner, rig, used_s, at_us FROM worker_time").fetch_all(connection).await?;
-    let times: Vec<WorkerTime> = rows.into_iter().map(worker_time).collect::<Result<_, _>>()?;
-    Ok(turns::next(&waiting, &times, now).cloned())
+    rows.into_iter().map(worker_time).collect()
 }
 
 /// Owner, rig, urgency, whether they go on, oldest job, its time in microseconds.
@@ -266,6 +303,32 @@ mod tests {
         time(asker.token.unwrap().to_string()).await;
         let turns = [claim(&store, now()).await, claim(&store, now()).await, claim(&store, now()).await];
         assert_eq!(turns.map(|claim| claim.lease.job), [fit, diagnosis.id, by_policy]);
+    }
+
+    #[tokio::test]
+    async fn a_running_study_gives_its_turn_to_what_is_more_urgent_and_then_waits_anew() {
+        let store = TestStore::open().await;
+        let rig = rig(&store, "bench").await;
+        let asker = Asker { token: None, max_waiting: 9 };
+        let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
+        let study = serde_json::from_value(study).unwrap();
+        store.insert_study_job(&rig.id, &study, asker, None, now()).await.unwrap();
+        let claimed = claim(&store, now()).await;
+        let later = now() + 50.minutes();
+        assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), None);
+        let fit = fit(&store, &rig, None).await;
+        assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), Some(Urgency::Requested));
+        let request = serde_json::from_value(serde_json::json!({"runs": []})).unwrap();
+        store.insert_diagnosis_job(&rig.id, &request, asker, None, now()).await.unwrap();
+        assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), Some(Urgency::Awaited));
+        let lost = Lease { token: claimed.lease.token + 1, ..claimed.lease.clone() };
+        assert_eq!(store.goes_before(&lost, later).await.unwrap(), None);
+        // It was asked for long ago, but has waited from its last turn on only.
+        assert!(store.finish_job(&claimed.lease, Outcome::Yielded, later).await.unwrap());
+        assert_eq!(claim(&store, later).await.job.kind, JobKind::Diagnosis);
+        assert_eq!(claim(&store, later).await.lease.job, fit);
+        let again = claim(&store, later).await;
+        assert_eq!((again.lease.job, again.job.attempt), (claimed.lease.job, 1), "no attempt was counted");
     }
 
     #[tokio::test]

@@ -17,6 +17,7 @@ pub mod rig;
 pub mod rigs;
 pub mod run;
 pub mod sign_in;
+pub mod study;
 #[cfg(test)]
 mod testing;
 mod text;

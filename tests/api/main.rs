@@ -45,6 +45,7 @@ mod runs;
 mod service;
 mod shutdown;
 mod stops;
+mod studies;
 mod support;
 mod torch;
 mod turns;

@@ -55,6 +55,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     diagnose(&app).await;
     iterate(&app).await;
     evaluate(&app).await;
+    study(&app).await;
 
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", "*");
     put.json(&json!({"version": null})).send().await.expect(200);
@@ -126,6 +127,19 @@ async fn evaluate(app: &TestApp) {
     for accept in ["application/json", "text/csv", "text/html"] {
         app.call("GET", report).header("accept", accept).send().await.expect(200);
     }
+}
+
+/// Two trials of a small network.
+async fn study(app: &TestApp) {
+    let studies = "/v1/rigs/bench/studies";
+    let lstm = json!({"window_len": 32, "hop": 16, "epochs": 1, "seeds": [1]});
+    let request = json!({
+        "kind": "search", "trials": 2, "fit": {"kind": "lstm", "lstm": lstm}, "space": {"cells": {"min": 2, "max": 4}},
+    });
+    let job = app.post_json(studies, &request).await.expect(202).json();
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    app.get(studies).await.expect(200);
+    app.get(job["result"]["href"].as_str().unwrap_or_else(|| panic!("a table: {job}"))).await.expect(200);
 }
 
 /// The drive of a run, found from its response.

@@ -158,6 +158,7 @@ async fn values_of_wrong_types_are_refused_without_the_types_of_our_code() {
             .replace("{diagnosis}", id)
             .replace("{iteration}", id)
             .replace("{evaluation}", id)
+            .replace("{study}", id)
             .replace("{run}", id);
         let mut wrong = wrong_bodies(&content[media_type]["schema"], 4);
         wrong.sort_by_key(Value::to_string);

@@ -32,6 +32,7 @@ mod validate;
 pub use net::{LstmBlock, LstmNet};
 pub use predict::{Streaming, predict, predict_watched};
 pub use settings::{
-    HybridStart, LstmSettings, Optimizer, Recombine, RecombineChoice, Schedule, WindowOffset,
+    HybridStart, LstmSettings, MAX_BATCH, MAX_BLOCKS, MAX_CELLS, MAX_SEEDS, MAX_WINDOW_LEN, Optimizer,
+    Recombine, RecombineChoice, Schedule, WindowOffset,
 };
 pub use train::{EpochRecord, Segment, Trained, Until, train};

@@ -74,11 +74,6 @@ impl LstmNet {
         }
     }
 
-    /// Cells of each block.
-    pub fn block_sizes(&self) -> Vec<usize> {
-        self.blocks.iter().map(|block| block.cells).collect()
-    }
-
     /// Trainable numbers, one bias a gate (Heindel et al., section 3.5: {39} with 3 inputs and 3
     /// outputs has 6,828).
     pub fn n_parameters(&self) -> usize {

@@ -8,7 +8,7 @@ use super::split::{Section, Sections};
 use super::{FitSettings, ModelKind, Preprocess, RigModel};
 use crate::engine::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::engine::frf::{self, RunPart};
-use crate::engine::lstm::LstmSettings;
+use crate::engine::lstm::{LstmSettings, Recombine};
 use crate::engine::progress::report;
 use crate::engine::{EngineError, Progress, Watch};
 
@@ -66,6 +66,32 @@ pub fn try_out(
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
     fitted(data, settings, checkpoints, watch, false)
+}
+
+/// A network, and its FRF, trained on all training runs for all epochs of its settings from their first seed: nothing
+/// stops it, and nothing is chosen.
+///
+/// # Errors
+/// As [`fit`].
+pub fn train_for(
+    data: &FitData,
+    settings: &FitSettings,
+    checkpoints: &dyn CheckpointStore,
+    watch: Watch<'_>,
+) -> Result<RigModel, EngineError> {
+    data.check(settings)?;
+    settings.check_start()?;
+    let filtered = data.filtered(&settings.preprocess)?;
+    let fit = Fit { recorded: data, data: &filtered, settings, checkpoints, watch };
+    let all = filtered.whole_training();
+    filtered.refuse_dead_channels(&all)?;
+    let (mut model, _) = fit.linear(&all, 0.0..FRF_SHARE)?;
+    let lstm = fit.lstm_settings(&all)?;
+    let until = (lstm.seeds[0], lstm.epochs, Recombine::Welch);
+    let part = fit_network::repeat(&filtered, &model, &lstm, &all, until, &fit.course(FRF_SHARE..1.0))?;
+    model.lstm = Some(part);
+    model.preprocess = settings.preprocess;
+    Ok(model)
 }
 
 fn fitted(

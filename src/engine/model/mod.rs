@@ -29,7 +29,7 @@ use super::lstm::{LstmNet, Recombine};
 use super::{EngineError, Signal};
 
 pub use effect::{AddedEffect, apply_effects};
-pub use fit::{Fitted, fit, fit_resumable, try_out};
+pub use fit::{Fitted, fit, fit_resumable, train_for, try_out};
 pub use fit_data::{FitData, Pair};
 pub use fit_report::{Comparison, FitReport, SeedReport};
 pub use kind::{ModelKind, VersionKind};

@@ -133,7 +133,7 @@ impl FitSettings {
             _ => self.inputs.len(),
         };
         let blocks = self.lstm.resolve(self.preset, self.kind, self.task, &[])?.blocks;
-        let found = start.net.block_sizes();
+        let found = start.net.cells();
         let fits = self.kind != ModelKind::Frf
             && (start.net.inputs(), start.net.outputs) == (x, self.outputs.len())
             && (start.x.mean.len(), start.y.mean.len()) == (x, self.outputs.len())

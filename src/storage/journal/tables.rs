@@ -15,7 +15,7 @@ pub(super) struct Table {
 }
 
 /// In an order in which rows can be inserted.
-pub(super) const TABLES: [Table; 9] = [
+pub(super) const TABLES: [Table; 10] = [
     Table { name: "rigs", key: &["id"] },
     Table { name: "models", key: &["rig", "version"] },
     Table { name: "runs", key: &["id"] },
@@ -23,12 +23,13 @@ pub(super) const TABLES: [Table; 9] = [
     Table { name: "diagnoses", key: &["id"] },
     Table { name: "iterations", key: &["id"] },
     Table { name: "evaluations", key: &["id"] },
+    Table { name: "studies", key: &["job"] },
     Table { name: "tokens", key: &["id"] },
     Table { name: "idempotency_keys", key: &["owner", "key"] },
 ];
 
 /// Columns of a job that a worker or the queue changes while it waits or runs. They are not journaled until it ends.
-const PROGRESS: [&str; 12] = [
+const PROGRESS: [&str; 13] = [
     "stage",
     "progress",
     "eta_s",
@@ -39,6 +40,7 @@ const PROGRESS: [&str; 12] = [
     "started_us",
     "charged_us",
     "goes_on",
+    "queued_us",
     "furthest",
     "service_deaths",
 ];

@@ -32,7 +32,7 @@ fn path(route: &Route, job: &str) -> String {
     let rig =
         if (route.method.as_str(), route.path) == ("DELETE", "/v1/rigs/{rig}") { "doomed" } else { "bench" };
     let filled = route.path.replace("{rig}", rig).replace("{job}", job).replace("{version}", "9");
-    let filled = ["{run}", "{diagnosis}", "{iteration}", "{evaluation}", "{token}"]
+    let filled = ["{run}", "{diagnosis}", "{iteration}", "{evaluation}", "{study}", "{token}"]
         .iter()
         .fold(filled, |path, name| path.replace(name, UNKNOWN));
     filled.replace("{asset}", "swagger-ui.css").replace("{digest}", "0").replace("{file}", "style.css")

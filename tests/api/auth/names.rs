@@ -128,6 +128,7 @@ pub async fn send_all(base: &str) -> (usize, usize) {
             "v1/rigs/bench/diagnoses",
             "v1/rigs/bench/iterations",
             "v1/rigs/bench/evaluations",
+            "v1/rigs/bench/studies",
             "v2/models",
             "v2/models/bench/versions",
         ];

@@ -65,6 +65,8 @@ async fn foreign_and_unknown_ids_look_alike() {
         "/iterations/x",
         "/evaluations",
         "/evaluations/x",
+        "/studies",
+        "/studies/x",
         &format!("/runs/{run}"),
         &format!("/runs/{run}/data"),
         &format!("/runs/{run}?kind=nonsense"),

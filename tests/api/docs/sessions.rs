@@ -37,6 +37,7 @@ sessions! {
         ("docs/evaluations.md", "A report"),
         ("docs/predictions.md", "Open Inference Protocol"),
         ("docs/clients.md", "curl"),
+        ("docs/studies.md", "A search for settings"),
     ];
     the_demos_rig_is_diagnosed_and_its_model_mended runs on_the_demo on [
         ("docs/diagnosis.md", "Where model and rig differ"),
@@ -75,7 +76,11 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
     let models = run(&format!("curl -sS --fail-with-body {base}/v1/rigs/bench-1/models"), folder);
     let models: Value = serde_json::from_str(&models).expect("JSON");
     let versions = models["items"].as_array().expect("a list").len();
-    assert_eq!(versions, 4, "two of the policy, one fitted by hand, one imported: {models}");
+    assert_eq!(versions, 5, "two of the policy, one fitted by hand, one imported, one of a study: {models}");
+    let study = std::fs::read_to_string(folder.join("study-table.json")).expect("a study was shown");
+    let study: Value = serde_json::from_str(&study).expect("JSON");
+    assert_eq!(study["search"]["trials"].as_array().map(Vec::len), Some(4), "{study}");
+    assert!(study["search"]["best"]["error"].as_f64().is_some_and(|error| error < 1.0), "{study}");
     assert!(out.contains("freq_hz,re(disp/drive),im(disp/drive),coherence(disp/drive)"), "the table: {out}");
     let frf: Value =
         serde_json::from_slice(&std::fs::read(folder.join("frf.json")).expect("the FRF was written"))
