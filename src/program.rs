@@ -1,5 +1,7 @@
 //! What the subcommands of `rigcast` do.
 
+mod allocator;
+
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -40,7 +42,11 @@ pub fn run(command: Command) -> ExitCode {
 }
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
+    let thresholds = allocator::fix_thresholds();
     telemetry::init_logging(&args.log.log, args.log.log_format)?;
+    if let Err(error) = thresholds {
+        tracing::warn!(%error, "the allocator's thresholds stay as they are: freed memory may be kept");
+    }
     let mut config = args.check()?;
     // A core dump would hold secrets from requests.
     setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
