@@ -9,7 +9,6 @@ pub mod compute;
 pub mod config;
 pub mod demo;
 pub mod domain;
-pub mod engine;
 pub mod formats;
 pub mod health;
 pub mod http;
@@ -20,6 +19,12 @@ pub mod storage;
 pub mod telemetry;
 pub mod token;
 pub mod ui;
+
+pub use rigcast_engine as engine;
+
+#[cfg(test)]
+#[path = "engine/measured.rs"]
+mod measured;
 
 /// Version of the program: the package's and, in optimised builds, the commit that it was built from, as
 /// `0.1.0+f8d4022c1a2b` (`-dirty` if the sources differ from the commit). Builds for tests say `+debug`.

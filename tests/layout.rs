@@ -121,7 +121,8 @@ fn layer(module: &str) -> Option<usize> {
 fn no_module_names_one_above_or_beside_it() {
     let mut wrong = Vec::new();
     for (module, path, code) in modules() {
-        if module == "lib" || module == "main" {
+        // The engine is a crate of its own, to which those above it are unknown: the compiler holds that.
+        if ["lib", "main", "engine"].contains(&module.as_str()) {
             continue;
         }
         let own = layer(&module).unwrap_or_else(|| panic!("{module} has no layer: add it to LAYERS"));

@@ -240,20 +240,27 @@ fn a_commit_that_was_given_is_taken_if_it_fits_into_a_version() {
     }
 }
 
-/// Names under a heading of the manifest, one dependency a line.
+/// Names under a heading of the manifest, one dependency a line, without crates of this repository.
 fn dependencies(manifest: &str, heading: &str) -> Vec<String> {
     let lines = manifest.lines().skip_while(|line| line.trim() != heading).skip(1);
-    let lines = lines.take_while(|line| !line.starts_with('['));
+    let lines = lines.take_while(|line| !line.starts_with('[')).filter(|line| !line.contains("path = "));
     lines.filter_map(|line| line.split_once('=')).map(|(name, _)| name.trim().to_owned()).collect()
 }
 
-/// Code of the sources below some folders, without comments; with the tests among it or without.
+/// The engine's folder: a crate of its own inside `src`.
+const ENGINE: &str = "src/engine";
+
+/// Code of the sources below some folders, without comments; with the tests among it or without. The engine's code
+/// is the code of its own folder only.
 fn code(folders: &[&str], with_tests: bool) -> String {
     let mut all = String::new();
     for folder in folders {
         let mut sources = Vec::new();
         files(&root().join(folder), &mut sources);
         sources.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
+        if *folder != ENGINE {
+            sources.retain(|path| !path.starts_with(root().join(ENGINE)));
+        }
         if !with_tests {
             sources.retain(|path| {
                 let of_tests =
@@ -282,20 +289,30 @@ fn names(code: &str, dependency: &str) -> bool {
     })
 }
 
+/// A manifest, the folder of its program, and the folders of its tests.
+type Package = (&'static str, &'static str, &'static [&'static str]);
+
+const PACKAGES: [Package; 2] = [
+    ("Cargo.toml", "src", &["src", "tests", "examples", "benches"]),
+    ("src/engine/Cargo.toml", ENGINE, &[ENGINE]),
+];
+
 #[test]
 fn every_dependency_is_used_where_the_manifest_says_so() {
-    let manifest = read("Cargo.toml");
-    let (program, tests) = (code(&["src"], false), code(&["src", "tests", "examples", "benches"], true));
-    let (needed, for_tests) =
-        (dependencies(&manifest, "[dependencies]"), dependencies(&manifest, "[dev-dependencies]"));
-    assert!(needed.len() > 30 && for_tests.len() > 3, "{needed:?} {for_tests:?}");
-    let unused: Vec<&String> = needed.iter().filter(|name| !names(&program, name)).collect();
-    assert!(
-        unused.is_empty(),
-        "the program does not use {unused:?}: remove them, or move them to dev-dependencies"
-    );
-    let unused: Vec<&String> = for_tests.iter().filter(|name| !names(&tests, name)).collect();
-    assert!(unused.is_empty(), "no test, example or bench uses {unused:?}");
+    for (name, program, tests) in PACKAGES {
+        let manifest = read(name);
+        let (program, tests) = (code(&[program], false), code(tests, true));
+        let (needed, for_tests) =
+            (dependencies(&manifest, "[dependencies]"), dependencies(&manifest, "[dev-dependencies]"));
+        assert!(needed.len() > 10 && for_tests.len() > 1, "{needed:?} {for_tests:?}");
+        let unused: Vec<&String> = needed.iter().filter(|name| !names(&program, name)).collect();
+        assert!(
+            unused.is_empty(),
+            "{name}: the program does not use {unused:?}: remove them, or move them to dev-dependencies"
+        );
+        let unused: Vec<&String> = for_tests.iter().filter(|name| !names(&tests, name)).collect();
+        assert!(unused.is_empty(), "{name}: no test, example or bench uses {unused:?}");
+    }
 }
 
 #[test]
@@ -309,6 +326,6 @@ fn a_crate_is_named_by_its_path_and_by_nothing_else() {
     ] {
         assert_eq!(names(code, "csv-core"), found, "{code}");
     }
-    let manifest = "[a]\nx = \"1\"\n[dependencies]\ny = \"1\"\nz-z = { version = \"2\" }\n\n[b]\nw = 1\n";
+    let manifest = "[a]\nx = \"1\"\n[dependencies]\no = { path = \"o\" }\ny = \"1\"\nz-z = { version = \"2\" }\n\n[b]\nw = 1\n";
     assert_eq!(dependencies(manifest, "[dependencies]"), ["y", "z-z"]);
 }

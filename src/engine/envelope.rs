@@ -151,7 +151,7 @@ impl Envelope {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Signal;
+    use crate::Signal;
 
     fn signal(n: usize) -> Signal {
         Signal::new(1000.0, vec![(0..n).map(|i| (i as f64 * 0.37).sin()).collect(), vec![2.5; n]]).unwrap()

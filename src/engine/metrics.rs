@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn figures_are_those_of_scipy() {
-        let file = format!("{}/tests/vectors/errors.json", env!("CARGO_MANIFEST_DIR"));
+        let file = format!("{}/../../tests/vectors/errors.json", env!("CARGO_MANIFEST_DIR"));
         let cases: Vec<serde_json::Value> =
             serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
         assert!(cases.len() >= 5);

@@ -2,6 +2,10 @@
 //!
 //! Arrays are `[channel, sample]`; spectra and damage are `f64`, the LSTM is `f32`.
 
+// For the test rig, which the service's tests take in too.
+#[cfg(test)]
+extern crate self as rigcast_engine;
+
 pub mod checkpoint;
 pub mod diagnosis;
 pub mod envelope;

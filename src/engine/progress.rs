@@ -15,7 +15,7 @@ pub struct Progress<'a> {
 
 impl Progress<'_> {
     /// The same as a part of longer work, which it takes from the first of these shares to the second.
-    pub(in crate::engine) fn within(self, share: &Range<f64>) -> Self {
+    pub(crate) fn within(self, share: &Range<f64>) -> Self {
         Self { fraction: within(self.fraction, share), ..self }
     }
 }

@@ -148,7 +148,7 @@ mod tests {
     use std::io::Read;
 
     use super::*;
-    use crate::engine::measured::shared_data;
+    use crate::measured::shared_data;
 
     /// A file that comes in pieces of three bytes; the cuts must not change the result.
     pub(super) struct Pieces<'a>(pub &'a [u8]);

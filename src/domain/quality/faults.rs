@@ -3,7 +3,7 @@
 use super::false_alarms::{assess, faults, gaussian, mode};
 use super::{Quality, Role};
 use crate::engine::Signal;
-use crate::engine::measured::shared_data;
+use crate::measured::shared_data;
 
 const N: usize = 60_000;
 

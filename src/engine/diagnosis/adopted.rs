@@ -8,7 +8,7 @@ use super::law::Law;
 use super::modes::Pole;
 use super::problem::Plant;
 use super::spline::Spline;
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Bounds far above what a diagnosis makes: a file must not set how long a prediction takes.
 const MAX_ORDER: usize = 200;
@@ -166,8 +166,8 @@ mod tests {
 
     use super::super::tests::rig::{RATE, hardening, noise_drive, request};
     use super::super::{Augmented, Effect, Input, diagnose};
-    use crate::engine::Signal;
-    use crate::engine::progress::unwatched;
+    use crate::Signal;
+    use crate::progress::unwatched;
 
     fn found(effects: Vec<Effect>) -> Vec<Augmented> {
         let input = Input { catalogue: effects, ..request(hardening, 0.01) };

@@ -13,7 +13,7 @@ use super::effect::Effect;
 use super::kernel::Clock;
 use super::problem::{Course, Plant};
 use super::transfer::Added;
-use crate::engine::{EngineError, Signal};
+use crate::{EngineError, Signal};
 
 /// Beyond this many times the core's own RMS an augmented free run is not bounded.
 const BOUND: f64 = 20.0;

@@ -56,12 +56,12 @@ fn left_beside(problem: &Problem, scored: &Scored) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::contest::contest;
-    use crate::engine::diagnosis::overview::Overview;
-    use crate::engine::diagnosis::prepare::prepare;
-    use crate::engine::diagnosis::tests::rig::{Force, few, friction, request};
-    use crate::engine::diagnosis::{Effect, Input, diagnose};
-    use crate::engine::progress::unwatched;
+    use crate::diagnosis::contest::contest;
+    use crate::diagnosis::overview::Overview;
+    use crate::diagnosis::prepare::prepare;
+    use crate::diagnosis::tests::rig::{Force, few, friction, request};
+    use crate::diagnosis::{Effect, Input, diagnose};
+    use crate::progress::unwatched;
 
     /// The first of the ranking, and how many were asked what they leave beside a linear change.
     fn first(force: Force) -> (Scored, usize) {

@@ -18,8 +18,8 @@ use super::problem::Problem;
 use super::score::{Scored, score};
 use super::start::Regression;
 use super::twins::exchange;
-use crate::engine::EngineError;
-use crate::engine::progress::{Watch, report};
+use crate::EngineError;
+use crate::progress::{Watch, report};
 
 /// Candidates of one host whose echoes at other responses are fitted.
 const ECHOED: usize = 8;

@@ -347,10 +347,10 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::candidate::Candidate;
-    use crate::engine::diagnosis::fitting::Fitted;
-    use crate::engine::diagnosis::law::Law;
-    use crate::engine::diagnosis::score::remaining;
+    use crate::diagnosis::candidate::Candidate;
+    use crate::diagnosis::fitting::Fitted;
+    use crate::diagnosis::law::Law;
+    use crate::diagnosis::score::remaining;
 
     const GAP: f64 = 1000.0;
     const ROWS: f64 = 10_000.0;

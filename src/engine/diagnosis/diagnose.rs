@@ -23,8 +23,8 @@ use super::transfer::{Found, by_transfer, sentence};
 use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
 use super::whereabouts::location;
-use crate::engine::EngineError;
-use crate::engine::progress::{Watch, report};
+use crate::EngineError;
+use crate::progress::{Watch, report};
 
 /// Hypotheses in the report.
 const LISTED: usize = 8;

@@ -1,6 +1,6 @@
 //! What no drive explains: lines, raised noise, quantised samples.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::ar::Ar;
 use super::rows::fast_len;
@@ -25,7 +25,7 @@ pub(super) fn line(residuals: &[&[f64]], rate_hz: f64) -> Option<Line> {
     let shortest = residuals.iter().map(|r| r.len()).min()?;
     let n = fast_len(shortest);
     let mut power = vec![0.0; n / 2 + 1];
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let fft = RealFftPlanner::new().plan_fft_forward(n);
     let mut lines = fft.make_output_vec();
     for residual in residuals {
         let mean = residual[..n].iter().sum::<f64>() / n as f64;

@@ -8,7 +8,7 @@ use super::prepare::Prepared;
 use super::problem::Problem;
 use super::report::{ChannelHeldOut, HeldOut};
 use super::score::{Scored, blocks, closure_interval, remaining};
-use crate::engine::fatigue::{DamageSettings, damage};
+use crate::fatigue::{DamageSettings, damage};
 
 /// What a hypothesis does at one response: that response, with what is carried to it, and the fit.
 pub(super) struct Place {

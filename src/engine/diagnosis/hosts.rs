@@ -8,7 +8,7 @@ use super::linear::rms;
 use super::overview::Overview;
 use super::prepare::Prepared;
 use super::problem::Problem;
-use crate::engine::Quantity;
+use crate::Quantity;
 
 /// Responses at which effects are sought, among those with a systematic gap.
 pub(super) struct Hosts {

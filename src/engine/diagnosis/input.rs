@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::effect::Effect;
-use crate::engine::{EngineError, Quantity, Signal};
+use crate::{EngineError, Quantity, Signal};
 
 /// A channel as the report names it.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,8 +1,8 @@
 //! Least squares, eigenvalues and small solves: the linear algebra that the diagnosis needs.
 
 use faer::Mat;
-use faer::prelude::{Solve, SolveLstsq};
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose::{self, Cholesky};
 
 /// Share of a scaled column below which its direction is rounding: keeps parallel columns harmless.
 const RIDGE: f64 = 1e-7;
@@ -27,7 +27,7 @@ pub(super) fn least_squares(columns: &[&[f64]], target: &[f64]) -> Vec<f64> {
         }
     });
     let rhs = Mat::from_fn(rows + p, 1, |i, _| if i < rows { target[i] } else { 0.0 });
-    let x = matrix.qr().solve_lstsq(&rhs);
+    let x = decompose::least_squares(&matrix, &rhs);
     (0..p).map(|j| if x[(j, 0)].is_finite() { x[(j, 0)] * scale[j] } else { 0.0 }).collect()
 }
 
@@ -37,8 +37,7 @@ pub(super) fn solve_spd(matrix: &[Vec<f64>], rhs: &[f64]) -> Option<Vec<f64>> {
     let n = rhs.len();
     let a = Mat::from_fn(n, n, |i, j| matrix[i][j]);
     let b = Mat::from_fn(n, 1, |i, _| rhs[i]);
-    let factor = a.llt(faer::Side::Lower).ok()?;
-    let x = factor.solve(&b);
+    let x = Cholesky::new(&a)?.solve(&b);
     let x: Vec<f64> = (0..n).map(|i| x[(i, 0)]).collect();
     x.iter().all(|v| v.is_finite()).then_some(x)
 }
@@ -53,8 +52,8 @@ pub(super) fn cholesky(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     }
     // Of unit diagonal, so that units do not matter.
     let unit = |i: usize, j: usize| matrix[i][j] / (scale[i] * scale[j]) + if i == j { RIDGE } else { 0.0 };
-    let factor = Mat::from_fn(n, n, unit).llt(faer::Side::Lower).ok()?;
-    let lower = factor.L();
+    let factor = Cholesky::new(&Mat::from_fn(n, n, unit))?;
+    let lower = factor.lower();
     Some(
         (0..n)
             .map(|i| (0..n).map(|j| if j < i { 0.0 } else { lower[(j, i)] * scale[j] }).collect())
@@ -79,9 +78,7 @@ pub(super) fn eigenvalues(matrix: &[Vec<f64>]) -> Option<Vec<Complex64>> {
     if n == 0 {
         return Some(Vec::new());
     }
-    let a = Mat::from_fn(n, n, |i, j| matrix[i][j]);
-    let values = a.eigenvalues().ok()?;
-    let values: Vec<Complex64> = values.iter().map(|z| Complex64::new(z.re, z.im)).collect();
+    let values = decompose::eigenvalues(&Mat::from_fn(n, n, |i, j| matrix[i][j]))?;
     values.iter().all(|z| z.re.is_finite() && z.im.is_finite()).then_some(values)
 }
 

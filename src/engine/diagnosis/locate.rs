@@ -4,8 +4,8 @@
 //! repeats, then cancels on average instead of passing for gap. Without repeats the noise's power
 //! is taken off.
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::linear::{dot, rms};
 use super::noise::Noise;
@@ -146,7 +146,7 @@ pub(super) fn bands(
 
 /// Hann-windowed one-sided lines whose squares add up to the power of `n` samples.
 fn spectrum(x: &[f64], n: usize) -> Vec<Complex64> {
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let fft = RealFftPlanner::new().plan_fft_forward(n);
     let mean = x[..n].iter().sum::<f64>() / n as f64;
     let mut input: Vec<f64> = x[..n]
         .iter()

@@ -2,8 +2,8 @@
 //! shape that does as well as a straight line is a linear change, a sandwich whose first linear part
 //! passes the drive as it is, is a map of that drive, and friction that drives the rig is no friction.
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::candidate::{Candidate, INNER_KNOTS, Part, inner_signal, inner_spline};
 use super::effect::Family;
@@ -243,7 +243,7 @@ pub(super) fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64
 /// Power of the lines of a signal below a quarter of the sample rate, and the length that they are of.
 fn power_lines(x: &[f64]) -> (usize, Vec<f64>) {
     let n = fast_len(x.len());
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let fft = RealFftPlanner::new().plan_fft_forward(n);
     let mut input: Vec<f64> = x[..n]
         .iter()
         .enumerate()
@@ -257,9 +257,9 @@ fn power_lines(x: &[f64]) -> (usize, Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::effect::Effect;
-    use crate::engine::diagnosis::prepare::prepare;
-    use crate::engine::diagnosis::tests::rig::{friction, request};
+    use crate::diagnosis::effect::Effect;
+    use crate::diagnosis::prepare::prepare;
+    use crate::diagnosis::tests::rig::{friction, request};
 
     #[test]
     fn the_nearest_line_goes_through_points_on_one_and_is_level_where_nothing_moves() {

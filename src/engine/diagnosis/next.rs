@@ -366,10 +366,10 @@ fn stretch(problem: &Problem, proposal: &Proposal, noise: &Ar, band: [f64; 2]) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::candidate::{Candidate, Part};
-    use crate::engine::diagnosis::law::Law;
-    use crate::engine::diagnosis::prepare::prepare;
-    use crate::engine::diagnosis::tests::rig::{hardening, request};
+    use crate::diagnosis::candidate::{Candidate, Part};
+    use crate::diagnosis::law::Law;
+    use crate::diagnosis::prepare::prepare;
+    use crate::diagnosis::tests::rig::{hardening, request};
 
     #[test]
     fn either_effect_counts_as_the_true_one_by_its_probability_but_not_where_the_other_holds_it() {

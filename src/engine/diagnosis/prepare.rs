@@ -15,7 +15,7 @@ use super::rows::Rows;
 use super::seldom::{self, PLAIN_GAP};
 use super::split::{Piece, Split, in_quarters, quarter, split};
 use super::tolerance::Tolerance;
-use crate::engine::{EngineError, Signal};
+use crate::{EngineError, Signal};
 
 /// A request made ready.
 pub(super) struct Prepared {

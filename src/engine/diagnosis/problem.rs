@@ -3,7 +3,7 @@
 use std::ops::Deref;
 use std::sync::Arc;
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
 use super::core::Core;

@@ -11,7 +11,7 @@
 use std::sync::Arc;
 
 use realfft::num_complex::Complex64;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rigcast_numerics::fft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::ar::Ar;
 use super::linear::{dot, norm};

@@ -214,8 +214,8 @@ pub(super) fn may_be_equal(a: &[f64], b: &[f64], seed: u64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::prepare::prepare;
-    use crate::engine::diagnosis::tests::rig::{RATE, hardening, request};
+    use crate::diagnosis::prepare::prepare;
+    use crate::diagnosis::tests::rig::{RATE, hardening, request};
 
     #[test]
     fn what_remains_is_counted_above_the_noise() {

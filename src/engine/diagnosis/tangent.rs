@@ -456,13 +456,13 @@ mod tests {
     use realfft::num_complex::Complex64;
 
     use super::*;
-    use crate::engine::diagnosis::candidate::{Other, Part};
-    use crate::engine::diagnosis::core::Core;
-    use crate::engine::diagnosis::effect::Effect;
-    use crate::engine::diagnosis::input_map::InputMap;
-    use crate::engine::diagnosis::kernel::Clock;
-    use crate::engine::diagnosis::modes::Modes;
-    use crate::engine::diagnosis::output_map::OutputMap;
+    use crate::diagnosis::candidate::{Other, Part};
+    use crate::diagnosis::core::Core;
+    use crate::diagnosis::effect::Effect;
+    use crate::diagnosis::input_map::InputMap;
+    use crate::diagnosis::kernel::Clock;
+    use crate::diagnosis::modes::Modes;
+    use crate::diagnosis::output_map::OutputMap;
 
     /// A rig of order three with two drives and a run of it.
     fn rig() -> (Plant, Course) {

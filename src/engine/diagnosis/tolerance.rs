@@ -92,11 +92,11 @@ impl Candidate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::fitting::{Fitted, tolerant};
-    use crate::engine::diagnosis::linear::norm;
-    use crate::engine::diagnosis::prepare::prepare;
-    use crate::engine::diagnosis::tests::rig::{friction, none, request};
-    use crate::engine::diagnosis::{Input, Mode};
+    use crate::diagnosis::fitting::{Fitted, tolerant};
+    use crate::diagnosis::linear::norm;
+    use crate::diagnosis::prepare::prepare;
+    use crate::diagnosis::tests::rig::{friction, none, request};
+    use crate::diagnosis::{Input, Mode};
 
     fn of(effect: Effect, law: Option<Law>) -> Candidate {
         let part = law.map_or_else(Part::linear_change, |law| Part::force(effect, vec![law], None));

@@ -52,7 +52,7 @@ pub(super) fn exchange(prepared: &Prepared, fitted: &mut [(usize, Fitted)]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::law::Instant;
+    use crate::diagnosis::law::Instant;
 
     #[test]
     fn a_twin_pushes_alike() {

@@ -162,9 +162,9 @@ pub(super) fn judge(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::diagnosis::diagnose;
-    use crate::engine::diagnosis::tests::rig::{few, friction, request};
-    use crate::engine::progress::unwatched;
+    use crate::diagnosis::diagnose;
+    use crate::diagnosis::tests::rig::{few, friction, request};
+    use crate::progress::unwatched;
 
     #[test]
     fn an_effect_that_does_not_close_the_test_runs_is_identified_no_more() {

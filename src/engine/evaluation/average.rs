@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::compare::{ChannelFigures, DamageFigures, RunFigures};
-use crate::engine::metrics::geometric_mean;
+use crate::metrics::geometric_mean;
 
 /// Channels that are averaged together.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -5,12 +5,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::worst_span::{WorstSpan, worst_span};
-use crate::engine::fatigue::{
-    DamageChannel, DamageGroup, DamageRatio, DamageSettings, TargetDamage, damage_report,
-};
-use crate::engine::metrics::{ChannelErrors, errors_with_spectra};
-use crate::engine::spectral::Psd;
-use crate::engine::{EngineError, Signal};
+use crate::fatigue::{DamageChannel, DamageGroup, DamageRatio, DamageSettings, TargetDamage, damage_report};
+use crate::metrics::{ChannelErrors, errors_with_spectra};
+use crate::spectral::Psd;
+use crate::{EngineError, Signal};
 
 /// Settings of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::rounded;
-use crate::engine::spectral::Psd;
+use crate::rounded;
+use crate::spectral::Psd;
 
 /// Above this many lines in an octave, neighbouring lines are averaged.
 const PER_OCTAVE: f64 = 24.0;

@@ -3,14 +3,14 @@
 use std::f64::consts::TAU;
 
 use super::*;
-use crate::engine::Signal;
-use crate::engine::fatigue::{DamageGroup, DamageSettings};
+use crate::Signal;
+use crate::fatigue::{DamageGroup, DamageSettings};
 
 const SETTINGS: CompareSettings = CompareSettings {
     damage: DamageSettings {
         slope: 5.0,
         constant: 1e7,
-        residue: crate::engine::fatigue::Residue::Repeated,
+        residue: crate::fatigue::Residue::Repeated,
         directions: 50,
     },
     span_s: 1.0,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::Signal;
+use crate::Signal;
 
 /// The span and the channel with the largest error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

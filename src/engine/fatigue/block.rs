@@ -6,7 +6,7 @@
 //! after it; in noise a third of all ranges is such. Three passes leave about a sixth of the points to the
 //! stack. The cycles are the same, in another order.
 
-use crate::engine::simd::Simd;
+use crate::simd::Simd;
 
 /// Samples per block, small enough for the first-level cache.
 pub(super) const BLOCK: usize = 1024;
@@ -133,7 +133,7 @@ mod tests {
     use super::super::rainflow::Rainflow;
     use super::super::turning::{TurningPoint, turning_points};
     use super::*;
-    use crate::engine::simd::{Isa, Kernel, dispatch};
+    use crate::simd::{Isa, Kernel, dispatch};
     use proptest::prelude::*;
 
     /// Closed ranges and residue of `x`, sorted ranges: the order of closing is free.

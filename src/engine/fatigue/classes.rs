@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Most classes; bounds the from-to matrix at 65,536 numbers a signal.
 pub const MAX_CLASSES: usize = 256;

@@ -108,7 +108,7 @@ fn from_to(cycles: &[Cycle], classes: &Classes) -> FromTo {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::fatigue::ClassSettings;
+    use crate::fatigue::ClassSettings;
     use proptest::prelude::*;
 
     /// The history of ASTM E1049-85, figure 6.

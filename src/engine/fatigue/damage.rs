@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::block::{BLOCK, Block};
 use super::rainflow::{Residue, Stack};
-use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
-use crate::engine::{EngineError, first_not_finite};
+use crate::simd::{Isa, Kernel, Simd, dispatch};
+use crate::{EngineError, first_not_finite};
 
 /// Settings of a damage figure, which every answer repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -280,7 +280,7 @@ pub(super) fn finite(damage: f64, what: &'static str, channel: usize) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::fatigue::{Prefilter, Rainflow};
+    use crate::fatigue::{Prefilter, Rainflow};
     use proptest::prelude::*;
 
     fn settings(slope: f64, residue: Residue) -> DamageSettings {

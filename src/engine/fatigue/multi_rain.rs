@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use super::block::{BLOCK, Block};
 use super::damage::{DamageSettings, MinerSum, Power, WithPower, check_finite, finite, with_power};
-use crate::engine::EngineError;
-use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
+use crate::EngineError;
+use crate::simd::{Isa, Kernel, Simd, dispatch};
 
 /// The largest damage and its direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -321,7 +321,7 @@ mod tests {
 
     /// Noise without content above `share` of the sample rate, by its spectrum.
     fn band_limited(n: usize, share: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
-        let inverse = realfft::RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+        let inverse = rigcast_numerics::fft::RealFftPlanner::new().plan_fft_inverse(n);
         let mut spectrum = inverse.make_input_vec();
         for line in &mut spectrum[1..(share * n as f64) as usize] {
             line.re = rng.random_range(-1.0..1.0);

@@ -146,7 +146,7 @@ impl<P: Point> Stack<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::measured::shared_data;
+    use crate::measured::shared_data;
     use proptest::prelude::*;
 
     fn count(x: &[f64]) -> Rainflow {

@@ -9,7 +9,7 @@ use super::counts::{Counts, counts};
 use super::damage::{DamageRatio, DamageSettings, check_finite, damage_unchecked, finite};
 use super::multi_rain::multi_rain_unchecked;
 use super::rainflow::Residue;
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// One channel to report on.
 #[derive(Debug, Clone, Copy)]

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rigcast_numerics::fft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::Frf;
-use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
-use crate::engine::{EngineError, Signal, first_not_finite};
+use crate::simd::{Isa, Kernel, Simd, dispatch};
+use crate::{EngineError, Signal, first_not_finite};
 
 /// An FRF prepared for repeated use.
 ///
@@ -60,7 +60,7 @@ impl Frf {
         let taps = self.segment_len;
         // Four times the taps: a block's useful part is then three quarters of its transforms.
         let block = (4 * taps).next_power_of_two();
-        let mut planner = RealFftPlanner::<f64>::new();
+        let mut planner = RealFftPlanner::new();
         let to_taps = planner.plan_fft_inverse(taps);
         let (forward, inverse) = (planner.plan_fft_forward(block), planner.plan_fft_inverse(block));
         let scale = 1.0 / (taps as f64 * block as f64);

@@ -7,9 +7,9 @@ use super::data::{Data, means};
 use super::estimate::{Means, solve};
 use super::lines::Lines;
 use super::{Estimator, FrfFilter, FrfSettings};
-use crate::engine::progress::{Watch, report, within};
-use crate::engine::spectral::{Record, cross_spectra};
-use crate::engine::{EngineError, Signal};
+use crate::progress::{Watch, report, within};
+use crate::spectral::{Record, cross_spectra};
+use crate::{EngineError, Signal};
 
 /// Ridges tried when none is given.
 const RIDGES: [f64; 6] = [0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2];

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::engine::spectral::{Means, Record, Welch, same_shape};
-use crate::engine::{EngineError, Signal};
+use crate::spectral::{Means, Record, Welch, same_shape};
+use crate::{EngineError, Signal};
 
 /// A part of one run; the parts of an estimate belong together.
 #[derive(Debug, Clone)]

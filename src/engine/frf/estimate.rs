@@ -2,7 +2,7 @@
 
 use realfft::num_complex::Complex64;
 
-pub(super) use crate::engine::spectral::Means;
+pub(super) use crate::spectral::Means;
 
 use super::band::Band;
 use super::choose::choose;
@@ -11,9 +11,9 @@ use super::lines::Lines;
 use super::quality::{MAX_CONDITION, degrees};
 use super::warnings::random_error;
 use super::{Estimator, Frf, FrfQuality, FrfSettings};
-use crate::engine::progress::{Progress, Watch, report};
-use crate::engine::spectral::cross_spectra;
-use crate::engine::{EngineError, Signal};
+use crate::progress::{Progress, Watch, report};
+use crate::spectral::cross_spectra;
+use crate::{EngineError, Signal};
 
 /// An estimated FRF and its quality.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,11 +5,12 @@ use std::ops::Range;
 use faer::Mat;
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose::thin_svd;
 
 use super::band::{fade, tapers};
 use super::quality::median;
 use super::{Frf, FrfQuality};
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Ridge of an inverse when the request gives none. It bounds the inverse of one drive at every line to
 /// `1 / (2 sqrt ridge)`, 16 times the reciprocal of the FRF's median gain.
@@ -120,21 +121,17 @@ impl FrfInverse {
         let nothing = || vec![Complex64::default(); nx * ny];
         let Some((edge, share)) = self.nearest(line) else { return nothing() };
         let scaled: Vec<Complex64> = self.scaled(frf, edge).collect();
-        let Ok(svd) = Mat::from_fn(ny, nx, |o, i| scaled[o * nx + i]).thin_svd() else {
+        let Some((u, singular, v)) = thin_svd(&Mat::from_fn(ny, nx, |o, i| scaled[o * nx + i])) else {
             return vec![Complex64::new(f64::NAN, 0.0); nx * ny];
         };
-        let singular: Vec<f64> = svd.S().column_vector().iter().map(|s| s.re).collect();
         let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
         let weight = |s: f64| if s > floor { s / (s * s + self.ridge * self.level) } else { 0.0 };
         let weights: Vec<f64> = singular.into_iter().map(weight).collect();
         let mut inverse = nothing();
         for (i, inverse) in inverse.chunks_mut(ny).enumerate() {
             for (o, inverse) in inverse.iter_mut().enumerate() {
-                let sum: Complex64 = weights
-                    .iter()
-                    .enumerate()
-                    .map(|(k, w)| svd.V()[(i, k)] * svd.U()[(o, k)].conj() * w)
-                    .sum();
+                let sum: Complex64 =
+                    weights.iter().enumerate().map(|(k, w)| v[(i, k)] * u[(o, k)].conj() * w).sum();
                 *inverse = sum * (share * self.column[i] * self.row[o]);
             }
         }

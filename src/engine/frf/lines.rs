@@ -6,13 +6,14 @@
 
 use std::sync::OnceLock;
 
-use faer::{Mat, Side};
+use faer::Mat;
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose::hermitian_eigen;
 
 use super::band::Band;
-use crate::engine::EngineError;
-use crate::engine::spectral::CrossSpectra;
+use crate::EngineError;
+use crate::spectral::CrossSpectra;
 
 /// Below this share of the largest eigenvalue an eigenvalue is rounding, not excitation.
 const ROUNDING: f64 = 1e-10;
@@ -251,13 +252,12 @@ fn decompose(spectra: &CrossSpectra, scale: &[f64], line: usize) -> Result<Line,
         (vec![sxx[0].re / (scale[0] * scale[0])], vec![Complex64::new(1.0, 0.0)])
     } else {
         let scaled = Mat::from_fn(nx, nx, |i, j| sxx[i * nx + j] / (scale[i] * scale[j]));
-        let eigen = scaled.self_adjoint_eigen(Side::Lower).map_err(|_| EngineError::NonFiniteResult {
+        let (values, vectors) = hermitian_eigen(&scaled).ok_or(EngineError::NonFiniteResult {
             what: "eigenvalue of S_xx",
             channel: 0,
             sample: line,
         })?;
-        let vectors = (0..nx * nx).map(|at| eigen.U()[(at / nx, at % nx)]).collect();
-        (eigen.S().column_vector().iter().map(|e| e.re).collect(), vectors)
+        (values, (0..nx * nx).map(|at| vectors[(at / nx, at % nx)]).collect())
     };
     let projected = (0..ny * nx)
         .map(|at| {

@@ -1,7 +1,7 @@
 //! Quality figures of an estimated FRF. They are stored with the model and shown to its users.
 
 use super::{Estimator, Frf, FrfSettings};
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Condition numbers are given up to this: beyond it `S_xx` is singular to the precision of numbers.
 pub const MAX_CONDITION: f64 = 1e15;

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
-use crate::engine::spectral::{Detrend, Welch};
+use crate::EngineError;
+use crate::spectral::{Detrend, Welch};
 
 /// The estimator of `H` from averaged spectra.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -7,9 +7,9 @@ use realfft::num_complex::Complex64;
 
 use super::linear::Linear;
 use super::{IterationSettings, Problem};
-use crate::engine::frf::{Frf, FrfInverse};
-use crate::engine::spectral::{Detrend, Welch, psd};
-use crate::engine::{EngineError, Signal};
+use crate::frf::{Frf, FrfInverse};
+use crate::spectral::{Detrend, Welch, psd};
+use crate::{EngineError, Signal};
 
 /// Third-octave bands, but none narrower than this many lines.
 const NARROWEST: usize = 8;

@@ -1,7 +1,7 @@
 //! What a drive may not do: leave its limits, or what the model was fitted on.
 
 use super::{DriveLimit, Outside};
-use crate::engine::model::InputRange;
+use crate::model::InputRange;
 
 /// Share of what lies beyond the training range that one iteration takes back.
 const TAKEN_BACK: f64 = 0.5;

@@ -5,10 +5,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::frf::{Frf, FrfQuality, FrfSettings, estimate};
-use crate::engine::model::{InputRange, Predictor, Preprocess};
-use crate::engine::progress::Watch;
-use crate::engine::{EngineError, Signal};
+use crate::frf::{Frf, FrfQuality, FrfSettings, estimate};
+use crate::model::{InputRange, Predictor, Preprocess};
+use crate::progress::Watch;
+use crate::{EngineError, Signal};
 
 /// Samples of a segment of the estimate.
 const SEGMENT_LEN: usize = 2048;

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
-use crate::engine::fatigue::DamageSettings;
-use crate::engine::frf::DEFAULT_RIDGE;
+use crate::EngineError;
+use crate::fatigue::DamageSettings;
+use crate::frf::DEFAULT_RIDGE;
 
 /// Most iterations of one search.
 pub const MAX_ITERATIONS: usize = 200;

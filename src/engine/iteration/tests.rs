@@ -8,10 +8,10 @@ use rand_distr::StandardNormal;
 use realfft::num_complex::Complex64;
 
 use super::*;
-use crate::engine::frf::Frf;
-use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
-use crate::engine::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
-use crate::engine::progress::unwatched;
+use crate::frf::Frf;
+use crate::lstm::{LstmBlock, LstmNet, Recombine};
+use crate::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use crate::progress::unwatched;
 
 const FS: f64 = 200.0;
 const SAMPLES: usize = 4000;

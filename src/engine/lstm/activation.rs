@@ -6,7 +6,7 @@
 //! Both are within 2e-7 of the exact value. Damage grows with the fifth power of an amplitude, so a
 //! larger error would show in it.
 
-use crate::engine::simd::Simd;
+use crate::simd::Simd;
 
 /// Factor of a sigmoid's argument, `-log2(e)`.
 pub(super) const SIGMOID_SCALE: f32 = -std::f32::consts::LOG2_E;
@@ -75,8 +75,8 @@ pub(super) fn output<S: Simd>(s: S, o: S::V, c: S::V) -> S::V {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::simd::Isa;
-    use crate::engine::simd::{Kernel, LANES, Lanes, dispatch};
+    use crate::simd::Isa;
+    use crate::simd::{Kernel, LANES, Lanes, dispatch};
 
     /// Sigmoid, tanh and `sigmoid(a) * tanh(b)` at sixteen places.
     struct At(Lanes, Lanes);

@@ -8,7 +8,7 @@ use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
 use super::product::{Steps, outer, pack, product};
-use crate::engine::simd::{Kernel, LANES, Lanes, Simd};
+use crate::simd::{Kernel, LANES, Lanes, Simd};
 
 /// Kept per cell and step: gates i, f, g, o, the cell state and its tanh.
 const KEPT: usize = 6;
@@ -385,8 +385,8 @@ mod tests {
     use super::super::reference::Twin;
     use super::super::samples::noise;
     use super::*;
-    use crate::engine::simd::Isa;
-    use crate::engine::simd::dispatch;
+    use crate::simd::Isa;
+    use crate::simd::dispatch;
 
     /// Planar signals as the twin takes them.
     fn steps(x: &[Vec<f32>], start: usize, len: usize) -> Vec<Vec<f64>> {

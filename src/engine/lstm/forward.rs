@@ -4,7 +4,7 @@
 use super::activation::{SIGMOID_SCALE, TANH_SCALE, output, state};
 use super::params::{BlockShape, GATES, Shape};
 use super::product::{pack, product};
-use crate::engine::simd::{Kernel, Lanes, Simd};
+use crate::simd::{Kernel, Lanes, Simd};
 
 /// Factors of the activations that are folded into the weights, in gate order.
 pub(super) const GATE_SCALE: [f32; GATES] = [SIGMOID_SCALE, SIGMOID_SCALE, TANH_SCALE, SIGMOID_SCALE];

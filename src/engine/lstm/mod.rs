@@ -7,7 +7,7 @@
 //! The networks are tiny (39 cells), so the layout decides the speed: one lane of a vector is one
 //! window (`forward`), or one cell where the state is carried through a signal (`stream`). The
 //! kernels are written once over a trait of vector operations and run on the best instruction set of
-//! the machine ([`Isa`](crate::engine::simd::Isa)).
+//! the machine ([`Isa`](crate::simd::Isa)).
 
 mod activation;
 mod bptt;

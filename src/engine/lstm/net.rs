@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// One block of memory cells (Heindel et al., section 2.2.1). Gate order in the first axis of
 /// every tensor is PyTorch's: input (the paper's *store*), forget, cell (*in*), output.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::settings::{Optimizer, Schedule};
-use crate::engine::checkpoint::floats;
+use crate::checkpoint::floats;
 
 /// RMSProp's decay rate, Keras' default.
 const RHO: f32 = 0.9;

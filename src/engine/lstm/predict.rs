@@ -9,10 +9,10 @@ use super::net::LstmNet;
 use super::params::{Shape, flatten};
 use super::settings::Recombine;
 use super::stream::{Stream, StreamState, StreamWeights};
-use crate::engine::EngineError;
-use crate::engine::progress::{Watch, report, unwatched};
-use crate::engine::simd::{Isa, LANES, Lanes, dispatch};
-use crate::engine::windowing::{Weights, Windows, check_window};
+use crate::EngineError;
+use crate::progress::{Watch, report, unwatched};
+use crate::simd::{Isa, LANES, Lanes, dispatch};
+use crate::windowing::{Weights, Windows, check_window};
 
 /// Length of the pre-roll before a stream, in windows; the first value is held in it.
 const PRE_ROLL_WINDOWS: usize = 2;
@@ -34,7 +34,7 @@ const STEPS_PER_LOOK: usize = 4096;
 /// Predicts a whole signal from standardised planar inputs `[channel][sample]` of one sample or more.
 /// Returns `[output][sample]`, standardised.
 ///
-/// [`Recombine::Welch`] is Heindel et al., section 2.2.2 (see [`crate::engine::windowing`]);
+/// [`Recombine::Welch`] is Heindel et al., section 2.2.2 (see [`crate::windowing`]);
 /// [`Recombine::Stream`] carries the state through the signal after a pre-roll of `2 * window_len`
 /// samples in which the first value is held. The result depends on the arguments and the instruction set only, bit for bit.
 ///
@@ -479,7 +479,7 @@ mod tests {
         let x = noise(2, 4 * STEPS_PER_LOOK, 8);
         for way in [Recombine::Welch, Recombine::Stream] {
             let looks = AtomicUsize::new(0);
-            let third = |_: crate::engine::Progress<'_>| match looks.fetch_add(1, Ordering::Relaxed) {
+            let third = |_: crate::Progress<'_>| match looks.fetch_add(1, Ordering::Relaxed) {
                 2.. => ControlFlow::Break(()),
                 _ => ControlFlow::Continue(()),
             };

@@ -1,6 +1,6 @@
 //! The two matrix products that take most of a network's time, blocked for registers.
 
-use crate::engine::simd::{Columns, Lanes, Simd};
+use crate::simd::{Columns, Lanes, Simd};
 
 /// `R` rows of weights times step vectors of `NV * 16` windows.
 ///
@@ -161,8 +161,8 @@ fn tile<S: Simd, const R: usize, const C: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::simd::Isa;
-    use crate::engine::simd::{Kernel, LANES, dispatch};
+    use crate::simd::Isa;
+    use crate::simd::{Kernel, LANES, dispatch};
 
     /// Values that differ everywhere, in +-1.
     fn lanes(n: usize, phase: f32) -> Vec<Lanes> {

@@ -3,7 +3,7 @@
 use super::net::LstmNet;
 use super::params::{GATES, Shape, flatten};
 use super::settings::Recombine;
-use crate::engine::windowing::welch10;
+use crate::windowing::welch10;
 
 /// `[step][channel]`.
 pub(super) type Steps = Vec<Vec<f64>>;

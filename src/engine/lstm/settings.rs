@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
-use crate::engine::windowing::check_window;
+use crate::EngineError;
+use crate::windowing::check_window;
 
 /// Optimiser of the weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::optimizer::Descent;
 use super::train::EpochRecord;
-use crate::engine::checkpoint::floats;
+use crate::checkpoint::floats;
 
 /// The state of a training after a mini-batch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

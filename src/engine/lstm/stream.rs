@@ -3,7 +3,7 @@
 use super::activation::{output, state};
 use super::forward::GATE_SCALE;
 use super::params::{GATES, Shape};
-use crate::engine::simd::{Kernel, LANES, Lanes, Simd};
+use crate::simd::{Kernel, LANES, Lanes, Simd};
 
 /// Weights for one lane a cell.
 pub(super) struct StreamWeights {

@@ -10,9 +10,9 @@ use super::params::{Shape, flatten};
 use super::predict::{predict_on, run_windows};
 use super::samples::{distance, std_of};
 use super::settings::Recombine;
-use crate::engine::progress::unwatched;
-use crate::engine::simd::Isa;
-use crate::engine::simd::{LANES, dispatch};
+use crate::progress::unwatched;
+use crate::simd::Isa;
+use crate::simd::{LANES, dispatch};
 
 /// Tolerance relative to an output's standard deviation, for the rounding of `f32` sums of 50 products.
 const FORWARD: f64 = 1e-5;
@@ -20,7 +20,7 @@ const FORWARD: f64 = 1e-5;
 const GRADIENT: f64 = 1e-4;
 
 fn read(name: &str) -> Vec<u8> {
-    let path = format!("{}/tests/vectors/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
+    let path = format!("{}/../../tests/vectors/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
     std::fs::read(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
 }
 

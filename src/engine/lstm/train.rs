@@ -14,11 +14,11 @@ use super::predict::check_channels;
 use super::settings::{HybridStart, LstmSettings, WindowOffset};
 use super::state::State;
 use super::validate::Scored;
-use crate::engine::checkpoint::CheckpointStore;
-use crate::engine::progress::report;
-use crate::engine::simd::Isa;
-use crate::engine::simd::{LANES, dispatch};
-use crate::engine::{EngineError, Watch};
+use crate::checkpoint::CheckpointStore;
+use crate::progress::report;
+use crate::simd::Isa;
+use crate::simd::{LANES, dispatch};
+use crate::{EngineError, Watch};
 
 /// Standardised inputs and outputs of one run, planar `[channel][sample]`.
 #[derive(Debug, Clone, PartialEq)]

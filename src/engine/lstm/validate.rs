@@ -6,9 +6,9 @@ use super::forward::{Packed, State};
 use super::predict::run_windows;
 use super::settings::LstmSettings;
 use super::train::Segment;
-use crate::engine::EngineError;
-use crate::engine::simd::Isa;
-use crate::engine::simd::LANES;
+use crate::EngineError;
+use crate::simd::Isa;
+use crate::simd::LANES;
 
 /// Windows that score each sample of the validation data once, after a burn-in of context.
 pub(super) struct Scored<'a> {

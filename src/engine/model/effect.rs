@@ -4,9 +4,9 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::diagnosis::Augmented;
-use crate::engine::progress::{Watch, report, unwatched};
-use crate::engine::{EngineError, Signal};
+use crate::diagnosis::Augmented;
+use crate::progress::{Watch, report, unwatched};
+use crate::{EngineError, Signal};
 
 /// Most effects that a model may have.
 pub(super) const MAX_EFFECTS: usize = 16;
@@ -110,10 +110,10 @@ mod tests {
     use realfft::num_complex::Complex64;
 
     use super::*;
-    use crate::engine::diagnosis::tests::rig::{RATE, hardening, noise_drive, request};
-    use crate::engine::diagnosis::{Effect, Input, diagnose};
-    use crate::engine::frf::Frf;
-    use crate::engine::model::{
+    use crate::diagnosis::tests::rig::{RATE, hardening, noise_drive, request};
+    use crate::diagnosis::{Effect, Input, diagnose};
+    use crate::frf::Frf;
+    use crate::model::{
         InputRange, ModelKind, Predictor, Preprocess, RigModel, VersionKind, from_safetensors, to_safetensors,
     };
 

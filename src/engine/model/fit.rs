@@ -6,11 +6,11 @@ use super::fit_report::{Comparison, FitReport, SeedReport};
 use super::score::{self, SectionScore};
 use super::split::{Section, Sections};
 use super::{FitSettings, ModelKind, Preprocess, RigModel};
-use crate::engine::checkpoint::{CheckpointStore, NoCheckpoints};
-use crate::engine::frf::{self, RunPart};
-use crate::engine::lstm::{LstmSettings, Recombine};
-use crate::engine::progress::report;
-use crate::engine::{EngineError, Progress, Watch};
+use crate::checkpoint::{CheckpointStore, NoCheckpoints};
+use crate::frf::{self, RunPart};
+use crate::lstm::{LstmSettings, Recombine};
+use crate::progress::report;
+use crate::{EngineError, Progress, Watch};
 
 /// Share of a fit's time that each FRF estimate is shown to take when an LSTM follows.
 const FRF_SHARE: f64 = 0.03;

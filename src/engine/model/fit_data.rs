@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use super::split::{FitSplit, RunLengths, Section, Sections, own_frf_sections};
 use super::{FitSettings, InputRange, ModelKind, Preprocess};
-use crate::engine::{EngineError, Signal};
+use crate::{EngineError, Signal};
 
 /// One run, split into the model's inputs and outputs; equally long, one sample rate.
 #[derive(Debug, Clone, PartialEq)]

@@ -12,9 +12,9 @@ use super::score::{self, with_context};
 use super::split::Section;
 use super::start::{continued, start};
 use super::{LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
-use crate::engine::checkpoint::CheckpointStore;
-use crate::engine::lstm::{self, LstmNet, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
-use crate::engine::{EngineError, Progress, Signal, Watch};
+use crate::checkpoint::CheckpointStore;
+use crate::lstm::{self, LstmNet, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
+use crate::{EngineError, Progress, Signal, Watch};
 
 /// The checkpoints and the progress of a network's training.
 pub(super) struct Course<'a> {

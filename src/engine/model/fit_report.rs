@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::score::SectionScore;
 use super::split::SplitRule;
 use super::{Preprocess, Task};
-use crate::engine::frf::FrfSettings;
-use crate::engine::lstm::{LstmSettings, Recombine, Trained};
+use crate::frf::FrfSettings;
+use crate::lstm::{LstmSettings, Recombine, Trained};
 
 /// The outcome of a fit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

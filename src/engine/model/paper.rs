@@ -7,19 +7,17 @@ use safetensors::{Dtype, SafeTensors};
 
 use super::tests::{data, settings};
 use super::*;
-use crate::engine::checkpoint::NoCheckpoints;
-use crate::engine::frf::Estimator;
-use crate::engine::lstm::{
-    HybridStart, LstmBlock, LstmSettings, RecombineChoice, Segment, Trained, Until, train,
-};
-use crate::engine::progress::unwatched;
+use crate::checkpoint::NoCheckpoints;
+use crate::frf::Estimator;
+use crate::lstm::{HybridStart, LstmBlock, LstmSettings, RecombineChoice, Segment, Trained, Until, train};
+use crate::progress::unwatched;
 
 /// A training that Keras did.
 struct Keras(Vec<u8>);
 
 impl Keras {
     fn read(name: &str) -> Self {
-        let path = format!("{}/tests/vectors/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
+        let path = format!("{}/../../tests/vectors/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
         Self(std::fs::read(&path).unwrap_or_else(|e| panic!("{path}: {e}")))
     }
 

@@ -18,11 +18,11 @@ use rayon::prelude::*;
 
 use super::trust::{self, BandWatch, Trust};
 use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
-use crate::engine::frf::FrfFilter;
-use crate::engine::lstm::{self, Recombine, Streaming};
-use crate::engine::progress::{Progress, Watch, report, unwatched};
-use crate::engine::windowing::check_window;
-use crate::engine::{EngineError, Signal};
+use crate::frf::FrfFilter;
+use crate::lstm::{self, Recombine, Streaming};
+use crate::progress::{Progress, Watch, report, unwatched};
+use crate::windowing::check_window;
+use crate::{EngineError, Signal};
 
 /// Most samples of a piece.
 const PIECE_SAMPLES: usize = 1 << 18;

@@ -1,10 +1,10 @@
 //! The filter stored with a model: the same for fit and prediction.
 
 use rayon::prelude::*;
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::{EngineError, Signal, first_not_finite, rounded};
+use crate::{EngineError, Signal, first_not_finite, rounded};
 
 /// Zero-phase filters over a whole signal, by FFT. Both may be set.
 ///
@@ -93,7 +93,7 @@ impl Preprocess {
         let ring_down = (4.0 / SLOPE * x.sample_rate_hz() / lowest_hz).ceil();
         let pad = if ring_down < n as f64 { ring_down as usize } else { n };
         let total = (n + 2 * pad).next_power_of_two();
-        let mut planner = RealFftPlanner::<f64>::new();
+        let mut planner = RealFftPlanner::new();
         let (forward, inverse) = (planner.plan_fft_forward(total), planner.plan_fft_inverse(total));
         let gains: Vec<f64> = (0..=total / 2)
             .map(|line| self.gain(line as f64 * x.sample_rate_hz() / total as f64) / total as f64)

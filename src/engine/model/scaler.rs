@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::engine::Signal;
+use crate::Signal;
 
 /// Mean and standard deviation per channel: `z = (v - mean) / std`.
 #[derive(Debug, Clone, PartialEq)]

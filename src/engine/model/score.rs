@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::fit_data::FitData;
 use super::split::Section;
 use super::{Preprocess, RigModel};
-use crate::engine::{EngineError, Signal};
+use crate::{EngineError, Signal};
 
 /// Samples before a scored section that a model sees, so that it is not scored on its start: several
 /// ring-downs of any rig at its usual sample rate.

@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::preprocess::Preprocess;
 use super::{LstmPart, ModelKind};
-use crate::engine::EngineError;
-use crate::engine::frf::{Estimator, FrfSettings};
-use crate::engine::lstm::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
+use crate::EngineError;
+use crate::frf::{Estimator, FrfSettings};
+use crate::lstm::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
 
 /// The source of values that a request leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -9,7 +9,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{LstmPart, ModelKind, Scaler};
-use crate::engine::lstm::{HybridStart, LstmNet, LstmSettings};
+use crate::lstm::{HybridStart, LstmNet, LstmSettings};
 
 /// Size of the copied signal inside the cells, in standard deviations: `tanh` bends three of them
 /// by less than 1 % twice.
@@ -110,8 +110,8 @@ pub(super) fn continued(part: &LstmPart, x: &Scaler, y: &Scaler) -> LstmNet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::lstm::{Recombine, predict};
-    use crate::engine::model::{LstmOptions, Preset, Task};
+    use crate::lstm::{Recombine, predict};
+    use crate::model::{LstmOptions, Preset, Task};
 
     fn settings(blocks: Vec<usize>, kind: ModelKind) -> LstmSettings {
         let options = LstmOptions { blocks: Some(blocks), ..LstmOptions::default() };

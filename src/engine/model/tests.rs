@@ -9,9 +9,9 @@ use rand_distr::{Distribution, StandardNormal};
 use realfft::num_complex::Complex64;
 
 use super::*;
-use crate::engine::frf::{FrfQuality, FrfSettings};
-use crate::engine::lstm;
-use crate::engine::progress::{Progress, unwatched};
+use crate::frf::{FrfQuality, FrfSettings};
+use crate::lstm;
+use crate::progress::{Progress, unwatched};
 
 const FS: f64 = 100.0;
 

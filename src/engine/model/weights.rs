@@ -17,10 +17,10 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::MAX_EFFECTS;
 use super::{AddedEffect, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind};
-use crate::engine::EngineError;
-use crate::engine::frf::{Frf, FrfQuality, FrfSettings};
-use crate::engine::lstm::{LstmBlock, LstmNet, Recombine};
-use crate::engine::wording::plain;
+use crate::EngineError;
+use crate::frf::{Frf, FrfQuality, FrfSettings};
+use crate::lstm::{LstmBlock, LstmNet, Recombine};
+use crate::wording::plain;
 
 /// Version of names and meanings in the file.
 const SCHEMA: u32 = 1;

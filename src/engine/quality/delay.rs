@@ -7,13 +7,13 @@
 
 use std::io;
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::FALSE_ALARM;
 use super::excerpt::spread;
-use crate::engine::Samples;
-use crate::engine::spectral::{Detrend, Means, Record, Welch, cross_spectra};
+use crate::Samples;
+use crate::spectral::{Detrend, Means, Record, Welch, cross_spectra};
 
 /// Longest segment of the spectra; the delay is sought up to a quarter of it, beyond which the window hides it.
 const SEGMENT: usize = 4096;
@@ -200,7 +200,7 @@ impl Sums {
 
 /// Magnitude of the analytic signal, `len` samples, whose spectrum above DC and below Nyquist is given.
 fn envelope(spectrum: &[Complex64], len: usize) -> Vec<f64> {
-    let inverse = RealFftPlanner::<f64>::new().plan_fft_inverse(len);
+    let inverse = RealFftPlanner::new().plan_fft_inverse(len);
     let turned = |by: Complex64| -> Vec<f64> {
         let mut input: Vec<Complex64> = spectrum.iter().map(|z| z * by).collect();
         let mut output = inverse.make_output_vec();

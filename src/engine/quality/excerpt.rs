@@ -3,7 +3,7 @@
 use std::io;
 use std::ops::Range;
 
-use crate::engine::Samples;
+use crate::Samples;
 
 /// Samples of one excerpt.
 const LEN: usize = 4096;

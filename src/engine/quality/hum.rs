@@ -11,8 +11,8 @@ use std::io;
 use serde::{Deserialize, Serialize};
 
 use super::excerpt::spread;
-use crate::engine::Samples;
-use crate::engine::spectral::{Detrend, Welch, psd_of_parts};
+use crate::Samples;
+use crate::spectral::{Detrend, Welch, psd_of_parts};
 
 /// Segments: at most so many, and no fewer than [`FEWEST`], below which constant and scattered power cannot be told apart.
 const MOST: usize = 32;

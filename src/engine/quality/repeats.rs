@@ -6,11 +6,11 @@
 
 use std::io;
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::SHORTEST;
 use super::excerpt::spread;
-use crate::engine::Samples;
+use crate::Samples;
 
 /// Longest period that is sought, samples; half the run if it is shorter.
 pub const LONGEST_PERIOD: usize = 1 << 21;
@@ -116,7 +116,7 @@ fn candidates(samples: &mut impl Samples, channel: usize) -> io::Result<Vec<usiz
         return Ok(Vec::new());
     }
     let size = (4 * len).next_power_of_two();
-    let mut planner = RealFftPlanner::<f64>::new();
+    let mut planner = RealFftPlanner::new();
     let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
     let transformed = |values: &[f64]| {
         let (mut input, mut output) = (forward.make_input_vec(), forward.make_output_vec());

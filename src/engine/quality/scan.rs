@@ -5,8 +5,8 @@ use std::io;
 use super::dropouts::{Dropouts, SpanFinder};
 use super::spikes::{SpikeFinder, Spikes};
 use super::{Excerpts, SHORTEST};
-use crate::engine::Samples;
-use crate::engine::samples::each_block;
+use crate::Samples;
+use crate::samples::each_block;
 
 /// Samples of another channel that are read to see whether it rests too.
 const LOOKED_AT: usize = 256;

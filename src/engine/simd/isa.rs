@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Environment variable that names an instruction set: `portable`, `avx2` or `avx512`.
 pub const ISA_VARIABLE: &str = "RIGCAST_ISA";

@@ -6,7 +6,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::{Isa, Kernel, LANES, Simd, dispatch};
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Multiply-adds per accumulator and measurement; a few milliseconds a thread.
 const ROUNDS: usize = 1 << 20;

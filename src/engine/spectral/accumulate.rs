@@ -4,11 +4,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
+use rigcast_numerics::fft::{RealFftPlanner, RealToComplex};
 
 use super::{Detrend, Welch, hann};
-use crate::engine::EngineError;
-use crate::engine::simd::{Isa, Kernel, Simd, dispatch};
+use crate::EngineError;
+use crate::simd::{Isa, Kernel, Simd, dispatch};
 
 /// Channels of one run, equally long.
 pub(super) type Source<'a> = Vec<&'a [f64]>;
@@ -60,7 +60,7 @@ pub(super) fn accumulate(
         runs.iter().map(|run| welch.effective_averages(welch.n_segments(n_samples(run)))).sum();
 
     let spare = Mutex::new(Vec::new());
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(len);
+    let fft = RealFftPlanner::new().plan_fft_forward(len);
     let averaging =
         Averaging { isa: Isa::of_process()?, spare, runs, offsets, welch, pairs, window: &hann(len), fft };
     let tiles = welch.n_lines().div_ceil(TILE);

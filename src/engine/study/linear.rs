@@ -3,16 +3,16 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
-use crate::engine::checkpoint::CheckpointStore;
-use crate::engine::frf::Frf;
-use crate::engine::model::{
+use crate::checkpoint::CheckpointStore;
+use crate::frf::Frf;
+use crate::model::{
     FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Preprocess, Preset, RigModel, Squares,
     Task, train_for,
 };
-use crate::engine::{EngineError, Signal, Watch};
+use crate::{EngineError, Signal, Watch};
 
 /// Noise files: uncorrelated channels, white to a corner, then a PSD that falls as 1/f to an end; each channel of
 /// each file has a mean and an amplitude (three standard deviations) of its own.
@@ -60,7 +60,7 @@ impl NoiseFiles {
 
     /// Noise of standard deviation 1: given line amplitudes, drawn phases.
     fn noise(&self, n: usize, sample_rate_hz: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
-        let inverse = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+        let inverse = RealFftPlanner::new().plan_fft_inverse(n);
         let mut spectrum = inverse.make_input_vec();
         // The lines at zero and half the sample rate stay zero.
         for (k, line) in spectrum.iter_mut().enumerate().take(n.div_ceil(2)).skip(1) {
@@ -156,9 +156,9 @@ pub fn mean_rms(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::checkpoint::NoCheckpoints;
-    use crate::engine::progress::unwatched;
-    use crate::engine::spectral::{Detrend, Welch, psd};
+    use crate::checkpoint::NoCheckpoints;
+    use crate::progress::unwatched;
+    use crate::spectral::{Detrend, Welch, psd};
 
     /// A first-order low pass of gain 2, as an FRF.
     fn low_pass() -> Frf {

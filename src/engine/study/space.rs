@@ -4,9 +4,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
-use crate::engine::lstm::{MAX_BATCH, MAX_BLOCKS, MAX_CELLS, MAX_WINDOW_LEN};
-use crate::engine::model::{LstmOptions, ModelKind};
+use crate::EngineError;
+use crate::lstm::{MAX_BATCH, MAX_BLOCKS, MAX_CELLS, MAX_WINDOW_LEN};
+use crate::model::{LstmOptions, ModelKind};
 
 /// Most values in a list.
 pub const MAX_CHOICES: usize = 16;

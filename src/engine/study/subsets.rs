@@ -6,8 +6,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::engine::EngineError;
-use crate::engine::model::{FitData, FitSplit, Pair, Section};
+use crate::EngineError;
+use crate::model::{FitData, FitSplit, Pair, Section};
 
 /// Most blocks of a pool.
 const MAX_BLOCKS: usize = 64;
@@ -108,7 +108,7 @@ impl Pool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Signal;
+    use crate::Signal;
 
     /// A run whose samples are their own numbers, from `from` on.
     fn run(from: usize, n: usize) -> Pair {
@@ -118,7 +118,7 @@ mod tests {
 
     fn pool() -> Pool {
         let data = FitData::of_training(vec![run(0, 1050), run(2000, 700), run(5000, 300)]);
-        let held_out = data.sections(crate::engine::model::ModelKind::Lstm, 64).comparison;
+        let held_out = data.sections(crate::model::ModelKind::Lstm, 64).comparison;
         Pool::new(data, &held_out, 100).unwrap()
     }
 

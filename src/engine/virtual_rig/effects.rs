@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Largest strength of an effect: three times the drawn bench, still a machine that stands.
 pub const MAX_STRENGTH: f64 = 3.0;

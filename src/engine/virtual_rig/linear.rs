@@ -1,7 +1,8 @@
 //! The exact FRF of the bench's linear part.
 
-use faer::{Mat, prelude::Solve};
+use faer::Mat;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose;
 
 use super::integrate::SUBSTEPS;
 use super::plant::{Plant, State, row};
@@ -48,7 +49,7 @@ impl VirtualRig {
                     diagonal - phi[j][i]
                 });
                 let excited = Mat::from_fn(ORDER, 3, |i, drive| z * to[drive][i] + from[drive][i]);
-                let states = resolvent.partial_piv_lu().solve(&excited);
+                let states = decompose::solve(&resolvent, &excited);
                 std::array::from_fn(|response| {
                     std::array::from_fn(|drive| {
                         (0..ORDER).map(|j| states[(j, drive)] * seen[j][response]).sum()

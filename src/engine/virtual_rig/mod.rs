@@ -70,7 +70,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::engine::{EngineError, Signal};
+use crate::{EngineError, Signal};
 use integrate::SUBSTEPS;
 use plant::{Plant, Vec3};
 

@@ -8,7 +8,7 @@ use super::drives::{
     MAX_DURATION_S, MIN_DURATION_S, MixedNoise, NoiseRegion, SERVICE_OFFSET_KN, ServiceLoad, ServiceShape,
     Sine, Sweep, check, draw_stretches, linear_noise, mixed_noise, service_load, sine, stitched, sweep,
 };
-use crate::engine::{EngineError, RunKind, Signal, Split};
+use crate::{EngineError, RunKind, Signal, Split};
 
 /// One run to make on the bench.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,8 +2,8 @@ use std::f64::consts::TAU;
 
 use super::*;
 use crate::engine::Signal;
-use crate::engine::measured::shared_data;
 use crate::formats::tests::Pieces;
+use crate::measured::shared_data;
 
 /// A file from key words and numbers, as another program may write it.
 fn file(records: &[(&str, &str)], data: &[u8]) -> Vec<u8> {

@@ -1,6 +1,6 @@
 use super::*;
-use crate::engine::measured::shared_data;
 use crate::formats::tests::Pieces;
+use crate::measured::shared_data;
 
 /// A data set 58 as a program may write it.
 #[derive(Clone)]

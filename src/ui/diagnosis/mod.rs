@@ -7,6 +7,10 @@ mod labels;
 mod location;
 mod names;
 mod remaining;
+#[cfg(test)]
+#[expect(dead_code, reason = "the engine's tests use more of the rig")]
+#[path = "../../engine/diagnosis/tests/rig.rs"]
+mod rig;
 mod sentence;
 #[cfg(test)]
 mod tests;

@@ -1,7 +1,7 @@
 //! Pages of whole diagnoses.
 
+use super::rig::{few, hardening, none, request};
 use super::{Heading, Simulation, page, sentence};
-use crate::engine::diagnosis::tests::rig::{few, hardening, none, request};
 use crate::engine::diagnosis::{Diagnosis, Effect, Family, Input, Mode, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 

@@ -1,6 +1,6 @@
 //! The band in which low-level runs can tell the core anything.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::super::rows::fast_len;
 

@@ -18,7 +18,7 @@ use super::super::rows::Rows;
 use super::Core;
 use super::refine::refine;
 use super::thin::thin;
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Orders that are tried.
 const ORDERS: [usize; 10] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12];

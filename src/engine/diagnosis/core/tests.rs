@@ -99,5 +99,5 @@ fn stretches_too_short_for_any_core_are_refused() {
     let drive = low_passed(12, 0.5, 4);
     let stretch = Stretch { drives: vec![&drive], response: &drive };
     let refused = fit(&[stretch], 100.0, [0.0, 0.1], true).unwrap_err();
-    assert!(matches!(refused, crate::engine::EngineError::TooShort { .. }));
+    assert!(matches!(refused, crate::EngineError::TooShort { .. }));
 }

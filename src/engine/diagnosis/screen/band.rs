@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::input::Recording;
 

@@ -2,7 +2,7 @@
 
 use super::law::Law;
 use super::place::{Argument, Place};
-use crate::engine::Quantity;
+use crate::Quantity;
 
 /// Laws over an argument, with the second argument of a law of two as an index into `arguments`.
 pub(super) fn laws(arguments: &[Argument], at: usize) -> Vec<(Law, Option<usize>)> {

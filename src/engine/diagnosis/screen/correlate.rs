@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use faer::Mat;
 use realfft::num_complex::Complex64;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rigcast_numerics::fft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::moments::{Lags, padded};
 use super::track::{Segment, Track};

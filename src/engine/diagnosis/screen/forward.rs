@@ -13,8 +13,8 @@ use super::law::{Instant, Law, Scale};
 use super::memory::Memory;
 use super::motion::{Limits, Motion, motion};
 use super::place::Place;
-use crate::engine::resample::resample;
-use crate::engine::{Quantity, Signal};
+use crate::resample::resample;
+use crate::{Quantity, Signal};
 
 /// Beyond this many deviations of its argument a run has diverged.
 const RUNAWAY: f64 = 300.0;
@@ -229,7 +229,7 @@ impl Forward {
     }
 
     /// Number of drives and of responses.
-    pub(in crate::engine::diagnosis) fn channels(&self) -> (usize, usize) {
+    pub(in crate::diagnosis) fn channels(&self) -> (usize, usize) {
         (self.drive_mean.len(), self.responses)
     }
 

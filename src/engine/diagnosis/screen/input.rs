@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::{EngineError, Quantity, Signal};
+use crate::{EngineError, Quantity, Signal};
 
 /// A channel of the rig.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

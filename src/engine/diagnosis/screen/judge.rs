@@ -1,10 +1,9 @@
 //! Held-out errors: the linear part is factored once a group, and a candidate's few columns join it by a Schur
 //! complement.
 
-use faer::linalg::solvers::Llt;
-use faer::prelude::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use rayon::prelude::*;
+use rigcast_numerics::decompose::Cholesky;
 
 use super::linear_part::Setting;
 use super::moments::Moments;
@@ -18,7 +17,7 @@ const FLOOR: f64 = 1e-6;
 
 /// The linear part fitted without a group, for all responses, and what it leaves in that group.
 struct Fold {
-    factor: Llt<f64>,
+    factor: Cholesky,
     /// Coefficients, a column a response.
     theta: Mat<f64>,
     /// Lagged drives of the group with what is left of the responses.
@@ -87,7 +86,7 @@ impl<'a> Base<'a> {
         let total = Moments::sum(&groups)?;
         let fold = |group: &Moments, others: &Mat<f64>, b: Mat<f64>| -> Option<Fold> {
             let factor = setting.factor(others)?;
-            let theta = factor.solve(b);
+            let theta = factor.solve(&b);
             let through = &group.a * &theta;
             let left = &group.b - &through;
             let rr = (0..group.yy.len())
@@ -166,7 +165,7 @@ impl<'a> Base<'a> {
             gram[segment.group] += x.transpose() * x;
         }
         let total = sum(&cross);
-        let solved = self.folds.iter().zip(&cross).map(|(f, b)| f.factor.solve(&total - b)).collect();
+        let solved = self.folds.iter().zip(&cross).map(|(f, b)| f.factor.solve(&(&total - b))).collect();
         Block { columns: scaled, cross, solved, gram, target, norms }
     }
 
@@ -353,12 +352,12 @@ fn gamma(others: &Others, solved: &Mat<f64>, theta: &Mat<f64>, response: usize) 
         let taken: f64 = (0..theta.nrows()).map(|r| others.cross[(r, k)] * theta[(r, response)]).sum();
         others.target[(k, 0)] - taken
     });
-    match schur.llt(Side::Lower) {
-        Ok(factor) => {
+    match Cholesky::new(&schur) {
+        Some(factor) => {
             let found = factor.solve(&rhs);
             if (0..m).all(|k| found[(k, 0)].is_finite()) { found } else { Mat::zeros(m, 1) }
         }
-        Err(_) => Mat::zeros(m, 1),
+        None => Mat::zeros(m, 1),
     }
 }
 

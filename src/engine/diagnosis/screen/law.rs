@@ -114,7 +114,7 @@ const LIMITS: [f64; 4] = [0.1, 0.35, 1.0, 2.5];
 
 impl Law {
     /// Number of its signals.
-    pub(in crate::engine::diagnosis) fn count(self) -> usize {
+    pub(in crate::diagnosis) fn count(self) -> usize {
         match self {
             Self::FreeStiffness | Self::FreeDamping => KINKS.len(),
             Self::FreeHysteresis => LIMITS.len(),

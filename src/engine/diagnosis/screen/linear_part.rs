@@ -5,10 +5,9 @@
 //! taken: what a law leaves open is noise to the linear part, and a ridge against that noise would be too strong
 //! beside the right law.
 
-use faer::linalg::solvers::Llt;
-use faer::prelude::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use rayon::prelude::*;
+use rigcast_numerics::decompose::Cholesky;
 
 use super::groups::PARTS;
 use super::modes::{self, Poles, relocate};
@@ -89,13 +88,13 @@ impl Setting {
     }
 
     /// The factor of `a` with the ridge; `None` where it is singular to rounding.
-    pub fn factor(&self, a: &Mat<f64>) -> Option<Llt<f64>> {
+    pub fn factor(&self, a: &Mat<f64>) -> Option<Cholesky> {
         let penalty = self.penalty(a);
         let mut ridged = a.clone();
         for (r, penalty) in penalty.iter().enumerate() {
             ridged[(r, r)] += penalty;
         }
-        ridged.llt(Side::Lower).ok()
+        Cholesky::new(&ridged)
     }
 }
 
@@ -219,7 +218,7 @@ fn error(parts: &[Moments], setting: &Setting) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for part in parts {
         let Some(factor) = setting.factor(&(&total.a - &part.a)) else { return f64::INFINITY };
-        let theta = factor.solve(&total.b - &part.b);
+        let theta = factor.solve(&(&total.b - &part.b));
         let through = &part.a * &theta;
         for (r, yy) in part.yy.iter().enumerate().filter(|(_, yy)| **yy > 0.0) {
             let column = |m: &Mat<f64>, k: usize| m[(k, r)];

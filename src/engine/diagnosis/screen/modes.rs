@@ -7,10 +7,10 @@
 
 use std::f64::consts::TAU;
 
-use faer::prelude::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose::Cholesky;
 
 use super::super::linear::eigenvalues;
 use super::track::{Segment, Track, delayed};
@@ -175,7 +175,7 @@ pub(super) fn relocate(
         for k in 0..p {
             a[(k, k)] += RIDGE * a[(k, k)] + 1e-300;
         }
-        let factor = a.llt(Side::Lower).ok()?;
+        let factor = Cholesky::new(&a)?;
         let n = poles.states();
         let of_responses: Vec<(Mat<f64>, Mat<f64>)> = responses
             .par_iter()
@@ -211,7 +211,7 @@ pub(super) fn relocate(
         for k in 0..n {
             gram[(k, k)] += RIDGE * gram[(k, k)] + 1e-300;
         }
-        let found = gram.llt(Side::Lower).ok()?.solve(&with);
+        let found = Cholesky::new(&gram)?.solve(&with);
         let d: Vec<f64> = (0..n).map(|k| -found[(k, 0)]).collect();
         if !d.iter().all(|d| d.is_finite()) {
             return None;

@@ -2,11 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::Quantity;
+use crate::Quantity;
 
 /// The motion at a place over one record.
 #[derive(Debug, Clone, PartialEq)]

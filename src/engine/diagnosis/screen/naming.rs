@@ -2,8 +2,8 @@
 
 use super::law::Law;
 use super::place::Place;
-use crate::engine::Quantity;
-use crate::engine::diagnosis::Effect;
+use crate::Quantity;
+use crate::diagnosis::Effect;
 
 /// Kinks beyond so many deviations are stops; a gap inside is one that the rig rattles through.
 const STOP: f64 = 1.2;

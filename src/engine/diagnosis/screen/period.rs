@@ -1,6 +1,6 @@
 //! The period of drives that repeat themselves inside a record.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 /// Correlation of two periods from which on they are alike.
 const ALIKE: f64 = 0.99;

@@ -6,7 +6,7 @@ use super::band::Band;
 use super::input::{Channel, Recording};
 use super::law::Scale;
 use super::motion::{Limits, Motion, motion};
-use crate::engine::Quantity;
+use crate::Quantity;
 
 /// The argument of a law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]

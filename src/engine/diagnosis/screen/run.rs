@@ -19,9 +19,9 @@ use super::naming;
 use super::place::{Argument, Place, argument, arguments};
 use super::report::{LinearPart, Screening, Standing};
 use super::track::Track;
-use crate::engine::diagnosis::Family;
-use crate::engine::progress::{Watch, report, within};
-use crate::engine::{EngineError, Quantity};
+use crate::diagnosis::Family;
+use crate::progress::{Watch, report, within};
+use crate::{EngineError, Quantity};
 
 /// Fewest samples in all: with fewer no linear part can be told from a law.
 const FEWEST: usize = 300;

@@ -1,10 +1,10 @@
 //! Diagnosing a sim that has an adopted effect already: it is part of the sim, and not found again.
 
 use super::rig::{Force, RATE, few, noise_drive, none, request, respond, run};
-use crate::engine::Signal;
-use crate::engine::diagnosis::{Augmented, Diagnosis, Effect, Input, Mode, Verdict, VerdictKind, diagnose};
-use crate::engine::model::{AddedEffect, apply_effects};
-use crate::engine::progress::unwatched;
+use crate::Signal;
+use crate::diagnosis::{Augmented, Diagnosis, Effect, Input, Mode, Verdict, VerdictKind, diagnose};
+use crate::model::{AddedEffect, apply_effects};
+use crate::progress::unwatched;
 
 fn signal(y: &[f64]) -> Signal {
     Signal::new(RATE, vec![y.to_vec()]).unwrap()

@@ -5,9 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::rig::{RATE, few, noise_drive};
-use crate::engine::diagnosis::{Channel, Effect, Family, Input, Mode, Run, VerdictKind, diagnose};
-use crate::engine::progress::unwatched;
-use crate::engine::{Quantity, Signal};
+use crate::diagnosis::{Channel, Effect, Family, Input, Mode, Run, VerdictKind, diagnose};
+use crate::progress::unwatched;
+use crate::{Quantity, Signal};
 
 const STEPS: usize = 10;
 const STIFFNESS: [f64; 3] = [900.0, 1600.0, 2500.0];

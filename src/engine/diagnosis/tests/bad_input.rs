@@ -1,9 +1,9 @@
 use std::ops::ControlFlow;
 
 use super::rig::{RATE, hardening, none, request};
-use crate::engine::diagnosis::{Input, Role, diagnose};
-use crate::engine::progress::unwatched;
-use crate::engine::{EngineError, Signal};
+use crate::diagnosis::{Input, Role, diagnose};
+use crate::progress::unwatched;
+use crate::{EngineError, Signal};
 
 fn refused(input: &Input) -> EngineError {
     diagnose(input, &unwatched).unwrap_err()
@@ -68,7 +68,7 @@ fn repeats_whose_drives_differ_are_told_apart_with_a_warning() {
 
 #[test]
 fn a_wish_to_cancel_is_heard_between_candidates() {
-    let stop = |p: crate::engine::Progress<'_>| {
+    let stop = |p: crate::Progress<'_>| {
         if p.stage == "coulomb_friction" { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     assert_eq!(diagnose(&request(hardening, 0.01), &stop).unwrap_err(), EngineError::Cancelled);

@@ -1,13 +1,13 @@
 //! The virtual rig, whose rubber wears: friction that a hybrid 2 from before the wear does not know.
 
-use crate::engine::diagnosis::{Channel, Effect, Family, Input, Mode, Run, diagnose};
-use crate::engine::model::{
+use crate::diagnosis::{Channel, Effect, Family, Input, Mode, Run, diagnose};
+use crate::model::{
     FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Predictor, Preset, Task, fit,
 };
-use crate::engine::progress::unwatched;
-use crate::engine::virtual_rig::drives::{ServiceLoad, ServiceShape, linear_noise, service_load};
-use crate::engine::virtual_rig::{Effects, VirtualRig};
-use crate::engine::{Quantity, Signal};
+use crate::progress::unwatched;
+use crate::virtual_rig::drives::{ServiceLoad, ServiceShape, linear_noise, service_load};
+use crate::virtual_rig::{Effects, VirtualRig};
+use crate::{Quantity, Signal};
 
 /// Drive and displacement along x of one run.
 fn pair(rig: &VirtualRig, drive: Signal, sensor_seed: u64) -> Pair {

@@ -1,7 +1,7 @@
 use super::rig::{few, hardening, noise_drive, request, respond, run};
-use crate::engine::Signal;
-use crate::engine::diagnosis::{Augmented, Input, Role, Verdict, VerdictKind, diagnose};
-use crate::engine::progress::unwatched;
+use crate::Signal;
+use crate::diagnosis::{Augmented, Input, Role, Verdict, VerdictKind, diagnose};
+use crate::progress::unwatched;
 
 /// Whole runs with given roles, one repeat each, so that the test runs stand alone.
 fn with_roles() -> Input {
@@ -36,12 +36,10 @@ fn measured_test_responses_change_no_choice_and_no_prediction() {
     let (a, b) = (diagnose(&request, &unwatched).unwrap(), diagnose(&shuffled, &unwatched).unwrap());
     assert_eq!(a.augmented, b.augmented);
     // The sentence tells the closure, which is of the test runs.
-    let chosen = |d: &crate::engine::diagnosis::Diagnosis| Verdict {
-        in_words: String::new(),
-        ..d.report.verdict.clone()
-    };
+    let chosen =
+        |d: &crate::diagnosis::Diagnosis| Verdict { in_words: String::new(), ..d.report.verdict.clone() };
     assert_eq!(chosen(&a), chosen(&b));
-    let closures = |d: &crate::engine::diagnosis::Diagnosis| d.report.hypotheses[0].held_out.closure;
+    let closures = |d: &crate::diagnosis::Diagnosis| d.report.hypotheses[0].held_out.closure;
     assert!(closures(&a) > 0.95 && closures(&b) < 0.8, "{} {}", closures(&a), closures(&b));
 }
 
@@ -82,7 +80,7 @@ fn the_augmented_sim_predicts_a_run_nobody_saw_and_survives_storage() {
 fn an_frf_as_sim_is_stood_for_by_the_core_and_what_it_misses_is_no_gap() {
     // An FRF's estimate errs: here by a few per cent, on a rig that has not changed.
     let mut request = Input { catalogue: few(), sim_is_linear: true, ..request(super::rig::none, 0.01) };
-    let off = |run: &mut crate::engine::diagnosis::Run| {
+    let off = |run: &mut crate::diagnosis::Run| {
         let estimate: Vec<f64> =
             respond(run.drive.channel(0), super::rig::none).iter().map(|y| 1.04 * y).collect();
         run.simulated = Some(Signal::new(super::rig::RATE, vec![estimate]).unwrap());

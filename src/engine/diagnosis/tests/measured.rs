@@ -1,28 +1,19 @@
 //! Default requests on measured systems of `../shared/data`, where the folder is there.
 
-use std::path::Path;
-
-use crate::engine::diagnosis::{
+use crate::diagnosis::{
     Channel, Effect, Family, Input, Mode, NoiseSource, Report, Run, VerdictKind, diagnose,
 };
-use crate::engine::progress::unwatched;
-use crate::engine::{Quantity, Signal};
-use crate::formats::{csv, npy};
+use crate::measured::shared_data;
+use crate::progress::unwatched;
+use crate::{Quantity, Signal};
+
+use super::recorded;
 
 /// The runs of a set whose first channel is the drive: what they are fitted to is what is asked about.
 fn asked(set: &str, files: &[&str], rate_hz: f64, quantities: &[Quantity], samples: usize) -> Option<Report> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(set);
-    if !folder.is_dir() {
-        println!("skipped: no {} here", folder.display());
-        return None;
-    }
+    let folder = shared_data(set)?;
     let read = |file: &&str| {
-        let bytes = std::fs::read(folder.join(file)).unwrap();
-        let mut run = if file.ends_with("npy") {
-            npy::read(&bytes).unwrap().channels
-        } else {
-            csv::read(&bytes).unwrap().channels
-        };
+        let mut run = recorded::channels(&folder.join(file));
         run.iter_mut().for_each(|c| c.truncate(samples));
         let response = Signal::new(rate_hz, run.split_off(1)).unwrap();
         Run {

@@ -6,6 +6,7 @@ mod bad_input;
 mod bench;
 mod leaks;
 mod measured;
+pub(crate) mod recorded;
 mod repeats;
 pub(crate) mod rig;
 mod transfer;

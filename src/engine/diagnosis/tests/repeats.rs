@@ -1,12 +1,12 @@
 use std::sync::Arc;
 
 use super::rig::{few, hardening, request};
-use crate::engine::diagnosis::candidate::{Candidate, Part};
-use crate::engine::diagnosis::law::Law;
-use crate::engine::diagnosis::output_map::OutputMap;
-use crate::engine::diagnosis::prepare::prepare;
-use crate::engine::diagnosis::problem::{Stretch, firsts};
-use crate::engine::diagnosis::{Effect, Input};
+use crate::diagnosis::candidate::{Candidate, Part};
+use crate::diagnosis::law::Law;
+use crate::diagnosis::output_map::OutputMap;
+use crate::diagnosis::prepare::prepare;
+use crate::diagnosis::problem::{Stretch, firsts};
+use crate::diagnosis::{Effect, Input};
 
 /// Drives that are another's own, so that nothing is shared.
 fn apart(stretch: &Stretch) -> Stretch {

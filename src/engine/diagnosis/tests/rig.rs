@@ -1,11 +1,12 @@
 //! Two masses in a row, integrated with Runge and Kutta's fourth-order rule at ten steps a sample.
+//! The service's tests take this file in too, and call the engine by its crate's name as this file does.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::engine::diagnosis::{Channel, Effect, Input, Mode, Run};
-use crate::engine::{Quantity, Signal};
+use rigcast_engine::diagnosis::{Channel, Effect, Input, Mode, Run};
+use rigcast_engine::{Quantity, Signal};
 
 pub const RATE: f64 = 256.0;
 const STEPS: usize = 10;

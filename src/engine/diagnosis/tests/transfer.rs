@@ -1,11 +1,9 @@
 //! Requests without repeats, as most users send them: the model's own runs, in situ.
 
 use super::rig::{Force, friction, noise_drive, none, request, respond, run};
-use crate::engine::diagnosis::{
-    Augmented, Effect, Family, Input, Mode, NoiseSource, Report, VerdictKind, diagnose,
-};
-use crate::engine::progress::unwatched;
-use crate::engine::{EngineError, Signal};
+use crate::diagnosis::{Augmented, Effect, Family, Input, Mode, NoiseSource, Report, VerdictKind, diagnose};
+use crate::progress::unwatched;
+use crate::{EngineError, Signal};
 
 /// A spring that stiffens by a few percent over most of its stroke, written with a hyperbolic sine. At the resonance
 /// that is enough for the best linear part to leave more than half of the response.

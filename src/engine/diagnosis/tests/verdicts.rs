@@ -1,7 +1,7 @@
 use super::rig::{RATE, few, friction, hardening, none, request};
-use crate::engine::Signal;
-use crate::engine::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
-use crate::engine::progress::unwatched;
+use crate::Signal;
+use crate::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
+use crate::progress::unwatched;
 
 #[test]
 fn a_hardening_spring_is_named_and_closes_the_gap_on_unseen_stretches() {

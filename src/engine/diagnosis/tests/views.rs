@@ -1,7 +1,7 @@
 use super::rig::{few, friction, hardening, none, request};
-use crate::engine::diagnosis::views::{Argument, Path};
-use crate::engine::diagnosis::{Effect, Input, Views, diagnose};
-use crate::engine::progress::unwatched;
+use crate::diagnosis::views::{Argument, Path};
+use crate::diagnosis::{Effect, Input, Views, diagnose};
+use crate::progress::unwatched;
 
 fn views(request: Input) -> Views {
     diagnose(&Input { catalogue: few(), ..request }, &unwatched).unwrap().views
@@ -80,7 +80,7 @@ fn a_clipped_sensor_shows_on_the_sensor() {
     let mut input = request(none, 0.01);
     for run in &mut input.runs {
         let clipped = run.response.channel(0).iter().map(|y| y.clamp(-1.5, 1.5)).collect();
-        run.response = crate::engine::Signal::new(super::rig::RATE, vec![clipped]).unwrap();
+        run.response = crate::Signal::new(super::rig::RATE, vec![clipped]).unwrap();
     }
     let catalogue = vec![Effect::SensorSaturation, Effect::Gain];
     let force = diagnose(&Input { catalogue, ..input }, &unwatched).unwrap().views.force.unwrap();

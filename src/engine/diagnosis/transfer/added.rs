@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::diagnosis::effect::Effect;
-use crate::engine::diagnosis::linear::rms;
-use crate::engine::diagnosis::screen::{Forward, Simulated};
+use crate::diagnosis::effect::Effect;
+use crate::diagnosis::linear::rms;
+use crate::diagnosis::screen::{Forward, Simulated};
 
 /// Beyond this many times the linear part's own RMS a free run is not bounded.
 const BOUND: f64 = 20.0;
@@ -12,17 +12,17 @@ const BOUND: f64 = 20.0;
 /// A law on its linear part, ready to be simulated on any drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Added {
-    pub(in crate::engine::diagnosis) effect: Effect,
+    pub(in crate::diagnosis) effect: Effect,
     /// The response that it helps most.
-    pub(in crate::engine::diagnosis) response: usize,
-    pub(in crate::engine::diagnosis) forward: Forward,
+    pub(in crate::diagnosis) response: usize,
+    pub(in crate::diagnosis) forward: Forward,
     /// Of each response, whether the augmented linear part is the whole prediction, with nothing of the sim.
-    pub(in crate::engine::diagnosis) alone: Vec<bool>,
+    pub(in crate::diagnosis) alone: Vec<bool>,
 }
 
 impl Added {
     /// The sim's responses with the law; `None` where the free run diverges.
-    pub(in crate::engine::diagnosis) fn predict(
+    pub(in crate::diagnosis) fn predict(
         &self,
         drives: &[Vec<f64>],
         simulated: &[Vec<f64>],
@@ -39,13 +39,13 @@ impl Added {
     }
 
     /// What the law adds to its linear part.
-    pub(in crate::engine::diagnosis) fn addition(&self, drives: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    pub(in crate::diagnosis) fn addition(&self, drives: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
         let of = |s: Simulated| s.augmented.iter().zip(&s.linear).map(|(a, l)| a - l).collect();
         Some(self.forward.simulate(drives)?.into_iter().map(of).collect())
     }
 
     /// Whether the free run stays bounded for drives scaled so that each reaches its limit.
-    pub(in crate::engine::diagnosis) fn bounded(&self, drives: &[Vec<f64>], limit: &[f64]) -> bool {
+    pub(in crate::diagnosis) fn bounded(&self, drives: &[Vec<f64>], limit: &[f64]) -> bool {
         let scaled = drives.iter().zip(limit).map(|(drive, limit)| {
             let peak = drive.iter().fold(0.0_f64, |m, u| m.max(u.abs())).max(f64::MIN_POSITIVE);
             drive.iter().map(|u| u * limit / peak).collect()
@@ -60,7 +60,7 @@ impl Added {
     }
 
     /// Checks what came out of a file.
-    pub(in crate::engine::diagnosis) fn check(
+    pub(in crate::diagnosis) fn check(
         &self,
         drives: usize,
         responses: usize,

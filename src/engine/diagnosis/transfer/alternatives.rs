@@ -8,8 +8,8 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::diagnosis::effect::Family;
-use crate::engine::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
+use crate::diagnosis::effect::Family;
+use crate::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
 
 use super::evidence::root_mean_square;
 

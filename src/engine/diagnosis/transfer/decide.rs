@@ -4,10 +4,10 @@ use super::alternatives::{Weights, alternatives, odds_of_none};
 use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
 use super::words;
-use crate::engine::diagnosis::effect::{Effect, Family};
-use crate::engine::diagnosis::input::Input;
-use crate::engine::diagnosis::report::{Verdict, VerdictKind};
-use crate::engine::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
+use crate::diagnosis::effect::{Effect, Family};
+use crate::diagnosis::input::Input;
+use crate::diagnosis::report::{Verdict, VerdictKind};
+use crate::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
 
 /// Nothing is stated surer: the rigs of the population are simulated.
 const SUREST: f64 = 0.97;

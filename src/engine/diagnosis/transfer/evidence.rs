@@ -1,9 +1,9 @@
 //! How large the gap is, and how much of it is none.
 
 use super::hypotheses::Listed;
-use crate::engine::diagnosis::overview::Overview;
-use crate::engine::diagnosis::report::Gap;
-use crate::engine::diagnosis::screen::Screening;
+use crate::diagnosis::overview::Overview;
+use crate::diagnosis::report::Gap;
+use crate::diagnosis::screen::Screening;
 
 /// The gap of each response, relative to its RMS in band.
 pub(super) struct Evidence {

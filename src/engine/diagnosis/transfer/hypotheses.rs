@@ -6,14 +6,14 @@ use super::added::Added;
 use super::decide::Ranked;
 use super::evidence::root_mean_square;
 use super::words;
-use crate::engine::diagnosis::augmented::Augmented;
-use crate::engine::diagnosis::input::{Input, Run};
-use crate::engine::diagnosis::linear::{mean, rms};
-use crate::engine::diagnosis::overview::Overview;
-use crate::engine::diagnosis::report::{
+use crate::diagnosis::augmented::Augmented;
+use crate::diagnosis::input::{Input, Run};
+use crate::diagnosis::linear::{mean, rms};
+use crate::diagnosis::overview::Overview;
+use crate::diagnosis::report::{
     ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };
-use crate::engine::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening};
+use crate::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening};
 
 /// Normal deviation that 90 % of all lie within.
 const WITHIN: f64 = 1.645;
@@ -202,7 +202,7 @@ impl Of<'_> {
 
     /// Units of the law's displacement and of its rate.
     fn unit(&self) -> (String, String) {
-        use crate::engine::Quantity::{Acceleration, Velocity};
+        use crate::Quantity::{Acceleration, Velocity};
         let channel = match self.ranked.standing.place {
             Place::Drive(d) => &self.input.drives[d],
             Place::Response(r) | Place::Output(r) | Place::Between(r, _) => &self.input.responses[r],

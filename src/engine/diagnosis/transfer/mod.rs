@@ -24,8 +24,8 @@ use super::input::Input;
 use super::overview::Overview;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
 use super::screen::{group, screen};
-use crate::engine::EngineError;
-use crate::engine::progress::{Progress, Watch, report};
+use crate::EngineError;
+use crate::progress::{Progress, Watch, report};
 
 /// What follows from transfer between runs.
 pub(super) struct Found {

@@ -2,10 +2,10 @@
 
 use super::decide::Ranked;
 use super::hypotheses::Listed;
-use crate::engine::diagnosis::input::{Input, Run};
-use crate::engine::diagnosis::linear::{mean, rms};
-use crate::engine::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
-use crate::engine::diagnosis::screen::{Recording, Screening, Transfer};
+use crate::diagnosis::input::{Input, Run};
+use crate::diagnosis::linear::{mean, rms};
+use crate::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
+use crate::diagnosis::screen::{Recording, Screening, Transfer};
 
 /// Levels of the menu, relative to the loudest run.
 const LEVELS: [f64; 4] = [0.3, 1.0, 1.5, 2.0];

@@ -1,13 +1,12 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
-use crate::engine::diagnosis::input::{Input, Mode, Run};
-use crate::engine::diagnosis::linear::mean;
-use crate::engine::diagnosis::screen::{Channel, Grouping, Record, Recording};
+use crate::diagnosis::input::{Input, Mode, Run};
+use crate::diagnosis::linear::mean;
+use crate::diagnosis::screen::{Channel, Grouping, Record, Recording};
 
 /// The runs to explain; in situ also the baseline, which the rig drove with the effect in it.
 pub(super) fn of(input: &Input) -> Recording {
-    let channel =
-        |c: &crate::engine::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
+    let channel = |c: &crate::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
     let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
     let baseline = input.baseline.iter().filter(|run| input.mode == Mode::InSitu && !again(run));
     let record = |run: &Run| Record {

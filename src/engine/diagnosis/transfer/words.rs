@@ -2,10 +2,10 @@
 
 use super::decide::Ranked;
 use super::evidence::Evidence;
-use crate::engine::diagnosis::effect::Effect;
-use crate::engine::diagnosis::input::Input;
-use crate::engine::diagnosis::report::{Hypothesis, Verdict, VerdictKind};
-use crate::engine::diagnosis::screen::{Place, Standing};
+use crate::diagnosis::effect::Effect;
+use crate::diagnosis::input::Input;
+use crate::diagnosis::report::{Hypothesis, Verdict, VerdictKind};
+use crate::diagnosis::screen::{Place, Standing};
 
 /// Where a law acts, as the report has it: at a channel, or between two.
 pub(super) fn place(input: &Input, place: Place) -> (Option<String>, Option<[String; 2]>) {
@@ -77,7 +77,7 @@ fn words(effect: Effect) -> String {
 }
 
 /// The verdict in an engineer's words.
-pub(in crate::engine::diagnosis) fn sentence(verdict: &Verdict, first: Option<&Hypothesis>) -> String {
+pub(in crate::diagnosis) fn sentence(verdict: &Verdict, first: Option<&Hypothesis>) -> String {
     let place = named_place((verdict.at.clone(), verdict.between.clone()));
     let strength = first.and_then(|h| h.strength.as_ref());
     let strength = strength

@@ -9,19 +9,19 @@ use serde::{Deserialize, Serialize};
 
 use super::inverse::{SPOILT, divided};
 use super::{short, shorten};
-use crate::engine::diagnosis::candidate::Part;
-use crate::engine::diagnosis::catalogue::own_drive;
-use crate::engine::diagnosis::fitting::Fitted;
-use crate::engine::diagnosis::input::Input;
-use crate::engine::diagnosis::input_map::InputMap;
-use crate::engine::diagnosis::kernel::{Clock, along};
-use crate::engine::diagnosis::law::{self, Instant, Memory};
-use crate::engine::diagnosis::linear::{dot, rms};
-use crate::engine::diagnosis::noise::Noise;
-use crate::engine::diagnosis::output_map::OutputMap;
-use crate::engine::diagnosis::prepare::Prepared;
-use crate::engine::diagnosis::problem::{Problem, Stretch, smooth};
-use crate::engine::diagnosis::rows::fast_len;
+use crate::diagnosis::candidate::Part;
+use crate::diagnosis::catalogue::own_drive;
+use crate::diagnosis::fitting::Fitted;
+use crate::diagnosis::input::Input;
+use crate::diagnosis::input_map::InputMap;
+use crate::diagnosis::kernel::{Clock, along};
+use crate::diagnosis::law::{self, Instant, Memory};
+use crate::diagnosis::linear::{dot, rms};
+use crate::diagnosis::noise::Noise;
+use crate::diagnosis::output_map::OutputMap;
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::problem::{Problem, Stretch, smooth};
+use crate::diagnosis::rows::fast_len;
 
 /// Points of the cloud.
 const POINTS: usize = 1500;

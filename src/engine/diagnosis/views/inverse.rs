@@ -1,9 +1,9 @@
 //! From what a path of the core gives out back to what went in, where noise allows.
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
-use crate::engine::diagnosis::ar::Ar;
+use crate::diagnosis::ar::Ar;
 
 /// Share of a stretch at each end that the taper and the unknown past spoil.
 pub(super) const SPOILT: f64 = 0.06;
@@ -12,7 +12,7 @@ pub(super) const SPOILT: f64 = 0.06;
 /// looked for that is as strong as the gap says.
 pub(super) fn divided(gap: &[f64], answer: &[f64], noise: &Ar, band_end: f64) -> Vec<f64> {
     let n = gap.len();
-    let mut planner = RealFftPlanner::<f64>::new();
+    let mut planner = RealFftPlanner::new();
     let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
     let edge = ((n as f64 * SPOILT) as usize).max(1);
     let taper = |i: usize| {

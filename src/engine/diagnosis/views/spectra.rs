@@ -1,14 +1,14 @@
 //! Spectra of a response, of its systematic gap and of its noise floor.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
 use super::shorten;
-use crate::engine::diagnosis::ar::Ar;
-use crate::engine::diagnosis::input::Input;
-use crate::engine::diagnosis::prepare::Prepared;
-use crate::engine::diagnosis::problem::Stretch;
-use crate::engine::diagnosis::rows::fast_len;
+use crate::diagnosis::ar::Ar;
+use crate::diagnosis::input::Input;
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::problem::Stretch;
+use crate::diagnosis::rows::fast_len;
 
 /// Lines that the core's band is resolved into.
 const LINES: f64 = 160.0;
@@ -119,7 +119,7 @@ impl Welch {
 
     /// Real part of the cross density of pairs of signals.
     pub fn cross<'a>(&self, pairs: impl Iterator<Item = (&'a [f64], &'a [f64])>, rate_hz: f64) -> Vec<f64> {
-        let fft = RealFftPlanner::<f64>::new().plan_fft_forward(self.n);
+        let fft = RealFftPlanner::new().plan_fft_forward(self.n);
         let window: Vec<f64> = (0..self.n)
             .map(|i| 0.5 - 0.5 * (std::f64::consts::TAU * (i as f64 + 0.5) / self.n as f64).cos())
             .collect();

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::spectra::Welch;
 use super::{short, shorten};
-use crate::engine::diagnosis::fitting::Fitted;
-use crate::engine::diagnosis::input::Input;
-use crate::engine::diagnosis::prepare::Prepared;
-use crate::engine::diagnosis::problem::{Problem, Stretch};
+use crate::diagnosis::fitting::Fitted;
+use crate::diagnosis::input::Input;
+use crate::diagnosis::prepare::Prepared;
+use crate::diagnosis::problem::{Problem, Stretch};
 
 /// Swings of the response that the window holds.
 const SWINGS: usize = 24;

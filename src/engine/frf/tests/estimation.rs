@@ -3,7 +3,7 @@
 use super::super::data::Data;
 use super::modal::Modal;
 use super::*;
-use crate::engine::spectral::cross_spectra;
+use crate::spectral::cross_spectra;
 
 /// Share of all `H[line, output, input]` between DC and Nyquist within their bounds.
 fn share_within(estimate: &FrfEstimate, rig: &Modal, confidence: f64) -> f64 {
@@ -214,7 +214,7 @@ fn lines_that_the_drives_do_not_excite_are_tapered_to_zero() {
     let rig = Modal::bench();
     let n = 65_536;
     let mut x = channels(9, 3, n);
-    let mut planner = realfft::RealFftPlanner::<f64>::new();
+    let mut planner = rigcast_numerics::fft::RealFftPlanner::new();
     let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
     for channel in &mut x {
         let mut lines = forward.make_output_vec();

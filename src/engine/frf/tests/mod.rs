@@ -15,8 +15,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
-use crate::engine::progress::unwatched;
-use crate::engine::{EngineError, Signal};
+use crate::progress::unwatched;
+use crate::{EngineError, Signal};
 
 /// White Gaussian noise of variance 1.
 fn noise(seed: u64, n: usize) -> Vec<f64> {
@@ -50,7 +50,7 @@ fn relative_error(measured: &[f64], predicted: &[f64]) -> f64 {
 /// What a signal has between two shares of its Nyquist frequency, cut by FFT over the whole of it.
 fn band_limited(samples: &[f64], from: f64, to: f64) -> Vec<f64> {
     let n = samples.len();
-    let mut planner = realfft::RealFftPlanner::<f64>::new();
+    let mut planner = rigcast_numerics::fft::RealFftPlanner::new();
     let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
     let mut lines = forward.make_output_vec();
     forward.process(&mut samples.to_vec(), &mut lines).unwrap();

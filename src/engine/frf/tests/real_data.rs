@@ -1,10 +1,10 @@
 //! Measured systems, where the shared data folder is present.
 
 use super::*;
-use crate::engine::measured::shared_data;
-use crate::engine::metrics::nrmse;
-use crate::engine::model::Preprocess;
-use crate::engine::resample::resample;
+use crate::measured::shared_data;
+use crate::metrics::nrmse;
+use crate::model::Preprocess;
+use crate::resample::resample;
 
 /// Columns of a CSV file with one header row.
 fn csv(path: &std::path::Path) -> Vec<Vec<f64>> {

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::*;
-use crate::engine::Progress;
+use crate::Progress;
 
 /// `y = x0 + ... ` of white noise inputs.
 fn sum_rig(n_inputs: u64, n: usize) -> (Signal, Signal) {

@@ -9,9 +9,9 @@ use super::super::predict::predict_on;
 use super::super::samples::{noise, settings};
 use super::super::settings::{Optimizer, Recombine, Schedule};
 use super::*;
-use crate::engine::Progress;
-use crate::engine::checkpoint::NoCheckpoints;
-use crate::engine::progress::unwatched;
+use crate::Progress;
+use crate::checkpoint::NoCheckpoints;
+use crate::progress::unwatched;
 
 /// [`super::train`] without checkpoints.
 fn train(

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
+use rigcast_numerics::fft::{RealFftPlanner, RealToComplex};
 
 use super::InputRange;
-use crate::engine::Signal;
-use crate::engine::model::RigModel;
-use crate::engine::spectral::hann;
+use crate::Signal;
+use crate::model::RigModel;
+use crate::spectral::hann;
 
 /// Share of the power over a window, the mean removed, that may lie outside the band: a tenth in
 /// amplitude.
@@ -33,7 +33,7 @@ const WINDOW_LEN: Range<usize> = 64..4096;
 
 /// Watches the spectra of a model's inputs.
 #[derive(Clone)]
-pub(in crate::engine::model) struct BandWatch {
+pub(in crate::model) struct BandWatch {
     sample_rate_hz: f64,
     /// Of each input, first and last frequency.
     bands: Vec<[f64; 2]>,
@@ -138,7 +138,7 @@ impl Outside {
 
 impl ShortTime {
     fn new(len: usize) -> Self {
-        Self { window: hann(len), fft: RealFftPlanner::<f64>::new().plan_fft_forward(len) }
+        Self { window: hann(len), fft: RealFftPlanner::new().plan_fft_forward(len) }
     }
 
     fn outside(&self, [low_hz, high_hz]: [f64; 2], rate: f64) -> Outside {

@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::engine::{Signal, rounded};
+use crate::{Signal, rounded};
 
 pub(super) use band::BandWatch;
 pub use range::InputRange;

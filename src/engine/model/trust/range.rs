@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::EngineError;
-use crate::engine::spectral::{Detrend, Welch, psd_of_parts};
+use crate::EngineError;
+use crate::spectral::{Detrend, Welch, psd_of_parts};
 
 /// Range of one input channel in the training data, after the model's filter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -35,7 +35,7 @@ impl InputRange {
     ///
     /// # Errors
     /// No samples, values whose square overflows.
-    pub(in crate::engine::model) fn of_training(
+    pub(in crate::model) fn of_training(
         parts: &[Vec<&[f64]>],
         sample_rate_hz: f64,
     ) -> Result<Vec<Self>, EngineError> {

@@ -1,13 +1,13 @@
 //! Trust of made-up ranges, and of the virtual rig's drives.
 
 use super::*;
-use crate::engine::frf::FrfSettings;
-use crate::engine::model::{
+use crate::frf::FrfSettings;
+use crate::model::{
     FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Preprocess, Preset, RigModel, Task, fit,
 };
-use crate::engine::progress::unwatched;
-use crate::engine::virtual_rig::{ProgrammeRun, ProgrammeSettings, programme};
-use crate::engine::{RunKind, Split};
+use crate::progress::unwatched;
+use crate::virtual_rig::{ProgrammeRun, ProgrammeSettings, programme};
+use crate::{RunKind, Split};
 
 fn range(min: f64, max: f64, max_rate: f64) -> Vec<InputRange> {
     vec![InputRange { min, max, max_rate, band_hz: None }]

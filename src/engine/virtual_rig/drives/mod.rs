@@ -15,11 +15,11 @@ pub(super) use noise::{draw_stretches, stitched};
 pub use service::{SERVICE_OFFSET_KN, SERVICE_PEAK_KN, ServiceLoad, ServiceShape, service_load};
 pub use tones::{Sine, Sweep, sine, sweep};
 
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::SAMPLE_RATE_HZ;
-use crate::engine::EngineError;
+use crate::EngineError;
 
 /// Shortest drive: below two seconds its ramps would fill it.
 pub const MIN_DURATION_S: f64 = 2.0;
@@ -53,7 +53,7 @@ fn smooth_step(t: f64, rise: f64) -> f64 {
 
 /// Real signal of `n` samples whose spectral line k at frequency f is `line(f)`; the mean is zero.
 fn from_lines(n: usize, mut line: impl FnMut(f64) -> Complex64) -> Vec<f64> {
-    let inverse = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+    let inverse = RealFftPlanner::new().plan_fft_inverse(n);
     let mut spectrum = inverse.make_input_vec();
     let df = SAMPLE_RATE_HZ / n as f64;
     // The last line of an even length must be real; it is half the sample rate, far above any drive.

@@ -6,8 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use realfft::num_complex::Complex64;
 
 use super::{check, from_lines, rms, samples, smooth_step};
-use crate::engine::virtual_rig::{DRIVE_LIMIT_KN, SAMPLE_RATE_HZ};
-use crate::engine::{EngineError, Signal};
+use crate::virtual_rig::{DRIVE_LIMIT_KN, SAMPLE_RATE_HZ};
+use crate::{EngineError, Signal};
 
 /// The PSD is white up to here, then falls as 1/f.
 pub const NOISE_CORNER_HZ: f64 = 20.0;
@@ -85,14 +85,10 @@ pub fn mixed_noise(settings: &MixedNoise, seed: u64) -> Result<Signal, EngineErr
 }
 
 /// Mean and amplitude per axis, kN.
-pub(in crate::engine::virtual_rig) type NoiseLevel = ([f64; 3], [f64; 3]);
+pub(in crate::virtual_rig) type NoiseLevel = ([f64; 3], [f64; 3]);
 
 /// `n` stretches that cover a region evenly per axis.
-pub(in crate::engine::virtual_rig) fn draw_stretches(
-    n: usize,
-    region: NoiseRegion,
-    seed: u64,
-) -> Vec<NoiseLevel> {
+pub(in crate::virtual_rig) fn draw_stretches(n: usize, region: NoiseRegion, seed: u64) -> Vec<NoiseLevel> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(1);
     let mut stretches = vec![([0.0; 3], [0.0; 3]); n];
@@ -123,7 +119,7 @@ fn latin_column(n: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
 }
 
 /// Noise through equally long stretches; the first starts at its mean.
-pub(in crate::engine::virtual_rig) fn stitched(
+pub(in crate::virtual_rig) fn stitched(
     duration_s: f64,
     stretches: &[NoiseLevel],
     seed: u64,

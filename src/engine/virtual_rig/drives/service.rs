@@ -11,12 +11,12 @@ use std::f64::consts::PI;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::{NOISE_END_HZ, check, from_lines, rms, samples, smooth_step};
-use crate::engine::virtual_rig::SAMPLE_RATE_HZ;
-use crate::engine::{EngineError, Signal};
+use crate::virtual_rig::SAMPLE_RATE_HZ;
+use crate::{EngineError, Signal};
 
 /// Largest magnitude on each axis at scale 1 without offset, kN; inside the span of training noise.
 pub const SERVICE_PEAK_KN: f64 = 5.0;
@@ -218,7 +218,7 @@ fn count(n: usize, per_min: f64) -> usize {
 /// Removes the mean and, with a tapered edge, everything above the band of noise.
 fn band_limit(signal: &mut [f64]) {
     let n = signal.len();
-    let mut planner = RealFftPlanner::<f64>::new();
+    let mut planner = RealFftPlanner::new();
     let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
     let mut spectrum = forward.make_output_vec();
     let proof = "buffers come from the plans, and the lines at zero and half the sample rate stay real";

@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 
 use super::{check, samples, smooth_step};
-use crate::engine::virtual_rig::{DRIVE_LIMIT_KN, SAMPLE_RATE_HZ};
-use crate::engine::{EngineError, Signal};
+use crate::virtual_rig::{DRIVE_LIMIT_KN, SAMPLE_RATE_HZ};
+use crate::{EngineError, Signal};
 
 /// Time in which a tone grows from its mean and falls back to it.
 const RAMP_S: f64 = 0.5;

@@ -1,13 +1,13 @@
 //! Spectra, levels and shapes of the drives.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::*;
 
 /// Mean square per frequency line (1 Hz wide), Hann, half overlap.
 fn psd(samples: &[f64]) -> Vec<f64> {
     let segment = 1000;
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(segment);
+    let plan = RealFftPlanner::new().plan_fft_forward(segment);
     let mean = fit::mean(samples);
     let mut sum = vec![0.0; segment / 2 + 1];
     let starts: Vec<usize> = (0..=samples.len() - segment).step_by(segment / 2).collect();

@@ -1,10 +1,11 @@
 //! A plain three-drive H1 estimate, only to see how linear the bench is.
 
-use faer::{Mat, prelude::Solve};
-use realfft::RealFftPlanner;
+use faer::Mat;
 use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose;
+use rigcast_numerics::fft::RealFftPlanner;
 
-use crate::engine::Signal;
+use crate::Signal;
 
 const SEGMENT: usize = 4096;
 
@@ -21,7 +22,7 @@ pub fn mean(x: &[f64]) -> f64 {
 
 /// Hann, three quarters overlap, S_yx S_xx^-1 per line.
 pub fn h1(runs: &[(Signal, Signal)]) -> Fit {
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(SEGMENT);
+    let plan = RealFftPlanner::new().plan_fft_forward(SEGMENT);
     let total: f64 = runs.iter().map(|(d, _)| d.n_samples() as f64).sum();
     let pooled = |of: &dyn Fn(&(Signal, Signal)) -> Vec<f64>| {
         runs.iter().map(|run| of(run).iter().sum::<f64>()).sum::<f64>() / total
@@ -61,7 +62,7 @@ pub fn h1(runs: &[(Signal, Signal)]) -> Fit {
                 return [[Complex64::ZERO; 3]; 6];
             }
             // H Sxx = Syx, solved as Sxx^T H^T = Syx^T.
-            let h = sxx[line].transpose().to_owned().partial_piv_lu().solve(syx[line].transpose().to_owned());
+            let h = decompose::solve(&sxx[line].transpose().to_owned(), &syx[line].transpose().to_owned());
             std::array::from_fn(|i| std::array::from_fn(|j| h[(j, i)]))
         })
         .collect();
@@ -73,7 +74,7 @@ impl Fit {
     pub fn predict(&self, drive: &Signal) -> Vec<Vec<f64>> {
         let n = drive.n_samples();
         let padded = (n + 3 * SEGMENT).next_power_of_two();
-        let mut planner = RealFftPlanner::<f64>::new();
+        let mut planner = RealFftPlanner::new();
         let (forward, inverse) = (planner.plan_fft_forward(padded), planner.plan_fft_inverse(padded));
         let short = planner.plan_fft_inverse(SEGMENT);
         let x: Vec<_> = (0..3)

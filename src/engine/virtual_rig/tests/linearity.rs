@@ -1,6 +1,6 @@
 //! Without its non-linear effects the bench is linear; with them it is nearly so in the middle only.
 
-use realfft::RealFftPlanner;
+use rigcast_numerics::fft::RealFftPlanner;
 
 use super::*;
 
@@ -80,7 +80,7 @@ fn the_linear_bench_answers_a_periodic_drive_with_its_linear_response() {
         let repeated: Vec<Vec<f64>> = one.channels().iter().map(|c| c.repeat(5)).collect();
         let drive = Signal::new(1000.0, repeated).unwrap();
         let response = rig.simulate(&drive, 0).unwrap();
-        let plan = RealFftPlanner::<f64>::new().plan_fft_forward(period);
+        let plan = RealFftPlanner::new().plan_fft_forward(period);
         let spectrum = |samples: &[f64]| {
             let mut input = samples[4 * period..].to_vec();
             let mut output = plan.make_output_vec();

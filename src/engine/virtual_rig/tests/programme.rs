@@ -1,7 +1,7 @@
 //! The whole programme, short, on several benches.
 
 use super::*;
-use crate::engine::{RunKind, Split};
+use crate::{RunKind, Split};
 
 fn short() -> ProgrammeSettings {
     ProgrammeSettings { training_min: 0.5, linear_min: 0.1, validation_min: 0.1, run_s: 6.0, stretch_s: 3.0 }

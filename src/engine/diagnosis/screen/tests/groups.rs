@@ -1,6 +1,6 @@
 use super::systems::{noise, recording};
-use crate::engine::Quantity;
-use crate::engine::diagnosis::screen::{Grouping, Transfer, group};
+use crate::Quantity;
+use crate::diagnosis::screen::{Grouping, Transfer, group};
 
 fn grouped(drives: Vec<Vec<f64>>) -> Grouping {
     let runs = drives.into_iter().map(|u| (vec![u.clone()], vec![u])).collect();

@@ -1,8 +1,8 @@
 use super::systems::{RATE_HZ, noise, oscillator, recording, run};
-use crate::engine::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
-use crate::engine::diagnosis::{Effect, Family};
-use crate::engine::progress::unwatched;
-use crate::engine::{EngineError, Quantity, Signal};
+use crate::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
+use crate::diagnosis::{Effect, Family};
+use crate::progress::unwatched;
+use crate::{EngineError, Quantity, Signal};
 
 const N: usize = 2400;
 

@@ -1,21 +1,13 @@
 //! Measured systems of `../shared/data`, where the folder is there.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::engine::diagnosis::screen::{Channel, Place, Record, Recording, Screening, group, screen};
-use crate::engine::diagnosis::{Effect, Family};
-use crate::engine::progress::unwatched;
-use crate::engine::{Quantity, Signal};
-use crate::formats::{csv, npy};
-
-fn folder(set: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(set);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no {} here", folder.display());
-    None
-}
+use crate::diagnosis::screen::{Channel, Place, Record, Recording, Screening, group, screen};
+use crate::diagnosis::tests::recorded;
+use crate::diagnosis::{Effect, Family};
+use crate::measured::shared_data;
+use crate::progress::unwatched;
+use crate::{Quantity, Signal};
 
 fn recording(rate_hz: f64, runs: Vec<Vec<Vec<f64>>>, quantities: &[Quantity]) -> Recording {
     let channel =
@@ -35,7 +27,7 @@ fn recording(rate_hz: f64, runs: Vec<Vec<Vec<f64>>>, quantities: &[Quantity]) ->
 
 /// One run of a set with one drive and one response of no stated quantity.
 fn one(folder: &Path, file: &str, rate_hz: f64, samples: usize) -> Screening {
-    let mut run = csv::read(&std::fs::read(folder.join(file)).unwrap()).unwrap().channels;
+    let mut run = recorded::channels(&folder.join(file));
     run.iter_mut().for_each(|c| c.truncate(samples));
     let recording = recording(rate_hz, vec![run], &[Quantity::Other; 2]);
     screen(&recording, &group(&recording, &[]), &unwatched).unwrap()
@@ -43,7 +35,7 @@ fn one(folder: &Path, file: &str, rate_hz: f64, samples: usize) -> Screening {
 
 #[test]
 fn silverbox_stiffens_with_the_cube_of_its_response() {
-    let Some(folder) = folder("silverbox") else { return };
+    let Some(folder) = shared_data("silverbox") else { return };
     let screening = one(&folder, "train.csv", 610.351_562_5, 26_000);
     let foremost = screening.foremost();
     assert_eq!((foremost[0].effect, foremost[0].place), (Effect::CubicStiffness, Place::Response(0)));
@@ -52,7 +44,7 @@ fn silverbox_stiffens_with_the_cube_of_its_response() {
 
 #[test]
 fn a_diode_between_two_filters_is_a_law_of_one_side_over_the_drive() {
-    let Some(folder) = folder("wiener_hammerstein") else { return };
+    let Some(folder) = shared_data("wiener_hammerstein") else { return };
     let screening = one(&folder, "train.csv", 51_200.0, 60_000);
     let first = &screening.standings[0];
     assert_eq!((first.family, first.place), (Family::Actuator, Place::Drive(0)), "{first:?}");
@@ -61,11 +53,11 @@ fn a_diode_between_two_filters_is_a_law_of_one_side_over_the_drive() {
 
 #[test]
 fn the_bolted_joint_of_an_aircraft_is_found_between_the_sensors_at_either_side_of_it() {
-    let Some(folder) = folder("f16") else { return };
+    let Some(folder) = shared_data("f16") else { return };
     let levels = ["full_level3.npy", "full_level5.npy", "full_level7.npy"];
     // Four of nine periods.
     let run = |file: &str| -> Vec<Vec<f64>> {
-        let channels = npy::read(&std::fs::read(folder.join(file)).unwrap()).unwrap().channels;
+        let channels = recorded::channels(&folder.join(file));
         channels.iter().map(|c| c[..4 * 8192].to_vec()).collect()
     };
     let [force, acceleration] = [Quantity::Force, Quantity::Acceleration];

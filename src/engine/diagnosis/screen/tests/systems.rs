@@ -1,7 +1,7 @@
 //! Small rigs, integrated by the classical Runge-Kutta method without any code of the screen.
 
-use crate::engine::diagnosis::screen::{Channel, Record, Recording};
-use crate::engine::{Quantity, Signal};
+use crate::diagnosis::screen::{Channel, Record, Recording};
+use crate::{Quantity, Signal};
 
 /// Samples a second of every rig here.
 pub const RATE_HZ: f64 = 100.0;
