@@ -12,6 +12,7 @@ pub mod iteration;
 pub mod job;
 pub mod model;
 mod model_ref;
+pub mod model_report;
 pub mod page;
 pub mod problem;
 pub mod quality;
@@ -36,6 +37,7 @@ pub use model::{
     UsedModel,
 };
 pub use model_ref::ModelRef;
+pub use model_report::ModelReport;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};

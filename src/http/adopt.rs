@@ -181,6 +181,7 @@ async fn make(
         job: Some(diagnosis.summary.job),
         request: None,
         report: None,
+        record: None,
         frf: model.frf_summary(),
         lineage,
         instruction_set: Isa::of_process().map_err(Problem::internal)?.name().into(),

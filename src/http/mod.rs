@@ -29,6 +29,7 @@ mod iterations;
 mod jobs;
 mod measurement;
 mod metrics;
+mod model_report;
 mod models;
 mod negotiate;
 mod observe;

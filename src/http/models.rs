@@ -117,6 +117,7 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
         job: None,
         request: None,
         report: None,
+        record: None,
         lineage: Lineage::default(),
         // Weights made elsewhere do not say.
         instruction_set: "unknown".into(),

@@ -8,7 +8,7 @@ use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
     Shared, active_model, adopt, contract, damage, diagnoses, evaluations, fits, frf, health, inference,
-    iterations, jobs, metrics, models, pages, predict, rigs, runs, studies, tokens,
+    iterations, jobs, metrics, model_report, models, pages, predict, rigs, runs, studies, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -110,6 +110,9 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/models/{version}/weights", Role(Operator), Registry, || {
         get(models::weights)
     }),
+    route(Method::GET, "/v1/rigs/{rig}/models/{version}/report", Role(Reader), Registry, || {
+        get(model_report::show)
+    }),
     route(Method::GET, "/v1/rigs/{rig}/models/{version}/frf", Role(Reader), Predict, || get(frf::show)),
     route(Method::GET, "/v1/rigs/{rig}/active-model", Role(Reader), Registry, || get(active_model::show)),
     route(Method::PUT, "/v1/rigs/{rig}/active-model", Role(Operator), Registry, || put(active_model::change)),
@@ -151,6 +154,7 @@ pub static ROUTES: &[Route] = &[
     page("/rigs/{rig}/runs/{run}", Role(Reader), Predict, || get(pages::run)),
     page("/rigs/{rig}/runs/{run}/file", Role(Reader), Predict, || get(pages::run_file)),
     page("/rigs/{rig}/models/{version}", Role(Reader), Predict, || get(pages::model)),
+    page("/rigs/{rig}/models/{version}/report", Role(Reader), Registry, || get(pages::model_report)),
     page("/jobs", Role(Reader), Registry, || get(pages::jobs)),
     page("/jobs/{job}", Role(Reader), Registry, || get(pages::job)),
     page("/tokens", AllRigs(Admin), Control, || get(pages::tokens)),

@@ -9,7 +9,7 @@ use crate::domain::fits::FitRequest;
 use crate::domain::{JobId, Lineage, Origin, Rig, Run};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
-    FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, RigModel, SplitRule, to_safetensors,
+    FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, SplitRule, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};
@@ -65,7 +65,8 @@ pub(super) async fn fit_model(
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
     let (store, every) = (&context.store, context.checkpoint_every);
     let checkpoints = JobCheckpoints::open(store, job, fingerprint(&plan, isa), every, control).await?;
-    let (model, mut report, weights) = fit(context, (&plan, start), data, checkpoints, control).await?;
+    let (fitted, weights) = fit(context, (&plan, start), data, checkpoints, control).await?;
+    let Fitted { model, mut report, record } = fitted;
     tell_of_split(&plan, &mut report);
     let lineage = plan.lineage(report.comparison.as_ref().is_some_and(|c| c.refitted));
     tell_of_start(&lineage, &mut report);
@@ -90,6 +91,7 @@ pub(super) async fn fit_model(
         job: Some(job),
         request: Some(plan.request.clone()),
         report: Some(report),
+        record: Some(record),
         frf: model.frf_summary(),
         lineage,
         instruction_set: isa.name().into(),
@@ -210,7 +212,7 @@ async fn fit(
     data: FitData,
     checkpoints: JobCheckpoints,
     control: &Arc<Control>,
-) -> Result<(RigModel, FitReport, Bytes), JobError> {
+) -> Result<(Fitted, Bytes), JobError> {
     let (settings, watched, function) = (settings(plan, start), Arc::clone(control), context.fit);
     let started = std::time::Instant::now();
     let fitted = context
@@ -218,7 +220,7 @@ async fn fit(
         .run(Class::Fit, None, move || {
             let fitted = function(&data, &settings, &checkpoints, &|progress| watched.watch(progress))?;
             let weights = Bytes::from(to_safetensors(&fitted.model));
-            Ok((fitted.model, fitted.report, weights))
+            Ok((fitted, weights))
         })
         .await?;
     let fitted = fitted.map_err(|error| of_engine(&error, &plan.channels()))?;

@@ -12,7 +12,7 @@ use crate::domain::fits::Activate;
 use crate::domain::{JobState, Model};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::frf::Frf;
-use crate::engine::model::{FitData, FitSettings, Fitted, ModelKind, RigModel};
+use crate::engine::model::{FitData, FitRecord, FitSettings, Fitted, ModelKind, RigModel};
 use crate::engine::progress::report;
 use crate::engine::{EngineError, Watch};
 use crate::storage::testing::{TestStore, draft, meta, now};
@@ -116,7 +116,8 @@ fn gain(
     let report = serde_json::json!({
         "preprocess": {}, "validation_rms": [0.5], "training_s": 18.0, "validation_s": 2.0, "warnings": []
     });
-    Ok(Fitted { model, report: serde_json::from_value(report).unwrap() })
+    let record = FitRecord { residual: None, coverage: Vec::new() };
+    Ok(Fitted { model, report: serde_json::from_value(report).unwrap(), record })
 }
 
 fn fails(_: &FitData, _: &FitSettings, _: &dyn CheckpointStore, _: Watch<'_>) -> Result<Fitted, EngineError> {

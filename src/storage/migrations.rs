@@ -17,6 +17,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (11, "iterations", include_str!("../../migrations/0011_iterations.sql")),
     (12, "evaluations", include_str!("../../migrations/0012_evaluations.sql")),
     (14, "studies", include_str!("../../migrations/0014_studies.sql")),
+    (16, "fit_records", include_str!("../../migrations/0016_fit_records.sql")),
 ];
 
 /// Migrations up to this number.

@@ -11,6 +11,7 @@ mod diagnoses;
 mod error;
 mod evaluations;
 mod files;
+mod fit_records;
 mod idempotency;
 mod interruptions;
 mod iterations;

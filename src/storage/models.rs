@@ -5,6 +5,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
+use super::fit_records::insert_record;
 use super::jobs::succeed;
 use super::objects::{ObjectWrite, to_the_end};
 use super::reserve::with_reserve;
@@ -16,7 +17,7 @@ use crate::domain::{
     ActiveModel, Adoption, Created, JobId, JobResult, Lineage, Model, Origin, Page, PageRequest, RigId,
 };
 use crate::engine::frf::FrfSummary;
-use crate::engine::model::{FitReport, ModelKind};
+use crate::engine::model::{FitRecord, FitReport, ModelKind};
 
 /// A model on its way into the store.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -42,6 +43,8 @@ pub struct NewModel {
     pub request: Option<FitRequest>,
     /// The report of the fit.
     pub report: Option<FitReport>,
+    /// What the fit keeps about its data.
+    pub record: Option<FitRecord>,
     /// Figures of its FRF, if it has one.
     pub frf: Option<FrfSummary>,
     /// The data that it was fitted to.
@@ -459,8 +462,11 @@ async fn insert_row(
     .bind(us(now))
     .bind(model.adoption.as_ref().map(json))
     .bind(model.frf.as_ref().map(json))
-    .execute(connection)
+    .execute(&mut *connection)
     .await?;
+    if let Some(record) = &model.record {
+        insert_record(connection, rig, version, record).await?;
+    }
     Ok(Some(version))
 }
 

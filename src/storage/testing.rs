@@ -77,6 +77,7 @@ pub(crate) fn imported(weights: &[u8]) -> NewModel {
         job: None,
         request: None,
         report: None,
+        record: None,
         frf: None,
         lineage: Lineage::default(),
         instruction_set: "portable".into(),

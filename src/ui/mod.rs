@@ -10,6 +10,7 @@ pub mod frame;
 pub mod iteration;
 pub mod job;
 pub mod model;
+pub mod model_report;
 mod plot;
 pub mod predict;
 pub mod refusal;
@@ -17,6 +18,7 @@ pub mod rig;
 pub mod rigs;
 pub mod run;
 pub mod sign_in;
+mod spectrum;
 pub mod study;
 #[cfg(test)]
 mod testing;

@@ -101,6 +101,7 @@ fn head(visitor: &Visitor, of: &ModelView<'_>, at: &str) -> Markup {
             div.actions {
                 @if operator && forward && !model.active { (activation(model, of.active_tag, visitor, if back { "Roll back to this version" } else { "Activate" })) }
                 a.button href={ "/rigs/" (model.rig) "/predict?model=" (model.version) } { "Predict" }
+                a.button href={ (at) "/report" } { "Report" }
                 @if operator { a.button href={ "/v1" (at) "/weights" } download { "Export weights" } }
                 @if operator { a.button href={ "/rigs/" (model.rig) "/diagnose?model=" (model.version) } { "Diagnose" } }
             }

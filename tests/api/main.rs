@@ -31,6 +31,7 @@ mod lab_files;
 mod large_answers;
 mod large_uploads;
 mod logs;
+mod model_reports;
 mod models;
 mod operations;
 mod overload;

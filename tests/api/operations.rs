@@ -40,6 +40,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     app.get(&model).await.expect(200);
     app.get(&format!("{model}/weights")).await.expect(200);
     app.get(&format!("{model}/frf")).await.expect(200);
+    app.get(&format!("{model}/report")).await.expect(200);
     let active = app.get("/v1/rigs/bench/active-model").await.expect(200);
     let version: u64 = model.rsplit('/').next().and_then(|v| v.parse().ok()).expect("a version");
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", active.header("etag"));

@@ -2,6 +2,7 @@
 
 use super::fit_data::FitData;
 use super::fit_network::{self, Course, Network};
+use super::fit_record::{self, FitRecord, Residual, ResidualOf, ResidualSums};
 use super::fit_report::{Comparison, FitReport, SeedReport};
 use super::score::{self, SectionScore};
 use super::split::{Section, Sections};
@@ -10,7 +11,7 @@ use crate::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::frf::{self, RunPart};
 use crate::lstm::{LstmSettings, Recombine};
 use crate::progress::report;
-use crate::{EngineError, Progress, Watch};
+use crate::{EngineError, Progress, Signal, Watch};
 
 /// Share of a fit's time that each FRF estimate is shown to take when an LSTM follows.
 const FRF_SHARE: f64 = 0.03;
@@ -29,6 +30,8 @@ pub struct Fitted {
     pub model: RigModel,
     /// How it came about.
     pub report: FitReport,
+    /// Its residual, and the coverage of its training data.
+    pub record: FitRecord,
 }
 
 /// Fits a model.
@@ -109,7 +112,8 @@ fn fitted(
     let mut sections = data.sections(settings.kind, window_len);
     sections.refit &= refits;
     let fit = Fit { recorded: data, data: &filtered, settings, checkpoints, watch };
-    let scored = if sections.comparison.is_empty() { &sections.stopping } else { &sections.comparison };
+    let compares = !sections.comparison.is_empty();
+    let scored = if compares { &sections.comparison } else { &sections.stopping };
     if scored.is_empty() || (settings.kind != ModelKind::Frf && sections.stopping.is_empty()) {
         return Err(EngineError::TooShort { what: "validation data", needed: 1, found: 0 });
     }
@@ -118,12 +122,13 @@ fn fitted(
     let end = if sections.refit { CHOICE_SHARE } else { 0.98 };
     let chosen = fit.choose(&sections, 0.0..end)?;
     report(watch, "validation", end)?;
-    let scores = fit.score(&chosen.model, scored)?;
+    let (scores, residual) = fit.score_with_residual(&chosen.model, scored, compares)?;
     let mut fitted = if sections.refit { fit.again(&chosen, &sections, &scores)? } else { chosen };
     fitted.model.preprocess = settings.preprocess;
     report(watch, "done", 1.0)?;
     let shaped = fitted.refitted.then(|| filtered.whole_training());
-    let compares = !sections.comparison.is_empty();
+    let training = shaped.as_deref().unwrap_or(&sections.training);
+    let coverage = fit_record::coverage(&filtered, training, &fitted.model.range);
     let quality = fitted.model.frf_quality.as_ref();
     Ok(Fitted {
         report: FitReport {
@@ -142,10 +147,11 @@ fn fitted(
             best_seed: SeedReport::best(&fitted.seeds).map(|s| s.seed),
             seeds: fitted.seeds,
             frf_averages: quality.map(|quality| quality.averages),
-            training_s: filtered.seconds(shaped.as_deref().unwrap_or(&sections.training)),
+            training_s: filtered.seconds(training),
             validation_s: filtered.seconds(&sections.comparison),
             warnings: fitted.warnings,
         },
+        record: FitRecord { residual, coverage },
         model: fitted.model,
     })
 }
@@ -294,6 +300,21 @@ impl Fit<'_> {
 
     fn score(&self, model: &RigModel, sections: &[Section]) -> Result<Vec<SectionScore>, EngineError> {
         score::score(model, self.data, self.recorded, &self.settings.preprocess, sections)
+    }
+
+    /// The scores of a model, and its residual on the same data: those that compare, or those that stopped it.
+    fn score_with_residual(
+        &self,
+        model: &RigModel,
+        sections: &[Section],
+        compares: bool,
+    ) -> Result<(Vec<SectionScore>, Option<Residual>), EngineError> {
+        let (mut sums, names) = (ResidualSums::default(), &self.settings.outputs);
+        let mut look = |measured: &Signal, predicted: &Signal| sums.add(names, measured, predicted);
+        let preprocess = &self.settings.preprocess;
+        let scores = score::score_each(model, self.data, self.recorded, preprocess, sections, &mut look)?;
+        let of = if compares { ResidualOf::Comparison } else { ResidualOf::Stopping };
+        Ok((scores, sums.finish(names, of, model.sample_rate_hz)))
     }
 }
 

@@ -4,6 +4,7 @@ mod effect;
 mod fit;
 mod fit_data;
 mod fit_network;
+mod fit_record;
 mod fit_report;
 mod kind;
 #[cfg(test)]
@@ -31,6 +32,9 @@ use super::{EngineError, Signal};
 pub use effect::{AddedEffect, apply_effects};
 pub use fit::{Fitted, fit, fit_resumable, train_for, try_out};
 pub use fit_data::{FitData, Pair};
+pub use fit_record::{
+    Autocorrelation, FitRecord, InputCoverage, Residual, ResidualOf, ResidualSpectra, ResidualSpectrum,
+};
 pub use fit_report::{Comparison, FitReport, SeedReport};
 pub use kind::{ModelKind, VersionKind};
 pub use predict::{Prediction, Predictor};

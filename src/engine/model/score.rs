@@ -70,21 +70,34 @@ pub(super) fn score(
     preprocess: &Preprocess,
     sections: &[Section],
 ) -> Result<Vec<SectionScore>, EngineError> {
+    score_each(model, filtered, recorded, preprocess, sections, &mut |_, _| ())
+}
+
+/// What is done with the measured and the predicted outputs of a section.
+type Look<'a> = dyn FnMut(&Signal, &Signal) + 'a;
+
+/// [`score`], with a look at each section's outputs behind the filter, measured and predicted.
+pub(super) fn score_each(
+    model: &RigModel,
+    filtered: &FitData,
+    recorded: &FitData,
+    preprocess: &Preprocess,
+    sections: &[Section],
+    look: &mut Look<'_>,
+) -> Result<Vec<SectionScore>, EngineError> {
     sections
         .iter()
         .map(|section| {
             let run = filtered.run(section.run);
             let known = with_context(&section.samples);
-            let predicted = model.predict(&run.x.slice(known.clone()))?;
+            let scored = section.samples.start - known.start..section.samples.end - known.start;
+            let predicted = model.predict(&run.x.slice(known))?.slice(scored);
             let against = |measured: &Signal| -> Vec<Squares> {
-                let scored = section.samples.start - known.start..section.samples.end - known.start;
                 (0..measured.n_channels())
-                    .map(|c| {
-                        let measured = &measured.channel(c)[section.samples.clone()];
-                        Squares::of(&predicted.channel(c)[scored.clone()], measured)
-                    })
+                    .map(|c| Squares::of(predicted.channel(c), &measured.channel(c)[section.samples.clone()]))
                     .collect()
             };
+            look(&run.y.slice(section.samples.clone()), &predicted);
             Ok(SectionScore {
                 outputs: against(&run.y),
                 recorded: (!preprocess.is_none()).then(|| against(&recorded.run(section.run).y)),

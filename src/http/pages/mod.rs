@@ -28,7 +28,7 @@ use crate::ui::frame;
 pub use admin::{docs, operations, tokens};
 pub use assets::show as asset;
 pub use jobs::{list as jobs, show as job};
-pub use models::show as model;
+pub use models::{report as model_report, show as model};
 pub use predict::show as predict;
 pub use reports::{diagnose, diagnosis, evaluation, iterate, iteration};
 pub use rigs::{fit, list as rigs, show as rig, upload};

@@ -1,4 +1,4 @@
-//! The page of a model version, and its figures.
+//! The page of a model version, its figures, and the page of its report.
 
 use axum::extract::State;
 
@@ -8,7 +8,8 @@ use super::{Visitor, html};
 use crate::compute::Class;
 use crate::http::Shared;
 use crate::http::frf::frf_of;
-use crate::http::params::{Params, invalid};
+use crate::http::model_report::Sources;
+use crate::http::params::{NoParams, Params, invalid};
 use crate::http::paths::{OfModel, no_model, no_rig};
 use crate::http::problem::{Answer, Problem};
 use crate::ui;
@@ -59,4 +60,16 @@ pub async fn show(
     let view =
         ModelView { rig: &rig, model: &model, active_tag: &active_tag, active: active.version, output };
     html(ui::model::page(&visitor.shown, &view))
+}
+
+/// `GET /rigs/{rig}/models/{version}/report`
+pub async fn report(
+    State(http): State<Shared>,
+    OfModel(rig, version): OfModel,
+    visitor: Visitor,
+    _: NoParams,
+) -> Answer {
+    let sources = Sources::read(&http, &rig, version).await?;
+    let draw = move || sources.draw(|of| ui::model_report::framed(&visitor.shown, of));
+    html(http.off_thread(Class::Predict, draw).await?)
 }

@@ -15,9 +15,10 @@ pub(super) struct Table {
 }
 
 /// In an order in which rows can be inserted.
-pub(super) const TABLES: [Table; 10] = [
+pub(super) const TABLES: [Table; 11] = [
     Table { name: "rigs", key: &["id"] },
     Table { name: "models", key: &["rig", "version"] },
+    Table { name: "fit_records", key: &["rig", "version"] },
     Table { name: "runs", key: &["id"] },
     Table { name: "jobs", key: &["id"] },
     Table { name: "diagnoses", key: &["id"] },

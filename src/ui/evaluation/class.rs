@@ -4,12 +4,9 @@ use maud::{Markup, html};
 
 use super::{named, tables};
 use crate::domain::evaluation::{ClassRow, EvaluatedChannel, EvaluationReport};
-use crate::engine::evaluation::Spectra;
-use crate::ui::plot::{Axis, Figure, Key, Mark, RatioRow, Scale, Style, ratios};
-use crate::ui::text::{density_unit, number, percent};
-
-/// Decades below the largest density that a plot shows.
-const DECADES: f64 = 6.0;
+use crate::ui::plot::{Figure, RatioRow, Style, ratios};
+use crate::ui::spectrum::{Density, densities};
+use crate::ui::text::{number, percent};
 
 /// Most rows of the plot of damage ratios; the tables have them all.
 const MOST_RATIOS: usize = 40;
@@ -142,35 +139,27 @@ fn spectrum(
     let first = first.or_else(|| rows.iter().find(has))?;
     let other = rows.iter().filter(has).find(|row| Some(row.model) == baseline && row.model != first.model);
     let spectra = first.spectra.as_ref()?;
-    let line = |spectra: &Spectra, y: &[f64], style, name: String| Mark::Line {
-        x: spectra.freq_hz.clone(),
-        y: y.to_vec(),
-        style,
-        name,
-    };
     let found = &spectra.channels[&channel.name];
-    let mut marks = vec![line(spectra, &found.target, Style::Measured, "measured".into())];
+    let freq_hz = &spectra.freq_hz[..];
+    let mut drawn =
+        vec![Density { freq_hz, values: &found.target, style: Style::Measured, name: "measured".into() }];
     if let Some(other) = other {
         let of_other = other.spectra.as_ref()?;
-        let predicted = &of_other.channels[&channel.name].predicted;
-        marks.push(line(of_other, predicted, Style::Before, format!("version {}", other.model)));
+        drawn.push(Density {
+            freq_hz: &of_other.freq_hz,
+            values: &of_other.channels[&channel.name].predicted,
+            style: Style::Before,
+            name: format!("version {}", other.model),
+        });
     }
-    marks.push(line(spectra, &found.predicted, Style::After, format!("version {}", first.model)));
-    let largest = found.target.iter().chain(&found.predicted).copied().fold(0.0, f64::max);
-    let shown = found.target.iter().chain(&found.predicted).copied().filter(|y| *y > 0.0);
-    let lowest = shown.fold(f64::INFINITY, f64::min).max(largest * 10.0_f64.powf(-DECADES));
-    let ends = [spectra.freq_hz.first(), spectra.freq_hz.last()].map(|f| f.copied().unwrap_or(1.0));
-    Some(Figure {
-        id: format!("spectrum-{k}-{}", report.channels.iter().position(|c| c.name == channel.name)?),
-        title: format!("Spectrum of {} on {}: measured and predicted", channel.name, first.class),
-        description: "Power spectral densities over frequency, means over the runs that count.".into(),
-        size: (720.0, 280.0),
-        x: (Axis::exact(Scale::Log, ends[0], ends[1]), "Frequency in Hz".into()),
-        y: (
-            Axis::around(Scale::Log, [lowest, largest]),
-            format!("Power spectral density in {}", density_unit(&channel.unit)),
-        ),
-        key: Key::Ends,
-        marks,
-    })
+    let name = format!("version {}", first.model);
+    drawn.push(Density { freq_hz, values: &found.predicted, style: Style::After, name });
+    let place = report.channels.iter().position(|c| c.name == channel.name)?;
+    Some(densities(
+        format!("spectrum-{k}-{place}"),
+        format!("Spectrum of {} on {}: measured and predicted", channel.name, first.class),
+        "Power spectral densities over frequency, means over the runs that count.",
+        &channel.unit,
+        drawn,
+    ))
 }

@@ -55,6 +55,7 @@ async fn foreign_and_unknown_ids_look_alike() {
         "/models/1",
         "/models/1/weights",
         "/models/1/frf",
+        "/models/1/report",
         "/models/x",
         "/active-model",
         "/predict",

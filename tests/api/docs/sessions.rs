@@ -31,6 +31,7 @@ sessions! {
     the_session_with_curl_works_as_it_stands runs with_curl on [
         ("README.md", "A session with curl"),
         ("docs/fits.md", "A fit by hand"),
+        ("docs/fits.md", "The report of a fit"),
         ("docs/fits.md", "The FRF: coherence, confidence, inverse"),
         ("docs/weights.md", "Weights made elsewhere"),
         ("docs/iterations.md", "A drive for a service load"),
@@ -101,6 +102,12 @@ fn with_curl(sections: &[(&str, &str)], folder: &Path) {
     let table = report["table"].as_array().expect("a table");
     assert_eq!(table.len(), 2, "two models on service loads: {report}");
     assert!(table.iter().all(|row| row["channels"]["disp"]["damage_ratio"].is_number()), "{report}");
+    let fit = std::fs::read(folder.join("fit-report.json")).expect("a report");
+    let fit: Value = serde_json::from_slice(&fit).expect("JSON");
+    assert!(fit["residual"]["autocorrelation"]["channels"]["disp"][0].is_number(), "{fit}");
+    assert_eq!(fit["training"]["seeds"].as_array().map(Vec::len), Some(1), "{fit}");
+    let page = std::fs::read_to_string(folder.join("fit-report.html")).expect("a page");
+    assert!(page.contains("Loss curves"), "{page}");
     let page = std::fs::read_to_string(folder.join("evaluation.html")).expect("a page");
     assert!(page.contains("Runs: service") && page.contains("version 2 (hybrid2)"), "{page}");
     let figures: Value =
