@@ -77,7 +77,7 @@ fn hybrid2() -> RigModel {
             hop: 128,
             recombine: Recombine::Welch,
         }),
-        range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6, band_hz: None }; inputs],
+        range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6, band_hz: None, local: None }; inputs],
         effects: Vec::new(),
     }
 }

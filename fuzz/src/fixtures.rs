@@ -62,7 +62,7 @@ pub fn weights(kind: ModelKind) -> Vec<u8> {
         frf: (kind != ModelKind::Lstm).then_some(frf),
         frf_quality: None,
         lstm: (kind != ModelKind::Frf).then_some(lstm),
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None }],
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None }],
         effects: Vec::new(),
     })
 }

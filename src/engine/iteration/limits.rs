@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     fn range() -> InputRange {
-        InputRange { min: -1.0, max: 3.0, max_rate: 1e3, band_hz: None }
+        InputRange { min: -1.0, max: 3.0, max_rate: 1e3, band_hz: None, local: None }
     }
 
     #[test]

@@ -51,7 +51,10 @@ fn linear() -> RigModel {
         frf: Some(frf),
         frf_quality: None,
         lstm: None,
-        range: vec![InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]) }; 2],
+        range: vec![
+            InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]), local: None };
+            2
+        ],
         effects: Vec::new(),
     }
 }

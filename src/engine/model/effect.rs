@@ -143,7 +143,7 @@ mod tests {
             frf: Some(frf),
             frf_quality: None,
             lstm: None,
-            range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6, band_hz: None }; 2],
+            range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6, band_hz: None, local: None }; 2],
             effects,
         }
     }

@@ -43,7 +43,7 @@ pub use scaler::Scaler;
 pub use score::{CONTEXT_SAMPLES, SectionScore, Squares, with_context};
 pub use settings::{FitSettings, LstmOptions, Preset, Task};
 pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule, own_frf_sections};
-pub use trust::{InputRange, Trust, TrustSpan};
+pub use trust::{InputRange, LocalRange, Trust, TrustSpan};
 pub use weights::{from_safetensors, to_safetensors};
 
 /// The LSTM part of a model with everything that its prediction depends on.

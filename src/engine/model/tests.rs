@@ -127,7 +127,7 @@ fn made_up(kind: ModelKind) -> RigModel {
         frf: (kind != ModelKind::Lstm).then_some(frf),
         frf_quality: (kind != ModelKind::Lstm).then_some(quality),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
-        range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0, band_hz: None }; inputs],
+        range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0, band_hz: None, local: None }; inputs],
         effects: Vec::new(),
     }
 }

@@ -16,7 +16,9 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use super::effect::MAX_EFFECTS;
-use super::{AddedEffect, InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind};
+use super::{
+    AddedEffect, InputRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind,
+};
 use crate::EngineError;
 use crate::frf::{Frf, FrfQuality, FrfSettings};
 use crate::lstm::{LstmBlock, LstmNet, Recombine};
@@ -31,6 +33,9 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Bound on sizes read from a file, far above any sensible network.
 const MAX_CHANNELS: usize = 128;
+
+/// Samples of the longest window over which trust looks at means and levels.
+const MAX_WINDOW: usize = 4096;
 
 /// The metadata block, JSON under the key `rigcast`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -286,6 +291,7 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
         }
     }
     check_bands(meta)?;
+    check_local(meta)?;
     if meta.effects.len() > MAX_EFFECTS {
         return Err(wrong(format!("effects: {}, at most {MAX_EFFECTS} are read", meta.effects.len())));
     }
@@ -306,6 +312,20 @@ fn check_bands(meta: &Metadata) -> Result<(), EngineError> {
         if !(0.0 <= from && from <= to && to <= nyquist * (1.0 + 1e-6)) {
             return Err(wrong(format!(
                 "{what} is [{from}, {to}]: two frequencies from 0 to {nyquist} Hz, the first not above the second, are needed"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Windows have samples, means do not fall, a level is not negative.
+fn check_local(meta: &Metadata) -> Result<(), EngineError> {
+    for (i, range) in meta.range.iter().enumerate() {
+        let Some(LocalRange { window, mean, max_rms }) = range.local else { continue };
+        if !((1..=MAX_WINDOW).contains(&window) && mean[0] <= mean[1] && max_rms >= 0.0) {
+            return Err(wrong(format!(
+                "range[{i}].local: a window of 1 to {MAX_WINDOW} samples, a mean that does not fall and a max_rms that is not \
+                 negative are needed"
             )));
         }
     }

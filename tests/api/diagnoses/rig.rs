@@ -206,7 +206,7 @@ pub fn frf_weights(preprocess: Preprocess) -> Vec<u8> {
         frf: Some(found.frf),
         frf_quality: Some(found.quality),
         lstm: None,
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3, band_hz: None }],
+        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3, band_hz: None, local: None }],
         effects: Vec::new(),
     })
 }

@@ -75,7 +75,10 @@ pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {
         }),
         frf_quality: None,
         lstm: None,
-        range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None }; n_inputs],
+        range: vec![
+            InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None };
+            n_inputs
+        ],
         effects: Vec::new(),
     }
 }

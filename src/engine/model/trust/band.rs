@@ -107,7 +107,7 @@ impl BandWatch {
 }
 
 /// Window that suits all bands.
-fn window_len(bands: &[[f64; 2]], rate: f64) -> usize {
+pub(super) fn window_len(bands: &[[f64; 2]], rate: f64) -> usize {
     let wanted = bands.iter().flat_map(|[low, high]| {
         let (upper, lower) = (PERIODS_OF_UPPER * rate / high, PERIODS_OF_LOWER * rate / low);
         [Some(upper), Some(lower).filter(|len| *len <= WINDOW_LEN.end as f64)]
@@ -199,7 +199,13 @@ mod tests {
     }
 
     fn watch(bands: &[[f64; 2]]) -> (BandWatch, Vec<InputRange>) {
-        let range = |band: &[f64; 2]| InputRange { min: -2.0, max: 2.0, max_rate: 1e9, band_hz: Some(*band) };
+        let range = |band: &[f64; 2]| InputRange {
+            min: -2.0,
+            max: 2.0,
+            max_rate: 1e9,
+            band_hz: Some(*band),
+            local: None,
+        };
         let fft = ShortTime::new(window_len(bands, RATE));
         let watch = BandWatch { sample_rate_hz: RATE, bands: bands.to_vec(), fft };
         (watch, bands.iter().map(range).collect())

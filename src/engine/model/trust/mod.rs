@@ -1,7 +1,8 @@
 //! Whether an input lies inside what a model was fitted on: value and rate of each channel, and where
-//! its power lies in frequency.
+//! its power lies in frequency, and means and levels over short times.
 
 mod band;
+mod local;
 mod range;
 #[cfg(test)]
 mod tests;
@@ -12,7 +13,10 @@ use serde::Serialize;
 
 use crate::{Signal, rounded};
 
+use local::{Dwelling, Way};
+
 pub(super) use band::BandWatch;
+pub use local::LocalRange;
 pub use range::InputRange;
 
 /// A span in which one channel is outside in one way.
@@ -74,6 +78,14 @@ pub(super) fn trust(names: &[String], range: &[InputRange], band: Option<&BandWa
             found.push((part.samples.clone(), channel, out_of_band(&part)));
         }
     }
+    for (channel, range) in range.iter().enumerate() {
+        let Some(local) = &range.local else { continue };
+        for dwelling in local.find([range.min, range.max], x.channel(channel)) {
+            outside.samples[dwelling.samples.clone()].fill(true);
+            let reason = over_windows(&dwelling, local.window as f64 / fs);
+            found.push((dwelling.samples, channel, reason));
+        }
+    }
     found.sort_by_key(|(samples, channel, _)| (samples.start, *channel));
     let span = |(samples, channel, reason): (Range<usize>, usize, String)| TrustSpan {
         from_s: samples.start as f64 / fs,
@@ -86,6 +98,15 @@ pub(super) fn trust(names: &[String], range: &[InputRange], band: Option<&BandWa
         inside: if n == 0 { 1.0 } else { inside as f64 / n as f64 },
         spans: found.into_iter().map(span).collect(),
     }
+}
+
+fn over_windows(dwelling: &Dwelling, window_s: f64) -> String {
+    let what = match dwelling.way {
+        Way::High => "mean over windows above that of the training",
+        Way::Low => "mean over windows below that of the training",
+        Way::Strong => "RMS over windows above that of the training",
+    };
+    format!("{what} (windows of {} s; limit {})", rounded(window_s, 3), rounded(dwelling.limit, 6))
 }
 
 fn out_of_band(out: &band::OutOfBand) -> String {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::LocalRange;
 use crate::EngineError;
 use crate::spectral::{Detrend, Welch, psd_of_parts};
 
@@ -18,6 +19,9 @@ pub struct InputRange {
     /// First and last frequency that it excited; `None` when unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub band_hz: Option<[f64; 2]>,
+    /// Means and levels over windows; `None` when unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub local: Option<LocalRange>,
 }
 
 /// Samples of a segment of the spectra that tell the band.
@@ -45,14 +49,18 @@ impl InputRange {
         let spectrum = psd_of_parts(parts, sample_rate_hz, &welch)?;
         let range = |(channel, density): (usize, &Vec<f64>)| {
             let band_hz = excited(density, spectrum.df_hz, sample_rate_hz);
-            Self { band_hz, ..Self::of(parts.iter().map(|part| part[channel]), sample_rate_hz) }
+            let stretches = || parts.iter().map(|part| part[channel]);
+            let local =
+                LocalRange::of(stretches(), band_hz.unwrap_or([0.0, sample_rate_hz / 2.0]), sample_rate_hz);
+            Self { band_hz, local, ..Self::of(stretches(), sample_rate_hz) }
         };
         Ok(spectrum.density.iter().enumerate().map(range).collect())
     }
 
     /// Values and rates over several signals of one channel.
     pub(super) fn of<'a>(stretches: impl Iterator<Item = &'a [f64]>, sample_rate_hz: f64) -> Self {
-        let mut range = Self { min: f64::INFINITY, max: f64::NEG_INFINITY, max_rate: 0.0, band_hz: None };
+        let mut range =
+            Self { min: f64::INFINITY, max: f64::NEG_INFINITY, max_rate: 0.0, band_hz: None, local: None };
         for samples in stretches {
             for &v in samples {
                 range.min = range.min.min(v);
@@ -89,7 +97,7 @@ mod tests {
     fn a_range_spans_all_stretches_but_no_step_between_them() {
         let runs = [&[0.0, 1.0, 2.0][..], &[-1.0, -1.0]];
         let found = InputRange::of(runs.into_iter(), 10.0);
-        assert_eq!(found, InputRange { min: -1.0, max: 2.0, max_rate: 10.0, band_hz: None });
+        assert_eq!(found, InputRange { min: -1.0, max: 2.0, max_rate: 10.0, band_hz: None, local: None });
     }
 
     fn tones(n: usize, hz: std::ops::Range<u32>) -> Vec<f64> {

@@ -10,7 +10,7 @@ use crate::virtual_rig::{ProgrammeRun, ProgrammeSettings, programme};
 use crate::{RunKind, Split};
 
 fn range(min: f64, max: f64, max_rate: f64) -> Vec<InputRange> {
-    vec![InputRange { min, max, max_rate, band_hz: None }]
+    vec![InputRange { min, max, max_rate, band_hz: None, local: None }]
 }
 
 fn of(range: &[InputRange], rate: f64, samples: Vec<f64>) -> Trust {
@@ -107,6 +107,27 @@ fn a_small_sine_beyond_the_band_of_the_training_is_outside() {
     let [span] = &t.spans[..] else { panic!("{t:?}") };
     assert!(span.channel == "drive_2" && span.from_s <= 30.0 && span.to_s > 31.4, "{t:?}");
     assert!((0.95..0.98).contains(&t.inside), "{t:?}");
+}
+
+#[test]
+fn means_that_the_training_left_out_are_outside_though_most_values_are_inside() {
+    let runs = drives();
+    let model = fitted(&runs);
+    let without = RigModel {
+        range: model.range.iter().map(|range| InputRange { local: None, ..*range }).collect(),
+        ..model.clone()
+    };
+    for run in runs.iter().filter(|run| run.tags.contains(&"n2")) {
+        let (values, all) = (trust_of(&without, &run.drive), trust_of(&model, &run.drive));
+        assert!(values.inside > 0.6, "{}: {} inside by values", run.name, values.inside);
+        assert!(all.inside < 0.1, "{}: {} inside", run.name, all.inside);
+        assert!(all.spans.iter().any(|span| span.reason.starts_with("mean over windows")), "{:?}", all.spans);
+    }
+    // A steady tone at the amplitude of the training's peaks.
+    let n = 20_000;
+    let peak = 0.9 * model.range[0].max;
+    let tone = Signal::new(1000.0, vec![sine(12.0, peak, n), vec![0.0; n], vec![0.0; n]]).unwrap();
+    assert_eq!((trust_of(&without, &tone).inside, trust_of(&model, &tone).inside), (1.0, 0.0));
 }
 
 #[test]

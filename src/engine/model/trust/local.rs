@@ -1,0 +1,171 @@
+//! Means and levels of an input over short times: a drive may dwell where the training only passed, with every sample
+//! inside the training's range.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::band::window_len;
+
+/// Means may leave those of the training by this share of half the range of its values.
+const MEAN_SLACK: f64 = 0.05;
+
+/// The RMS over a window may exceed the largest of the training by this factor: that of few windows is uncertain.
+const RMS_SLACK: f64 = 1.1;
+
+/// Windows per length of a window.
+const HOPS: usize = 4;
+
+/// Means of one input over the windows of its training data, and RMS values about them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LocalRange {
+    /// Samples of a window.
+    pub window: usize,
+    /// Smallest and largest mean, channel unit.
+    pub mean: [f64; 2],
+    /// Largest RMS about the mean, channel unit.
+    pub max_rms: f64,
+}
+
+/// A stretch of one input outside, over windows.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Dwelling {
+    /// Samples.
+    pub samples: Range<usize>,
+    /// In which way.
+    pub way: Way,
+    /// The limit that it passed, channel unit.
+    pub limit: f64,
+}
+
+/// A way to be outside over windows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Way {
+    High,
+    Low,
+    Strong,
+}
+
+impl LocalRange {
+    /// That of stretches of one input that excited `band_hz`; `None` where no stretch is as long as a window.
+    pub(super) fn of<'a>(
+        stretches: impl Iterator<Item = &'a [f64]>,
+        band_hz: [f64; 2],
+        sample_rate_hz: f64,
+    ) -> Option<Self> {
+        let window = window_len(&[band_hz], sample_rate_hz);
+        let mut found = Self { window, mean: [f64::INFINITY, f64::NEG_INFINITY], max_rms: 0.0 };
+        for stretch in stretches {
+            each_window(stretch, window, |_, mean, rms| {
+                found.mean = [found.mean[0].min(mean), found.mean[1].max(mean)];
+                found.max_rms = found.max_rms.max(rms);
+            });
+        }
+        (found.mean[0] <= found.mean[1]).then_some(found)
+    }
+
+    /// Stretches of an input outside; `values` are the smallest and the largest value of the training. An input
+    /// shorter than a window is not judged.
+    pub(super) fn find(&self, values: [f64; 2], samples: &[f64]) -> Vec<Dwelling> {
+        let slack = MEAN_SLACK * (values[1] - values[0]) / 2.0;
+        let limits = [
+            (Way::High, self.mean[1] + slack),
+            (Way::Low, self.mean[0] - slack),
+            (Way::Strong, RMS_SLACK * self.max_rms + slack),
+        ];
+        let mut found: [Vec<Dwelling>; 3] = Default::default();
+        each_window(samples, self.window, |part, mean, rms| {
+            for ((way, limit), found) in limits.into_iter().zip(&mut found) {
+                let out = match way {
+                    Way::High => mean > limit,
+                    Way::Low => mean < limit,
+                    Way::Strong => rms > limit,
+                };
+                match found.last_mut() {
+                    _ if !out => {}
+                    Some(last) if last.samples.end >= part.start => last.samples.end = part.end,
+                    _ => found.push(Dwelling { samples: part.clone(), way, limit }),
+                }
+            }
+        });
+        found.into_iter().flatten().collect()
+    }
+}
+
+/// Calls `then` with the samples that each window speaks for, which are those nearest to its middle, its mean and its
+/// RMS about the mean.
+fn each_window(samples: &[f64], window: usize, mut then: impl FnMut(Range<usize>, f64, f64)) {
+    let n = samples.len();
+    if n < window {
+        return;
+    }
+    let hop = (window / HOPS).max(1);
+    let starts = (0..n - window).step_by(hop).chain([n - window]);
+    let mut from = 0;
+    let mut starts = starts.peekable();
+    while let Some(start) = starts.next() {
+        let to = starts.peek().map_or(n, |next| usize::midpoint(start, *next) + window / 2);
+        let part = &samples[start..start + window];
+        let mean = part.iter().sum::<f64>() / window as f64;
+        let square = part.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / window as f64;
+        then(from..to, mean, square.sqrt());
+        from = to;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Noise of 1 RMS about a mean, from a linear congruential generator.
+    fn noise(n: usize, mean: f64, rms: f64) -> Vec<f64> {
+        let mut state = 7_u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        (0..n).map(|_| mean + rms * 12.0_f64.sqrt() * next()).collect()
+    }
+
+    fn trained() -> LocalRange {
+        let parts = [noise(4000, -1.0, 0.5), noise(4000, 1.0, 1.0)];
+        LocalRange::of(parts.iter().map(Vec::as_slice), [0.0, 100.0], 1000.0).unwrap()
+    }
+
+    #[test]
+    fn each_sample_belongs_to_the_window_about_it() {
+        let mut parts = Vec::new();
+        each_window(&noise(1000, 0.0, 1.0), 128, |part, _, _| parts.push(part));
+        assert_eq!((parts[0].start, parts.last().unwrap().end), (0, 1000));
+        assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start), "{parts:?}");
+        each_window(&[0.0; 127], 128, |_, _, _| panic!("it is shorter than a window"));
+    }
+
+    #[test]
+    fn a_range_holds_the_means_and_the_largest_level_of_all_stretches() {
+        let found = trained();
+        assert_eq!(found.window, 512);
+        assert!((found.mean[0] + 1.0).abs() < 0.1 && (found.mean[1] - 1.0).abs() < 0.2, "{found:?}");
+        assert!((found.max_rms - 1.0).abs() < 0.1, "{found:?}");
+        assert_eq!(LocalRange::of([&[1.0; 100][..]].into_iter(), [0.0, 100.0], 1000.0), None);
+    }
+
+    #[test]
+    fn training_and_its_like_are_inside_and_what_dwells_or_is_stronger_is_not() {
+        let (range, values) = (trained(), [-3.0, 3.0]);
+        for (mean, rms) in [(-1.0, 0.5), (1.0, 1.0), (0.0, 0.9)] {
+            assert_eq!(range.find(values, &noise(8000, mean, rms)), [], "{mean} {rms}");
+        }
+        let mut drive = noise(8000, 0.0, 0.5);
+        drive[3000..5000].iter_mut().for_each(|v| *v += 2.0);
+        drive[6000..7000].iter_mut().for_each(|v| *v *= 3.0);
+        let found = range.find(values, &drive);
+        let ways: Vec<Way> = found.iter().map(|dwelling| dwelling.way).collect();
+        assert_eq!(ways, [Way::High, Way::Strong], "{found:?}");
+        let [high, strong] = [&found[0].samples, &found[1].samples];
+        assert!((2800..3500).contains(&high.start) && (4500..5300).contains(&high.end), "{found:?}");
+        assert!((5700..6500).contains(&strong.start) && (6500..7400).contains(&strong.end), "{found:?}");
+        assert_eq!(range.find(values, &[9.0; 511]), [], "shorter than a window");
+    }
+}
