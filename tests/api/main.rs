@@ -49,4 +49,5 @@ mod studies;
 mod support;
 mod torch;
 mod turns;
+mod upload_forms;
 mod workers;
