@@ -40,7 +40,7 @@ pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
 pub use quality::{ChannelQuality, Quality};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
-pub use run::{InsertedRun, Run, RunMeta, RunPatch};
+pub use run::{InsertedRun, Run, RunMeta, RunOutlook, RunPatch};
 pub use study::{StoredStudy, StudyReport, StudyRequest, StudySummary};
 pub use token::{Secret, SecretDigest, Token, TokenDraft, TokenId, TokenRole};
 

@@ -23,6 +23,7 @@ use crate::http::{Shared, codes, errors, json, rigs};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
 
 use receive::{Description, Received};
+use understood::DryRun;
 
 const KINDS: &str = "noise, service, sine, sweep or other";
 const SPLITS: &str = "training, validation or test";
@@ -57,7 +58,8 @@ pub async fn upload(
     let read =
         http.off_thread(class, move || file::prepare(query, &rig, meta, format, upload, &scratch)).await??;
     if is_dry {
-        return json::answer(&read.understood);
+        let outlook = http.store.outlook(&id, &read.run).await?.ok_or_else(|| no_rig(id.as_str()))?;
+        return json::answer(&DryRun { understood: read.understood, outlook });
     }
     let run = read.run;
     match http.store.insert_run(&id, run, caller.token_id(), key.stored(), http.now()).await? {
