@@ -38,7 +38,7 @@ pub use model::{
 pub use model_ref::ModelRef;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
-pub use quality::{ChannelQuality, Quality};
+pub use quality::{ChannelQuality, Quality, faults_of_runs};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
 pub use run::{InsertedRun, Run, RunMeta, RunOutlook, RunPatch};
 pub use study::{StoredStudy, StudyReport, StudyRequest, StudySummary};
