@@ -49,6 +49,11 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
         "weights" => [ModelKind::Frf, ModelKind::Lstm, ModelKind::Hybrid1, ModelKind::Hybrid2]
             .map(|kind| named(kind.as_str(), &fixtures::weights(kind)))
             .to_vec(),
+        "form_data" => {
+            let form = b"\x04--b\r\nContent-Disposition: form-data; name=\"kind\"\r\n\r\nnoise\r\n--b\r\n\
+                Content-Disposition: form-data; name=file; filename*=utf-8''a\r\nContent-Type: text/csv\r\n\r\nu\n1\r\n--b--";
+            vec![named("two", form)]
+        }
         "bodies" => bodies(),
         // The other targets are driven by raw bytes, so that any bytes will do as a start.
         _ => (0..4_u32)

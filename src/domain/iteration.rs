@@ -38,15 +38,15 @@ pub enum StartDrive {
     Run(RunId),
 }
 
-/// The request; every field but `target` has a default.
+/// The request; every field but `target` has a default. Its target is a run, once it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct IterationRequest {
+pub struct IterationRequest<Target = IterationTarget> {
     /// The model; its inputs must be drives.
     #[serde(default)]
     pub model: ModelRef,
     /// The response to reproduce.
-    pub target: IterationTarget,
+    pub target: Target,
     /// Where the search begins.
     #[serde(default)]
     pub start: StartDrive,
@@ -110,7 +110,31 @@ fn ridge() -> f64 {
     IterationSettings::default().ridge
 }
 
-impl IterationRequest {
+impl<Target> IterationRequest<Target> {
+    /// The same request with another target, and its own.
+    pub fn with_target<Other>(self, target: Other) -> (IterationRequest<Other>, Target) {
+        let request = IterationRequest {
+            model: self.model,
+            target,
+            start: self.start,
+            name: self.name,
+            iterations: self.iterations,
+            gain: self.gain,
+            gains: self.gains,
+            gain_bands: self.gain_bands,
+            band_hz: self.band_hz,
+            min_coherence: self.min_coherence,
+            ridge: self.ridge,
+            weights: self.weights,
+            limits: self.limits,
+            taper_s: self.taper_s,
+            outside: self.outside,
+            stop: self.stop,
+            damage: self.damage,
+        };
+        (request, self.target)
+    }
+
     /// The engine's settings.
     pub fn settings(&self) -> IterationSettings {
         IterationSettings {

@@ -40,9 +40,9 @@ pub use model_ref::ModelRef;
 pub use model_report::ModelReport;
 pub use page::{Cursor, Page, PageRequest};
 pub use problem::{FieldError, Problem};
-pub use quality::{ChannelQuality, Quality};
+pub use quality::{ChannelQuality, Quality, faults_of_runs};
 pub use rig::{Channel, FitPolicy, Rig, RigDraft, Role};
-pub use run::{InsertedRun, Run, RunMeta, RunPatch};
+pub use run::{InsertedRun, Run, RunMeta, RunOutlook, RunPatch};
 pub use study::{StoredStudy, StudyReport, StudyRequest, StudySummary};
 pub use token::{Secret, SecretDigest, Token, TokenDraft, TokenId, TokenRole};
 

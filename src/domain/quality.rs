@@ -5,12 +5,15 @@
 mod false_alarms;
 #[cfg(test)]
 mod faults;
+mod of_runs;
 mod sentences;
 
 use std::collections::HashMap;
 use std::io;
 
 use serde::{Deserialize, Serialize};
+
+pub use of_runs::faults_of_runs;
 
 use super::rig::Role;
 use crate::engine::quality::{self, Dropouts, Excerpts, Hum, MainsFinder, Quantisation, Scan, Spikes};
@@ -241,12 +244,17 @@ fn repeats(channels: &[ChannelQuality], samples: &mut impl Samples) -> io::Resul
         }
         match repeated {
             Some(other) => {
-                warnings.push(format!("{} repeats {}", channel.channel, channels[other].channel));
+                warnings.push(repeats_sentence(&channel.channel, &channels[other].channel));
             }
             None => alike.push(at),
         }
     }
     Ok(warnings)
+}
+
+/// The warning that a channel has the values of another.
+fn repeats_sentence(channel: &str, other: &str) -> String {
+    format!("{channel} repeats {other}")
 }
 
 impl ChannelQuality {

@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::fits::FitRequest;
 use super::ids::{JobId, RigId, RunId};
 use super::problem::FieldError;
 use super::quality::Quality;
@@ -105,6 +106,19 @@ pub struct InsertedRun {
     /// Jobs of the fit policy that it queued or joined.
     pub jobs: Vec<JobId>,
     /// Outcome of the rig's fit policy in words: the reason for no jobs, or the number of fits.
+    pub policy: String,
+}
+
+/// What an upload of a file would do, beside storing its run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunOutlook {
+    /// The earliest run of the rig with the same bytes.
+    pub duplicate_of: Option<RunId>,
+    /// Fits that the rig's policy would queue.
+    pub fits: Vec<FitRequest>,
+    /// Queued jobs of the fit policy that the run would join.
+    pub jobs: Vec<JobId>,
+    /// Outcome of the rig's fit policy in words: the reason for no fits, or their number.
     pub policy: String,
 }
 

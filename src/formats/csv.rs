@@ -4,6 +4,7 @@
 //! - Text is UTF-8, UTF-16 with its byte order mark, or Windows-1252.
 //! - Cells are separated by a tab, `;` or `,`: the first of these, in this order, that the row above the first
 //!   samples has outside quotes, or the one that a first line `sep=;` names.
+//! - Blanks separate where rows of numbers have no other separator; several count as one.
 //! - Rows above the header are passed over. A file whose first row is all numbers has no header; its channels have
 //!   no names.
 //! - A units row is a row below the header without any number; brackets around a unit are left off.
@@ -14,6 +15,7 @@
 //! - CRLF, separators at the end of all rows and empty lines at the end are accepted. An empty line between samples
 //!   is refused, since it may be a lost sample.
 
+mod blanks;
 mod clock;
 mod head;
 mod layout;

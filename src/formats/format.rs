@@ -54,6 +54,22 @@ impl Format {
         }
     }
 
+    /// The format by the ending of a file's name; none where programs use the ending for several formats.
+    pub fn of_name(file_name: &str) -> Option<Self> {
+        let ending = file_name.rsplit_once('.')?.1.to_ascii_lowercase();
+        match ending.as_str() {
+            "csv" => Some(Self::Csv),
+            "npy" => Some(Self::Npy),
+            "npz" => Some(Self::Npz),
+            "rsp" | "drv" | "tim" => Some(Self::Rpc3),
+            "mat" => Some(Self::Mat),
+            "h5" | "hdf5" => Some(Self::Hdf5),
+            "uff" | "unv" => Some(Self::Uff58),
+            "json" => Some(Self::Json),
+            _ => None,
+        }
+    }
+
     /// The format's name in answers and metrics.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -79,6 +95,15 @@ fn is_npz(start: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_ending_of_a_name_tells_the_format_whatever_its_case() {
+        assert_eq!(Format::of_name("C:\\run.1.RSP"), Some(Format::Rpc3));
+        assert_eq!(Format::of_name("noise.Csv"), Some(Format::Csv));
+        for name in ["noise.txt", "noise.dat", "csv", "", "noise."] {
+            assert_eq!(Format::of_name(name), None, "{name}");
+        }
+    }
 
     #[test]
     fn the_first_bytes_tell_the_format() {

@@ -7,6 +7,7 @@
 
 pub mod csv;
 mod error;
+pub mod form_data;
 mod format;
 pub mod hdf5;
 pub mod json;

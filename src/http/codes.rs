@@ -46,6 +46,8 @@ codes! {
     BODY_UNKNOWN_FIELD = "body.unknown_field", 422, "Unknown field";
     BODY_MISSING_FIELD = "body.missing_field", 422, "Missing field";
     BODY_INVALID_VALUE = "body.invalid_value", 422, "Invalid value";
+    FORM_MALFORMED = "form.malformed", 400, "The form cannot be read";
+    FORM_INVALID = "form.invalid", 422, "The form does not hold one file and its description";
     DIGEST_MALFORMED = "digest.malformed", 400, "Content-Digest cannot be read";
     DIGEST_MISMATCH = "digest.mismatch", 400, "The body does not match its digest";
 

@@ -27,6 +27,9 @@ pub const HDF5: &str = "application/x-hdf5";
 /// Media type of RPC III time histories.
 pub const RPC3: &str = "application/x-rpc3";
 
+/// [`RPC3`] with single floats in place of 16-bit integers.
+pub const RPC3_FLOATS: &str = "application/x-rpc3; numbers=floats";
+
 /// Media type of Universal File Format, data sets 58.
 pub const UFF58: &str = "application/x-uff58";
 
@@ -70,6 +73,26 @@ pub fn parameter(headers: &HeaderMap, media_type: &str, name: &str) -> Option<St
         let value = value.trim().trim_matches('"');
         key.trim().eq_ignore_ascii_case(name).then(|| value.to_ascii_lowercase())
     })
+}
+
+/// The chosen file with the numbers that the range of `Accept` with this media type asks for: RPC III has 16-bit
+/// integers, or floats.
+///
+/// # Errors
+/// `accept.not_acceptable` for other numbers.
+pub fn with_numbers(headers: &HeaderMap, range: &str, file: &'static str) -> Answer<&'static str> {
+    if file != RPC3 {
+        return Ok(file);
+    }
+    match parameter(headers, range, "numbers").as_deref() {
+        None | Some("integers") => Ok(RPC3),
+        Some("floats") => Ok(RPC3_FLOATS),
+        Some(other) => {
+            let detail = format!("Accept asks for an RPC III file with the numbers {other:?}.");
+            let limit = "numbers=integers or numbers=floats";
+            Err(Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", limit)))
+        }
+    }
 }
 
 /// One element of an `Accept` header.

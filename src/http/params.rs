@@ -26,6 +26,28 @@ impl Params {
         Self(Vec::new())
     }
 
+    /// Adds the fields of a form, each of which is a parameter in another place. The same values in both places count
+    /// once.
+    ///
+    /// # Errors
+    /// `form.invalid` where the query has other values under a field's name.
+    pub fn add_fields(&mut self, fields: Vec<(String, String)>) -> Answer<()> {
+        let values = |of: &[(String, String)], name: &str| -> Vec<String> {
+            of.iter().filter(|(key, _)| key == name).map(|(_, value)| value.clone()).collect()
+        };
+        for (name, _) in &fields {
+            let in_query = values(&self.0, name);
+            if !in_query.is_empty() && in_query != values(&fields, name) {
+                let detail = format!("The query and the form give different values for {name}.");
+                return Err(Problem::new(codes::FORM_INVALID, detail)
+                    .with(FieldError::new(format!("?{name}"), "in one of them, or alike in both")));
+            }
+        }
+        let added: Vec<_> = fields.into_iter().filter(|(name, _)| values(&self.0, name).is_empty()).collect();
+        self.0.extend(added);
+        Ok(())
+    }
+
     /// Takes all values of a parameter that may be repeated.
     pub fn all(&mut self, name: &str) -> Vec<String> {
         self.0.extract_if(.., |(key, _)| key == name).map(|(_, value)| value).collect()
@@ -174,6 +196,19 @@ mod tests {
         let problem = params.finish().expect_err("limt is unknown");
         assert_eq!(problem.code(), codes::QUERY_UNKNOWN_PARAMETER.name);
         assert!(String::from_utf8(problem.document("")).expect("text").contains("?limt"));
+    }
+
+    #[tokio::test]
+    async fn fields_of_a_form_join_the_query_where_both_agree() {
+        let field = |name: &str, value: &str| (name.to_owned(), value.to_owned());
+        let mut both = params("tag=a&tag=b&kind=noise").await;
+        let fields = vec![field("tag", "a"), field("name", "n"), field("tag", "b"), field("ignore", "x")];
+        both.add_fields(fields).expect("they agree");
+        assert_eq!((both.all("tag").len(), both.all("name").len(), both.all("kind").len()), (2, 1, 1));
+        for differing in [vec![field("tag", "b"), field("tag", "a")], vec![field("tag", "a")]] {
+            let problem = params("tag=a&tag=b").await.add_fields(differing).expect_err("they differ");
+            assert_eq!(problem.code(), codes::FORM_INVALID.name);
+        }
     }
 
     #[tokio::test]

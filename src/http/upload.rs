@@ -80,33 +80,76 @@ pub async fn receive_at_most(
 async fn receive_into(directory: &Path, headers: &HeaderMap, body: Body, limits: Limits) -> Answer<Upload> {
     let wanted = content_digest(headers)?;
     let mut body = Limited::new(headers, body, limits.upload_bytes, limits.pace)?;
-    let file = NamedTempFile::new_in(directory).map_err(disk)?;
-    let handle = file.reopen().map_err(disk)?;
-    let mut writer = BufWriter::with_capacity(BUFFER_BYTES, tokio::fs::File::from_std(handle));
-    let mut hash = Sha256::new();
-    let mut size = 0;
+    let mut file = UploadFile::new(directory)?;
     while let Some(chunk) = body.next().await? {
-        size += chunk.len();
-        hash.update(&chunk);
-        writer.write_all(&chunk).await.map_err(disk)?;
+        file.write(&chunk).await?;
     }
-    writer.flush().await.map_err(disk)?;
-    let sha256: [u8; 32] = hash.finalize().into();
-    if let Some(wanted) = wanted
-        && wanted != sha256
-    {
-        let detail = format!(
-            "Content-Digest says sha-256 {}, the body has {}.",
-            STANDARD.encode(wanted),
-            STANDARD.encode(sha256)
-        );
-        return Err(Problem::new(codes::DIGEST_MISMATCH, detail));
+    let upload = file.finish().await?;
+    check_digest(wanted, upload.sha256)?;
+    Ok(upload)
+}
+
+/// An upload on its way into its temporary file.
+#[derive(Debug)]
+pub struct UploadFile {
+    file: NamedTempFile,
+    writer: BufWriter<tokio::fs::File>,
+    hash: Sha256,
+    size: usize,
+}
+
+impl UploadFile {
+    /// An empty file in `directory`.
+    ///
+    /// # Errors
+    /// `store.full`.
+    pub fn new(directory: &Path) -> Answer<Self> {
+        let file = NamedTempFile::new_in(directory).map_err(disk)?;
+        let handle = file.reopen().map_err(disk)?;
+        let writer = BufWriter::with_capacity(BUFFER_BYTES, tokio::fs::File::from_std(handle));
+        Ok(Self { file, writer, hash: Sha256::new(), size: 0 })
     }
-    Ok(Upload { file, size, sha256 })
+
+    /// Adds bytes.
+    ///
+    /// # Errors
+    /// `store.full`.
+    pub async fn write(&mut self, chunk: &[u8]) -> Answer<()> {
+        self.size += chunk.len();
+        self.hash.update(chunk);
+        self.writer.write_all(chunk).await.map_err(disk)
+    }
+
+    /// The complete upload.
+    ///
+    /// # Errors
+    /// `store.full`.
+    pub async fn finish(mut self) -> Answer<Upload> {
+        self.writer.flush().await.map_err(disk)?;
+        Ok(Upload { file: self.file, size: self.size, sha256: self.hash.finalize().into() })
+    }
+}
+
+/// Compares the digest of a body with the one that its header promises.
+///
+/// # Errors
+/// `digest.mismatch`.
+pub fn check_digest(wanted: Option<[u8; 32]>, found: [u8; 32]) -> Answer<()> {
+    match wanted {
+        Some(wanted) if wanted != found => {
+            let [wanted, found] = [wanted, found].map(|digest| STANDARD.encode(digest));
+            let detail = format!("Content-Digest says sha-256 {wanted}, the body has {found}.");
+            Err(Problem::new(codes::DIGEST_MISMATCH, detail))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The SHA-256 that `Content-Digest` promises (RFC 9530), once or several times alike; other algorithms are ignored.
-fn content_digest(headers: &HeaderMap) -> Answer<Option<[u8; 32]>> {
+///
+/// # Errors
+/// `digest.malformed`.
+pub fn content_digest(headers: &HeaderMap) -> Answer<Option<[u8; 32]>> {
     let mut found: Option<[u8; 32]> = None;
     for value in headers.get_all("content-digest") {
         for member in value.to_str().map_err(|_| malformed())?.split(',') {

@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
-use crate::domain::{JobId, Lineage, Origin, Rig, Run};
+use crate::domain::{JobId, Lineage, Origin, Rig, Run, faults_of_runs};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, SplitRule, to_safetensors,
@@ -68,6 +68,8 @@ pub(super) async fn fit_model(
     let (fitted, weights) = fit(context, (&plan, start), data, checkpoints, control).await?;
     let Fitted { model, mut report, record } = fitted;
     tell_of_split(&plan, &mut report);
+    let runs: Vec<&Run> = plan.training.iter().chain(plan.frf_only()).chain(&plan.validation).collect();
+    report.warnings.extend(faults_of_runs(&runs, plan.inputs.iter().chain(&plan.outputs)));
     let lineage = plan.lineage(report.comparison.as_ref().is_some_and(|c| c.refitted));
     tell_of_start(&lineage, &mut report);
     let model = Arc::new(model);

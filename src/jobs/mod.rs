@@ -31,12 +31,15 @@ use tokio::task::JoinHandle;
 use crate::compute::Compute;
 use crate::domain::fits::FitRequest;
 use crate::domain::{
-    Clock, DiagnosisRequest, EvaluationRequest, IterationRequest, Job, JobId, Rig, StudyRequest, TokenId,
+    Clock, DiagnosisRequest, EvaluationRequest, IterationRequest, Job, JobId, ModelRef, Rig, StudyRequest,
+    TokenId,
 };
-use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, Store, StoreError};
+use crate::engine::Signal;
+use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, PrepareError, Store, StoreError};
 
 use control::Stop;
 use fit::FitFunction;
+use iteration::TargetOutline;
 use runner::{Executor, Runner};
 use work_context::WorkContext;
 
@@ -194,9 +197,52 @@ impl Jobs {
         key: Option<&IdempotencyKey>,
     ) -> Result<Job, IterationProblem> {
         let Runner { store, clock, .. } = &*self.runner;
-        let plan = iteration::check(store, rig, request).await?;
+        let (plan, _) = iteration::check(store, rig, request).await?;
+        let request = IterationRequest { model: ModelRef::Version(plan.model.version), ..request.clone() };
         let asker = self.asker(token);
-        match store.insert_iteration_job(&rig.id, &plan.request, asker, key, clock()).await? {
+        let inserted = store.insert_iteration_job(&rig.id, &request, asker, key, clock()).await?;
+        self.queued_iteration(inserted, asker)
+    }
+
+    /// [`Jobs::submit_iteration`] for a target that comes with the request, its channels in the order of `names`: it
+    /// becomes a run of the rig, which the request that is stored names.
+    ///
+    /// # Errors
+    /// [`IterationProblem`]: an error of the request, or the store's failure.
+    pub async fn submit_iteration_for(
+        &self,
+        rig: &Rig,
+        mut request: IterationRequest<()>,
+        (names, target): (&[String], Signal),
+        token: Option<TokenId>,
+        key: Option<IdempotencyKey>,
+    ) -> Result<Job, IterationProblem> {
+        let Runner { store, clock, .. } = &*self.runner;
+        let outline = TargetOutline {
+            name: "",
+            channels: names,
+            wanted: Some(names),
+            samples: target.n_samples() as u64,
+            sample_rate_hz: target.sample_rate_hz(),
+            is_sent: true,
+        };
+        let plan = iteration::check_for(store, rig, &request, &outline).await?;
+        request.model = ModelRef::Version(plan.model.version);
+        let places: Vec<usize> =
+            plan.channels.iter().filter_map(|name| names.iter().position(|n| n == name)).collect();
+        let target = target.select(&places);
+        let prepared = store.prepare_target(rig, request.name.as_deref(), plan.channels, target).await;
+        let target = prepared.map_err(|error| match error {
+            PrepareError::Store(error) => IterationProblem::Store(error),
+            PrepareError::Unsuitable(errors) => IterationProblem::Invalid(errors),
+        })?;
+        let asker = self.asker(token);
+        let inserted = store.insert_iteration_job_for(&rig.id, request, target, asker, key, clock()).await?;
+        self.queued_iteration(inserted, asker)
+    }
+
+    fn queued_iteration(&self, inserted: JobInsert, asker: Asker) -> Result<Job, IterationProblem> {
+        match inserted {
             JobInsert::Queued(job) => {
                 self.wake();
                 Ok(*job)

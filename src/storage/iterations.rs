@@ -1,17 +1,20 @@
 //! Drive-file iterations in the store. The drive that one found is a run.
 
+use std::path::Path;
+
 use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::jobs::succeed;
-use super::objects::{ObjectWrite, off_thread};
+use super::jobs::{insert_requested, refusal, succeed};
+use super::objects::{ObjectWrite, off_thread, to_the_end};
 use super::prepare::NewRun;
 use super::rigs::rig_in;
 use super::rows::{IterationRow, all, int, json, us};
 use super::runs::insert_row;
 use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, PrepareError, PreparedRun, Store, StoreError};
-use crate::domain::iteration::IterationReport;
+use crate::domain::iteration::{IterationReport, IterationTarget};
+use crate::domain::rig::MAX_NAME_CHARS;
 use crate::domain::{
     IterationId, IterationRequest, IterationSummary, JobKind, JobResult, Page, PageRequest, Rig, RigId,
     RunKind, RunMeta, Split, StoredIteration, UsedModel, new_id,
@@ -20,6 +23,9 @@ use crate::engine::Signal;
 
 /// Tag of the runs that hold iterated drives.
 const TAG: &str = "iterated";
+
+/// Tag of the runs that hold targets which came with their request.
+const TARGET_TAG: &str = "target";
 
 /// An iteration on its way into the store.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -47,29 +53,36 @@ impl NewIteration {
         drive.channels().iter().flatten().flat_map(|v| v.to_le_bytes()).collect()
     }
 
-    /// The run that holds the drive. It is no measurement: as a test run it never enters a fit.
-    fn prepare(&self, scratch: &std::path::Path, rig: &Rig) -> Result<PreparedRun, StoreError> {
+    /// The run that holds the drive.
+    fn prepare(&self, scratch: &Path, rig: &Rig) -> Result<PreparedRun, StoreError> {
         let bad = |what: String| StoreError::Row { table: "iterations", key: rig.id.to_string(), what };
         let (numbers, _) = self.samples.as_chunks::<8>();
         let values: Vec<f64> = numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
         let per_drive = (values.len() / self.drives.len().max(1)).max(1);
         let channels = values.chunks(per_drive).map(<[f64]>::to_vec).collect();
         let drive = Signal::new(rig.sample_rate_hz, channels).map_err(|error| bad(error.to_string()))?;
-        let meta = RunMeta {
-            name: self.name.clone(),
-            kind: RunKind::Other,
-            split: Split::Test,
-            tags: vec![TAG.to_owned()],
-            started_at: None,
-        };
-        let sha256 = Digest::of(&self.samples).as_str().to_owned();
-        PreparedRun::new(scratch, rig, meta, self.drives.clone(), Vec::new(), drive, sha256).map_err(
-            |error| match error {
-                PrepareError::Store(error) => error,
-                PrepareError::Unsuitable(errors) => bad(format!("{errors:?}")),
-            },
-        )
+        let run = unmeasured(scratch, rig, self.name.clone(), TAG, self.drives.clone(), drive, &self.samples);
+        run.map_err(|error| match error {
+            PrepareError::Store(error) => error,
+            PrepareError::Unsuitable(errors) => bad(format!("{errors:?}")),
+        })
     }
+}
+
+/// A run of signals that nothing has measured, which are also `bytes`: as a test run it never enters a fit.
+fn unmeasured(
+    scratch: &Path,
+    rig: &Rig,
+    name: String,
+    tag: &str,
+    channels: Vec<String>,
+    signal: Signal,
+    bytes: &Bytes,
+) -> Result<PreparedRun, PrepareError> {
+    let (kind, split, tags) = (RunKind::Other, Split::Test, vec![tag.to_owned()]);
+    let meta = RunMeta { name, kind, split, tags, started_at: None };
+    let sha256 = Digest::of(bytes).as_str().to_owned();
+    PreparedRun::new(scratch, rig, meta, channels, Vec::new(), signal, sha256)
 }
 
 impl Store {
@@ -86,6 +99,81 @@ impl Store {
         now: Timestamp,
     ) -> Result<JobInsert, StoreError> {
         self.insert_requested_job(rig, JobKind::Iteration, request, asker, key, now).await
+    }
+
+    /// Makes a target that came with a request a run: its channels in order, and the name of the iteration, if it has one.
+    ///
+    /// # Errors
+    /// A target that does not suit the rig, its fields below `/target`; the store's failures.
+    pub async fn prepare_target(
+        &self,
+        rig: &Rig,
+        name: Option<&str>,
+        channels: Vec<String>,
+        target: Signal,
+    ) -> Result<PreparedRun, PrepareError> {
+        let name = name.map_or_else(|| "target".to_owned(), |name| format!("target for {name}"));
+        let name = name.chars().take(MAX_NAME_CHARS).collect();
+        let (scratch, rig) = (self.scratch_dir(), rig.clone());
+        let prepared = off_thread(move || {
+            let bytes = NewIteration::bytes_of(&target);
+            Ok(unmeasured(&scratch, &rig, name, TARGET_TAG, channels, target, &bytes))
+        })
+        .await?;
+        prepared.map_err(|error| match error {
+            PrepareError::Unsuitable(mut errors) => {
+                for error in &mut errors {
+                    error.pointer.insert_str(0, "/target");
+                }
+                PrepareError::Unsuitable(errors)
+            }
+            error => error,
+        })
+    }
+
+    /// Stores the target of an iteration as a run and queues the iteration, whose request names that run, in one
+    /// transaction. Completes even if the caller goes away.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn insert_iteration_job_for(
+        &self,
+        rig: &RigId,
+        request: IterationRequest<()>,
+        target: PreparedRun,
+        asker: Asker,
+        key: Option<IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<JobInsert, StoreError> {
+        let (store, rig) = (self.clone(), rig.clone());
+        to_the_end(async move {
+            let object = target.object.digest().clone();
+            let inserted = store.insert_iteration_job_gated(&rig, request, target, asker, key.as_ref(), now);
+            let made = |inserted: &JobInsert| matches!(inserted, JobInsert::Queued(_));
+            store.discard_unless(made, &object, inserted).await
+        })
+        .await
+    }
+
+    async fn insert_iteration_job_gated(
+        &self,
+        rig: &RigId,
+        request: IterationRequest<()>,
+        target: PreparedRun,
+        asker: Asker,
+        key: Option<&IdempotencyKey>,
+        now: Timestamp,
+    ) -> Result<JobInsert, StoreError> {
+        let PreparedRun { row, object } = target;
+        let ObjectWrite { gate: _gate, mut tx } = self.write_object_file(object).await?;
+        if let Some(refused) = refusal(&mut tx, rig, asker, key).await? {
+            return Ok(refused);
+        }
+        let run = insert_row(&mut tx, rig, &row, now).await?.id;
+        let (request, ()) = request.with_target(IterationTarget { run, channels: None });
+        let job = insert_requested(&mut tx, rig, JobKind::Iteration, &request, asker, key, now).await?;
+        tx.commit().await?;
+        Ok(JobInsert::Queued(Box::new(job)))
     }
 
     /// Stores an iteration and its drive as a run, and ends its job, whose last words are `stage`, in one

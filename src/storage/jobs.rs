@@ -151,6 +151,41 @@ pub(super) async fn insert(
     row.try_into()
 }
 
+/// Why a job that a client asks for is not queued, if there is a reason.
+pub(super) async fn refusal(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    asker: Asker,
+    key: Option<&IdempotencyKey>,
+) -> Result<Option<JobInsert>, StoreError> {
+    idempotency::check_unused(&mut *connection, key).await?;
+    if rig_in(&mut *connection, rig).await?.is_none() {
+        return Ok(Some(JobInsert::MissingRig));
+    }
+    let waiting: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = ? AND origin = 'request'",
+    )
+    .bind(owner(asker.token))
+    .fetch_one(connection)
+    .await?;
+    Ok((waiting >= int(asker.max_waiting)).then_some(JobInsert::TooManyWaiting))
+}
+
+/// Queues a job that a client asked for, and records the answer under its key.
+pub(super) async fn insert_requested(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    kind: JobKind,
+    request: &impl Serialize,
+    asker: Asker,
+    key: Option<&IdempotencyKey>,
+    now: Timestamp,
+) -> Result<Job, StoreError> {
+    let job = insert(&mut *connection, rig, kind, request, JobOrigin::Request, asker.token, now).await?;
+    idempotency::record(connection, key, || Created::job(&job), now).await?;
+    Ok(job)
+}
+
 /// A token as the owner of jobs; empty without tokens.
 fn owner(token: Option<TokenId>) -> String {
     token.map(|id| id.to_string()).unwrap_or_default()
@@ -207,21 +242,10 @@ impl Store {
         now: Timestamp,
     ) -> Result<JobInsert, StoreError> {
         let mut tx = self.write().await?;
-        idempotency::check_unused(&mut tx, key).await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(JobInsert::MissingRig);
+        if let Some(refused) = refusal(&mut tx, rig, asker, key).await? {
+            return Ok(refused);
         }
-        let waiting: i64 = sqlx::query_scalar(
-            "SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = ? AND origin = 'request'",
-        )
-        .bind(owner(asker.token))
-        .fetch_one(&mut *tx)
-        .await?;
-        if waiting >= int(asker.max_waiting) {
-            return Ok(JobInsert::TooManyWaiting);
-        }
-        let job = insert(&mut tx, rig, kind, request, JobOrigin::Request, asker.token, now).await?;
-        idempotency::record(&mut tx, key, || Created::job(&job), now).await?;
+        let job = insert_requested(&mut tx, rig, kind, request, asker, key, now).await?;
         tx.commit().await?;
         Ok(JobInsert::Queued(Box::new(job)))
     }

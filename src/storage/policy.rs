@@ -11,7 +11,38 @@ use sqlx::SqliteConnection;
 use super::StoreError;
 use super::jobs::{JobOrigin, insert};
 use super::rows::json;
-use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunKind, Split, TokenId};
+use crate::domain::fits::FitRequest;
+use crate::domain::{FitPolicy, JobId, JobKind, Rig, RigId, Run, RunId, RunKind, Split, TokenId};
+
+/// A run as the policy looks at it.
+pub(super) struct PolicyRun {
+    pub(super) kind: RunKind,
+    pub(super) split: Split,
+    /// An earlier run with the same bytes.
+    pub(super) duplicate_of: Option<RunId>,
+    /// Its length while the store does not have it yet, s; else 0.
+    pub(super) unstored_s: f64,
+}
+
+/// What the policy makes of a run.
+pub(super) struct Decision<'a> {
+    /// Each fit once, and the queued job that the run joins, if there is one.
+    pub(super) fits: Vec<(&'a FitRequest, Option<JobId>)>,
+    /// The reason for no fits.
+    reason: Option<String>,
+}
+
+impl<'a> Decision<'a> {
+    fn none(reason: impl Into<String>) -> Self {
+        Self { fits: Vec::new(), reason: Some(reason.into()) }
+    }
+
+    /// The reason for no fits, or their number; `queued` are the words for those that are new.
+    pub(super) fn words(self, queued: &str) -> String {
+        let joined = self.fits.iter().filter(|(_, job)| job.is_some()).count();
+        self.reason.unwrap_or_else(|| outcome(self.fits.len() - joined, joined, queued))
+    }
+}
 
 /// Applies the rig's policy to a run that a token has just added; its jobs are the token's. Gives the jobs that it queued or joined, and a
 /// sentence: the reason for no jobs, or the number of fits.
@@ -22,57 +53,77 @@ pub(super) async fn after_run(
     token: Option<TokenId>,
     now: Timestamp,
 ) -> Result<(Vec<JobId>, String), StoreError> {
-    let Some(policy) = &rig.fit_policy else { return Ok((Vec::new(), "the rig has no fit_policy".into())) };
+    let run = PolicyRun { kind: run.kind, split: run.split, duplicate_of: run.duplicate_of, unstored_s: 0.0 };
+    let decision = decide(connection, rig, &run).await?;
+    let mut jobs = Vec::with_capacity(decision.fits.len());
+    for (fit, queued) in &decision.fits {
+        jobs.push(match queued {
+            Some(id) => *id,
+            None => {
+                let (kind, origin) = (JobKind::Fit, JobOrigin::Policy);
+                insert(connection, &rig.id, kind, fit, origin, token, now).await?.id
+            }
+        });
+    }
+    Ok((jobs, decision.words("queued")))
+}
+
+/// What the rig's policy makes of a run; changes nothing.
+pub(super) async fn decide<'a>(
+    connection: &mut SqliteConnection,
+    rig: &'a Rig,
+    run: &PolicyRun,
+) -> Result<Decision<'a>, StoreError> {
+    let Some(policy) = &rig.fit_policy else { return Ok(Decision::none("the rig has no fit_policy")) };
     if policy.fits.is_empty() {
-        return Ok((Vec::new(), "the rig's fit_policy names no fits".into()));
+        return Ok(Decision::none("the rig's fit_policy names no fits"));
     }
     if let Some(reason) = does_not_count(policy, run) {
-        return Ok((Vec::new(), reason));
+        return Ok(Decision::none(reason));
     }
-    let total_s = total(connection, &rig.id, policy).await?;
+    let total_s = total(connection, &rig.id, policy).await? + run.unstored_s;
     // The tolerance makes sixty runs of one second a minute, whatever the rounding of their sum.
     if total_s < policy.min_total_s * (1.0 - 1e-9) {
         let (total, wanted) = (rounded_down(total_s, policy.min_total_s), policy.min_total_s);
-        return Ok((Vec::new(), format!("{total} of {wanted:?} s of {}", kinds(policy))));
+        return Ok(Decision::none(format!("{total} of {wanted:?} s of {}", kinds(policy))));
     }
-    let mut jobs = Vec::with_capacity(policy.fits.len());
-    let mut joined = 0;
+    let mut fits: Vec<(&FitRequest, Option<JobId>)> = Vec::with_capacity(policy.fits.len());
     for fit in &policy.fits {
-        let queued: Option<String> = sqlx::query_scalar(
-            "SELECT id FROM jobs
-             WHERE rig = ? AND state = 'queued' AND origin = 'policy' AND request = ?
-             ORDER BY id LIMIT 1",
-        )
-        .bind(rig.id.as_str())
-        .bind(json(fit))
-        .fetch_optional(&mut *connection)
-        .await?;
-        let (id, is_new) = match queued {
-            Some(id) => {
-                let id = id.parse().map_err(|error: uuid::Error| StoreError::Row {
-                    table: "jobs",
-                    key: id.clone(),
-                    what: error.to_string(),
-                })?;
-                (id, false)
-            }
-            None => {
-                let (kind, origin) = (JobKind::Fit, JobOrigin::Policy);
-                (insert(connection, &rig.id, kind, fit, origin, token, now).await?.id, true)
-            }
-        };
         // The same fit twice in a policy is one job.
-        if !jobs.contains(&id) {
-            jobs.push(id);
-            joined += usize::from(!is_new);
+        if !fits.iter().any(|(known, _)| *known == fit) {
+            fits.push((fit, queued(connection, &rig.id, fit).await?));
         }
     }
-    let words = outcome(jobs.len() - joined, joined);
-    Ok((jobs, words))
+    Ok(Decision { fits, reason: None })
+}
+
+/// The job of the rig's policy that is queued for this fit.
+async fn queued(
+    connection: &mut SqliteConnection,
+    rig: &RigId,
+    fit: &FitRequest,
+) -> Result<Option<JobId>, StoreError> {
+    let id: Option<String> = sqlx::query_scalar(
+        "SELECT id FROM jobs
+         WHERE rig = ? AND state = 'queued' AND origin = 'policy' AND request = ?
+         ORDER BY id LIMIT 1",
+    )
+    .bind(rig.as_str())
+    .bind(json(fit))
+    .fetch_optional(connection)
+    .await?;
+    let parse = |id: String| {
+        id.parse().map_err(|error: uuid::Error| StoreError::Row {
+            table: "jobs",
+            key: id.clone(),
+            what: error.to_string(),
+        })
+    };
+    id.map(parse).transpose()
 }
 
 /// All reasons why a run cannot start a fit, whatever other runs there are.
-fn does_not_count(policy: &FitPolicy, run: &Run) -> Option<String> {
+fn does_not_count(policy: &FitPolicy, run: &PolicyRun) -> Option<String> {
     let mut reasons = Vec::new();
     if run.split != Split::Training {
         reasons.push(format!("split {} is not training", run.split.as_str()));
@@ -100,12 +151,12 @@ fn rounded_down(total_s: f64, wanted: f64) -> String {
     format!("{:.*}", digits as usize, (total_s * unit).floor() / unit)
 }
 
-fn outcome(queued: usize, joined: usize) -> String {
+fn outcome(new: usize, joined: usize, queued: &str) -> String {
     let fits = |n: usize| format!("{n} fit{}", if n == 1 { "" } else { "s" });
-    match (queued, joined) {
-        (queued, 0) => format!("{} queued", fits(queued)),
+    match (new, joined) {
+        (new, 0) => format!("{} {queued}", fits(new)),
         (0, joined) => format!("{} queued already, which the run joins", fits(joined)),
-        (queued, joined) => format!("{} queued, {joined} queued already, which the run joins", fits(queued)),
+        (new, joined) => format!("{} {queued}, {joined} queued already, which the run joins", fits(new)),
     }
 }
 

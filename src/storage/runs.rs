@@ -4,6 +4,7 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::objects::{ObjectWrite, to_the_end};
+use super::policy::PolicyRun;
 use super::prepare::NewRun;
 use super::reserve::with_reserve;
 use super::rigs::rig_in;
@@ -11,7 +12,7 @@ use super::rows::{RunRow, all, int, json, us};
 use super::{IdempotencyKey, PreparedRun, Store, StoreError, idempotency, npy, policy};
 use crate::domain::{
     Created, FieldError, InsertedRun, Lineage, Page, PageRequest, RigId, Run, RunId, RunKind, RunMeta,
-    RunPatch, Split, TokenId, new_id,
+    RunOutlook, RunPatch, Split, TokenId, new_id,
 };
 use crate::engine::Signal;
 
@@ -97,6 +98,38 @@ impl Store {
         idempotency::record(&mut tx, key, || Created::run(&inserted), now).await?;
         tx.commit().await?;
         Ok(RunInsert::Inserted(Box::new(inserted)))
+    }
+
+    /// What [`Store::insert_run`] would do with a run; changes nothing. `None` when there is no such rig.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn outlook(&self, rig: &RigId, run: &PreparedRun) -> Result<Option<RunOutlook>, StoreError> {
+        let mut tx = self.reader().begin().await?;
+        let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(None) };
+        let original: Option<String> = sqlx::query_scalar(
+            "SELECT id FROM runs WHERE rig = ? AND sha256 = ? AND duplicate_of IS NULL ORDER BY id LIMIT 1",
+        )
+        .bind(rig.id.as_str())
+        .bind(&run.row.sha256)
+        .fetch_optional(&mut *tx)
+        .await?;
+        let parse = |id: String| {
+            let bad = |error: uuid::Error| StoreError::Row {
+                table: "runs",
+                key: id.clone(),
+                what: error.to_string(),
+            };
+            id.parse().map_err(bad)
+        };
+        let duplicate_of = original.map(parse).transpose()?;
+        let RunMeta { kind, split, .. } = run.row.meta;
+        let seen = PolicyRun { kind, split, duplicate_of, unstored_s: run.row.duration_s };
+        let decision = policy::decide(&mut tx, &rig, &seen).await?;
+        let new = decision.fits.iter().filter(|(_, job)| job.is_none());
+        let fits = new.map(|(fit, _)| (*fit).clone()).collect();
+        let jobs = decision.fits.iter().filter_map(|(_, job)| *job).collect();
+        Ok(Some(RunOutlook { duplicate_of, fits, jobs, policy: decision.words("to be queued") }))
     }
 
     /// One run of a rig.

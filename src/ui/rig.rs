@@ -6,6 +6,7 @@ use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::{number, percent};
 use super::words::{self, count, duration};
 use crate::domain::evaluation::EvaluationSummary;
+use crate::domain::study::StudySummary;
 use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
 
 /// Everything that the page shows.
@@ -27,6 +28,8 @@ pub struct RigView {
     pub evaluations: Vec<EvaluationSummary>,
     /// Its iterations, the newest first.
     pub iterations: Vec<IterationSummary>,
+    /// Its studies, the newest first.
+    pub studies: Vec<StudySummary>,
     /// `ETag` of the active model.
     pub active_tag: String,
 }
@@ -52,6 +55,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
                     a.button href={ (at) "/diagnose" } { "Diagnose" }
                     a.button href={ (at) "/iterate" } { "Find a drive" }
                 }
+                @if operator && !of.models.is_empty() && !of.runs.is_empty() { a.button href={ (at) "/evaluate" } { "Evaluate" } }
             }
         }
         (next(of, &at, operator))
@@ -73,7 +77,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
         (runs(of, &at))
         h2 #models { "Models" }
         (models(of, &at, visitor))
-        (studies(of, &at))
+        (reports(of, &at))
         h2 #channels { "Channels" }
         (channels(rig))
         (policy(rig, visitor))
@@ -184,7 +188,7 @@ fn models(of: &RigView, at: &str, visitor: &Visitor) -> Markup {
     }
 }
 
-fn studies(of: &RigView, at: &str) -> Markup {
+fn reports(of: &RigView, at: &str) -> Markup {
     html! {
         @if !of.evaluations.is_empty() {
             h2 { "Evaluations" }
@@ -215,6 +219,17 @@ fn studies(of: &RigView, at: &str) -> Markup {
                     td { a href={ (at) "/iterations/" (iteration.id) } { (words::minute(&iteration.created_at)) } }
                     td { "Version " (iteration.model.version) }
                     td.number { (percent(iteration.total_error)) }
+                } } }
+            } }
+        }
+        @if !of.studies.is_empty() {
+            h2 { "Studies" }
+            div.wide { table.full {
+                thead { tr { th { "Study" } th { "What" } th { "State" } } }
+                tbody { @for study in &of.studies { tr {
+                    td { a href={ (at) "/studies/" (study.id) } { (words::minute(&study.created_at)) } }
+                    td { (super::study::title(study.kind)) }
+                    td { (words::state(study.state)) }
                 } } }
             } }
         }
@@ -302,6 +317,7 @@ mod tests {
             diagnoses: Vec::new(),
             evaluations: Vec::new(),
             iterations: Vec::new(),
+            studies: Vec::new(),
             active_tag: "\"a0\"".into(),
         };
         let html = page(&visitor(TokenRole::Operator), &view);

@@ -42,6 +42,22 @@ async fn a_fit_ends_in_an_active_model_that_predicts_the_rig() {
 }
 
 #[tokio::test]
+async fn a_model_repeats_the_faults_of_the_runs_that_it_was_fitted_on() {
+    let app = with_noise(6000).await;
+    let clipped: String = std::iter::once("u,y\n".to_owned())
+        .chain(noise(6000, 22).iter().map(|u| format!("{u},{}\n", (2.0 * u).clamp(-1.0, 1.0))))
+        .collect();
+    app.run("kind=noise&name=n2", &clipped).await;
+    let job = fitted(&app, json!({"kind": "frf", "frf": {"segment_len": 256}})).await;
+    let model = app.get(job["result"]["href"].as_str().expect("a link")).await.expect(200).json();
+    let warnings = model["report"]["warnings"].as_array().expect("warnings");
+    let told: Vec<&str> =
+        warnings.iter().filter_map(Value::as_str).filter(|w| w.contains("is clipped")).collect();
+    assert_eq!(told.len(), 1, "{warnings:?}");
+    assert!(told[0].starts_with("y is clipped in 1 of 2 runs (n2), up to "), "{warnings:?}");
+}
+
+#[tokio::test]
 async fn a_small_lstm_is_fitted_too_and_its_weights_go_round() {
     let app = with_noise(4000).await;
     let lstm = json!({"blocks": [4], "window_len": 32, "hop": 16, "epochs": 2, "seeds": [1]});

@@ -180,6 +180,14 @@ async fn rpc_reader_reads_our_rpc3_within_half_a_count() {
         let off = found.iter().zip(&expected).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
         assert!(off <= 1.01 * half_a_count, "{name}: off by {off}, half a count is {half_a_count}");
     }
+    let floats = "application/x-rpc3; numbers=floats";
+    let file = app.call("GET", &data).header("accept", floats).send().await.expect(200).bytes;
+    let Some(read) = read_with(RPC_READER, &file) else { return };
+    for (index, name) in ["u", "y"].into_iter().enumerate() {
+        let (found, expected) = (numbers(&read["samples"][index]), numbers(&run["channels"][name]));
+        let is_same = |(found, expected): (&f64, &f64)| *found as f32 == *expected as f32;
+        assert!(found.len() >= expected.len() && found.iter().zip(&expected).all(is_same), "{name}");
+    }
 }
 
 #[tokio::test]

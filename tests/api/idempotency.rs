@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{Reply, SAFETENSORS, TestApp, bench, gain_weights, noise_csv};
+use crate::support::{Reply, SAFETENSORS, TestApp, bench, gain_weights, noise, noise_csv};
 
 const KEY: &str = "idempotency-key";
 const FRF: &str = "/v1/rigs/bench/fits";
@@ -19,13 +19,15 @@ async fn every_creating_request_is_done_once_under_its_key() {
     let weights = gain_weights(&["u"], &["y"], 2.0);
     let diagnosis = json!({"model": 1, "runs": {"kinds": ["noise"]}, "baseline_runs": {"kinds": ["noise"]}});
     let evaluation = br#"{"models": [1], "runs": {"split": "training"}}"#.to_vec();
-    let calls: [(&str, &str, Vec<u8>); 6] = [
+    let iteration = json!({"target": {"sample_rate_hz": 100, "channels": {"y": noise(500, 4)}}, "model": 1, "iterations": 1});
+    let calls: [(&str, &str, Vec<u8>); 7] = [
         ("/v1/rigs", "application/json", serde_json::to_vec(&bench()).expect("JSON")),
         ("/v1/rigs/bench/runs?kind=noise", "text/csv", noise_csv(6000, 3).into_bytes()),
         ("/v1/rigs/bench/models", SAFETENSORS, weights),
         (FRF, "application/json", br#"{"kind": "frf"}"#.to_vec()),
         ("/v1/rigs/bench/diagnoses", "application/json", serde_json::to_vec(&diagnosis).expect("JSON")),
         ("/v1/rigs/bench/evaluations", "application/json", evaluation),
+        ("/v1/rigs/bench/iterations", "application/json", serde_json::to_vec(&iteration).expect("JSON")),
     ];
     for (path, media_type, body) in calls {
         let send = async |key: &str, path: &str, body: &[u8]| {
@@ -49,8 +51,9 @@ async fn every_creating_request_is_done_once_under_its_key() {
         }
     }
     let count = async |path: &str| app.get(path).await.expect(200).json()["items"].as_array().map(Vec::len);
-    assert_eq!(count("/v1/rigs/bench/runs").await, Some(1));
-    assert_eq!(count("/v1/jobs").await, Some(4));
+    // The upload, and the target and the drive of the iteration.
+    assert_eq!(count("/v1/rigs/bench/runs").await, Some(3));
+    assert_eq!(count("/v1/jobs").await, Some(5));
     // The first job is over, and the answer to its request is what it was.
     let again = app.call("POST", FRF).header(KEY, FRF).json(&json!({"kind": "frf"})).send().await;
     again.problem(422, "idempotency_key.reused");

@@ -103,6 +103,27 @@ async fn predicted(app: &TestApp, u: &[f32]) -> Vec<f32> {
 }
 
 #[tokio::test]
+async fn query_parameters_that_the_service_does_not_know_are_ignored() {
+    let app = TestApp::start();
+    triple_with_model(&app).await;
+    for path in [
+        "/v2",
+        "/v2/health/live",
+        "/v2/health/ready",
+        "/v2/models/triple",
+        "/v2/models/triple/ready",
+        "/v2/models/triple/config",
+        "/v2/models/triple/versions/1",
+    ] {
+        app.get(&format!("{path}?timeout=3&trace=%ff")).await.expect(200);
+    }
+    app.post_json("/v2/repository/index?ready=true", &json!({})).await.expect(200);
+    let request =
+        json!({"inputs": [{"name": "drive", "datatype": "FP32", "shape": [2, 1], "data": [0, 0.1]}]});
+    app.post_json(&format!("{INFER}?timeout=3"), &request).await.expect(200);
+}
+
+#[tokio::test]
 async fn metadata_name_tensors_channels_and_units_and_a_rig_without_a_model_is_not_ready() {
     let app = TestApp::start();
     app.rig(&bench()).await;

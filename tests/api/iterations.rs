@@ -98,6 +98,57 @@ async fn a_drive_is_found_stored_as_a_run_and_predicts_the_target() {
 }
 
 #[tokio::test]
+async fn a_target_that_comes_with_the_request_becomes_a_run_and_gives_the_same_drive() {
+    let app = TestApp::start();
+    let (target, run) = bench_with_target(&app).await;
+    let stored = iterated(&app, &json!({"target": {"run": run}, "iterations": 3})).await;
+    let runs = async || app.get("/v1/rigs/bench/runs?tag=target").await.expect(200).json()["items"].clone();
+    assert_eq!(runs().await, json!([]));
+    let request = json!({"name": "track again", "iterations": 3,
+        "target": {"sample_rate_hz": 100, "channels": {"y": target}}});
+    let found = iterated(&app, &request).await;
+    assert_eq!((&found["steps"], &found["errors"]), (&stored["steps"], &stored["errors"]));
+    let kept = &runs().await[0];
+    assert_eq!(found["request"]["target"], json!({"run": kept["id"]}));
+    assert_eq!(
+        (&kept["name"], &kept["split"], &kept["channels"], &kept["units"]),
+        (&json!("target for track again"), &json!("test"), &json!(["y"]), &json!(["mm"]))
+    );
+    let path = format!("/v1/rigs/bench/runs/{}/data", kept["id"].as_str().expect("an id"));
+    assert_eq!(app.get(&path).await.expect(200).json()["channels"]["y"], json!(target));
+    // A list of names beside a run is no signals.
+    let named = json!({"target": {"run": kept["id"], "channels": "y"}, "start": "zero", "iterations": 1});
+    iterated(&app, &named).await;
+}
+
+#[tokio::test]
+async fn a_refused_iteration_leaves_no_target_behind_and_a_restart_loses_none() {
+    let app = TestApp::start();
+    app.bench_with_model().await;
+    let request =
+        json!({"target": {"sample_rate_hz": 100, "channels": {"y": noise(500, 5)}}, "iterations": 2});
+    let send = async |app: &TestApp, body: &Value| {
+        app.call("POST", ITERATIONS).header("idempotency-key", "k").json(body).send().await
+    };
+    let mut unknown = request.clone();
+    unknown["model"] = json!(9);
+    send(&app, &unknown).await.problem(404, "model.not_found");
+    assert!(
+        app.get("/v1/rigs/bench/runs").await.expect(200).json()["items"]
+            .as_array()
+            .is_some_and(Vec::is_empty)
+    );
+    let job = send(&app, &request).await.expect(202).json();
+    let app = app.restart();
+    assert_eq!(send(&app, &request).await.expect(202).json()["id"], job["id"], "once under its key");
+    send(&app, &unknown).await.problem(422, "idempotency_key.reused");
+    let job = app.finished(job["id"].as_str().expect("an id")).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let runs = app.get("/v1/rigs/bench/runs?tag=target").await.expect(200).json();
+    assert_eq!(runs["items"].as_array().map(Vec::len), Some(1));
+}
+
+#[tokio::test]
 async fn limits_hold_and_the_report_says_what_they_cost() {
     let app = TestApp::start();
     let (_, run) = bench_with_target(&app).await;
@@ -140,6 +191,30 @@ async fn what_does_not_suit_the_rig_is_refused_with_its_place() {
     ] {
         let problem = app.post_json(ITERATIONS, &request).await.problem(422, "iteration.invalid");
         assert_eq!(problem["errors"][0]["pointer"], pointer, "{request}: {problem}");
+    }
+    let sent = |channels: Value| json!({"target": {"sample_rate_hz": 100, "channels": channels}});
+    for (request, pointer) in [
+        (sent(json!({"u": vec![1.0; 100]})), "/target/channels/u"),
+        (sent(json!({"y": vec![1.0; 63]})), "/target/channels"),
+        (sent(json!({})), "/target/channels"),
+    ] {
+        let problem = app.post_json(ITERATIONS, &request).await.json();
+        assert_eq!(problem["errors"][0]["pointer"], pointer, "{problem}");
+    }
+    let mut fast = sent(json!({"y": vec![1.0; 100]}));
+    fast["target"]["sample_rate_hz"] = json!(200);
+    let problem = app.post_json(ITERATIONS, &fast).await.problem(422, "signal.sample_rate");
+    assert_eq!(problem["errors"][0]["pointer"], "/target/sample_rate_hz");
+    fast["target"]["sample_rate_hz"] = json!(0);
+    app.post_json(ITERATIONS, &fast).await.problem(422, "body.invalid_value");
+    for (target, code) in [
+        (json!({}), "body.missing_field"),
+        (json!({"channels": ["y"]}), "body.missing_field"),
+        (json!({"channels": 3}), "body.invalid_value"),
+        (json!({"run": run, "sample_rate_hz": 100, "channels": {"y": [1.0]}}), "body.invalid_value"),
+        (json!({"run": run, "chanels": ["y"]}), "body.unknown_field"),
+    ] {
+        app.post_json(ITERATIONS, &json!({"target": target})).await.problem(422, code);
     }
     app.post_json(ITERATIONS, &json!({"target": {"run": run}, "model": 9}))
         .await

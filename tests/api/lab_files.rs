@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{TestApp, bench, f8, npy};
+use crate::support::{TestApp, bench, f8, noise_csv, npy};
 
 const RUNS: &str = "/v1/rigs/bench/runs";
 
@@ -52,6 +52,43 @@ async fn a_german_export_is_understood_and_then_stored() {
     for (found, expected) in u.iter().zip([1.2505, -0.50025, 0.0]) {
         assert!((found - expected).abs() < 1e-15, "{found}");
     }
+}
+
+#[tokio::test]
+async fn a_dry_run_says_what_the_upload_would_do_beside_storing_the_run() {
+    let app = TestApp::start();
+    let mut rig = bench();
+    rig["fit_policy"] =
+        json!({"kinds": ["noise"], "min_total_s": 60.0, "fits": [{"kind": "frf"}, {"kind": "frf"}]});
+    app.rig(&rig).await;
+    let path = format!("{RUNS}?kind=noise");
+    let dry = async |file: &str| {
+        app.post_file(&format!("{path}&dry_run=true"), "text/csv", file).await.expect(200).json()
+    };
+    let (half, other) = (noise_csv(3000, 1), noise_csv(3000, 2));
+    let first = dry(&half).await;
+    assert_eq!(
+        (&first["duplicate_of"], &first["fits"], &first["policy"]),
+        (&Value::Null, &json!([]), &json!("30.0 of 60.0 s of noise"))
+    );
+    let run = app.post_file(&path, "text/csv", half.as_str()).await.expect(201).json();
+    assert_eq!((&run["policy"], &run["jobs"]), (&first["policy"], &json!([])));
+    let again = dry(&half).await;
+    assert_eq!(
+        (&again["duplicate_of"], &again["fits"], &again["jobs"]),
+        (&run["id"], &json!([]), &json!([]))
+    );
+    let second = dry(&other).await;
+    assert_eq!((&second["policy"], &second["jobs"]), (&json!("1 fit to be queued"), &json!([])));
+    assert_eq!(second["fits"][0]["kind"], "frf");
+    assert_eq!(runs(&app).await, 1, "a dry run stores nothing");
+    assert_eq!(app.get("/v1/jobs").await.expect(200).json()["items"], json!([]), "and queues nothing");
+    let stored = app.post_file(&path, "text/csv", other).await.expect(201).json();
+    assert_eq!(
+        (&stored["policy"], stored["jobs"].as_array().map(Vec::len)),
+        (&json!("1 fit queued"), Some(1))
+    );
+    app.finished(stored["jobs"][0].as_str().expect("an id")).await;
 }
 
 #[tokio::test]

@@ -50,4 +50,5 @@ mod studies;
 mod support;
 mod torch;
 mod turns;
+mod upload_forms;
 mod workers;

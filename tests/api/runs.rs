@@ -71,6 +71,16 @@ async fn a_run_goes_out_as_rpc3_and_comes_in_again() {
             );
         }
     }
+    let floats = format!("{RPC3}; numbers=floats");
+    let exact = app.call("GET", &data).header("accept", &floats).send().await.expect(200);
+    assert_eq!(exact.header("content-type"), floats);
+    assert_eq!(exact.header("content-length"), exact.bytes.len().to_string());
+    let again = app.post_file("/v1/rigs/bench/runs", &floats, exact.bytes).await.expect(201);
+    let found = app.get(&format!("{}/data", again.header("location"))).await.expect(200).json();
+    let single: Vec<f64> = [0.0_f32, 0.1, -0.2, 1e-7].map(f64::from).to_vec();
+    assert_eq!(found["channels"]["u"], json!(single));
+    let other = app.call("GET", &data).header("accept", "application/x-rpc3; numbers=doubles").send().await;
+    other.problem(406, "accept.not_acceptable");
     // Descriptions are text for people: the query may name the channels by their place.
     let path = "/v1/rigs/bench/runs?channels=u";
     app.post_file(path, RPC3, out.bytes.clone()).await.problem(422, "run.channel_count");

@@ -37,6 +37,14 @@ async fn studied(app: &TestApp, request: &Value) -> (Value, Value) {
     (job, study)
 }
 
+/// That the study's page has a figure of its errors.
+async fn shows_errors(app: &TestApp, study: &Value) {
+    let page = format!("/rigs/bench/studies/{}", study["id"].as_str().expect("an id"));
+    app.get(&page).await.expect(200);
+    let svg = app.get(&format!("{page}?figure=errors&as=svg")).await.expect(200);
+    assert!(svg.text().contains("RMS error in %"), "{}", svg.text());
+}
+
 #[tokio::test]
 async fn a_search_ends_in_its_table_and_the_model_of_the_best_trial() {
     let app = TestApp::start();
@@ -49,6 +57,18 @@ async fn a_search_ends_in_its_table_and_the_model_of_the_best_trial() {
     let search = &study["search"];
     let rows = search["trials"].as_array().expect("rows");
     assert_eq!((rows.len(), &search["planned"]), (10, &json!(10)), "5, then 3, then 2");
+    let page = format!("/rigs/bench/studies/{}", study["id"].as_str().expect("an id"));
+    let html = app.get(&page).await.expect(200);
+    assert!(
+        html.text().contains("10 of 10 trials are done") && html.text().contains("learning rate"),
+        "{}",
+        html.text()
+    );
+    assert!(app.get("/rigs/bench").await.expect(200).text().contains(&page), "the rig's page lists it");
+    let numbers = app.get(&format!("{page}?figure=errors&as=csv")).await.expect(200);
+    assert!(numbers.text().contains("rung 2"), "{}", numbers.text());
+    shows_errors(&app, &study).await;
+    app.get(&format!("{page}?figure=loss")).await.problem(422, "query.invalid");
     let epochs: Vec<u64> = rows.iter().map(|row| row["epochs"].as_u64().expect("epochs")).collect();
     assert_eq!(epochs, [2, 2, 2, 2, 2, 3, 3, 3, 6, 6], "a quarter of 6, rounded, a half, all");
     let error = |row: &Value| row["error"].as_f64().expect("an error");
@@ -193,6 +213,7 @@ async fn a_learning_curve_says_what_more_noise_would_bring() {
         "fit": {"kind": "frf", "frf": {"segment_len": 64}},
     });
     let (job, study) = studied(&app, &request).await;
+    shows_errors(&app, &study).await;
     let curve = &study["learning_curve"];
     let fits = curve["fits"].as_array().expect("fits");
     assert_eq!((fits.len(), &curve["planned"], &study["model"]), (6, &json!(6), &Value::Null));
@@ -252,6 +273,7 @@ async fn a_linear_study_trains_networks_on_files_of_an_frf() {
         "epochs": 2, "learning_rate": 0.01, "mean": 1, "amplitude": {"min": 0.5, "max": 1}, "white_to_hz": 10, "end_hz": 30,
     });
     let (job, study) = studied(&app, &request).await;
+    shows_errors(&app, &study).await;
     let fits = study["linear_study"]["fits"].as_array().expect("fits");
     let of = |fit: &Value| (fit["files"].as_u64(), fit["net"].clone(), fit["parameters"].as_u64());
     let found: Vec<_> = fits.iter().map(of).collect();

@@ -52,7 +52,7 @@ fn dropouts(channel: &ChannelQuality, sample_rate_hz: f64) -> Option<String> {
     ))
 }
 
-fn hum(channel: &ChannelQuality) -> Option<String> {
+pub(super) fn hum(channel: &ChannelQuality) -> Option<String> {
     let (name, found) = (&channel.channel, channel.hum.as_ref()?);
     found.mains_hz?;
     if found.share < NOISE_FROM_SHARE {
@@ -82,7 +82,7 @@ fn quantisation(channel: &ChannelQuality, role: Role) -> Option<String> {
     ))
 }
 
-fn delay(channel: &ChannelQuality, sample_rate_hz: f64) -> Option<String> {
+pub(super) fn delay(channel: &ChannelQuality, sample_rate_hz: f64) -> Option<String> {
     let (name, found) = (&channel.channel, channel.delay.as_ref()?);
     let (drive, ms) = (&found.drive, shown(rounded(found.delay_ms.abs(), 3)));
     let samples = found.delay_ms * sample_rate_hz / 1e3;
@@ -146,6 +146,6 @@ fn seconds(seconds: f64) -> String {
     format!("{} s", shown(seconds))
 }
 
-fn percent(share: f64) -> String {
+pub(super) fn percent(share: f64) -> String {
     format!("{} %", shown(rounded(100.0 * share, 2)))
 }

@@ -3,6 +3,7 @@
 //! The table begins at the first line of numbers and date-times; a number alone may also be a title. The nearest row
 //! above that has separators, a header or units, says which.
 
+use super::blanks;
 use super::number::{Numbers, trim};
 use super::stamp::stamp;
 
@@ -24,6 +25,8 @@ pub(super) struct Layout {
     pub(super) first_samples: Option<u64>,
     /// Bytes of a first line `sep=;`.
     pub(super) declaration: usize,
+    /// Whether blanks stand for the separator.
+    pub(super) blanks: bool,
 }
 
 impl Layout {
@@ -33,17 +36,33 @@ impl Layout {
         let (declared, declaration) = declared(text);
         let lines = Lines::of(text, whole);
         let first = first_samples(text, &lines);
+        match blank_separated(text, &lines, first, whole) {
+            _ if declared.is_some() => {}
+            Blank::No => {}
+            Blank::NotYetKnown => return None,
+            Blank::From(line) => {
+                let first_samples = Some(line as u64 + 1);
+                return Some(Self {
+                    separator: blanks::SEPARATOR,
+                    first_samples,
+                    declaration: 0,
+                    blanks: true,
+                });
+            }
+        }
         if first.is_none() && !whole {
             return None;
         }
         let first_samples = first.map(|line| line as u64 + 1);
         let separator = declared.or_else(|| separator(above(text, &lines, first.unwrap_or(0))));
-        Some(Self { separator: separator.unwrap_or(SINGLE_COLUMN), first_samples, declaration })
+        let separator = separator.unwrap_or(SINGLE_COLUMN);
+        Some(Self { separator, first_samples, declaration, blanks: false })
     }
 
     /// The layout by the first row of a file that has no samples near its beginning.
     pub(super) fn of_first_row(row: &[u8]) -> Self {
-        Self { separator: separator(row).unwrap_or(SINGLE_COLUMN), first_samples: None, declaration: 0 }
+        let separator = separator(row).unwrap_or(SINGLE_COLUMN);
+        Self { separator, first_samples: None, declaration: 0, blanks: false }
     }
 }
 
@@ -129,6 +148,39 @@ fn first_samples(text: &[u8], lines: &Lines) -> Option<usize> {
     first
 }
 
+/// Most lines that are looked at to tell columns from thousands.
+const LINES_OF_BLANKS: usize = 1000;
+
+/// Whether blanks separate the cells of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Blank {
+    No,
+    /// The next line decides.
+    NotYetKnown,
+    /// The samples begin in this line.
+    From(usize),
+}
+
+/// Blanks separate where they do so in two lines with as many numbers, or in the last line, unless every such line is also
+/// a number whose thousands have blanks. `first` is the first line of samples with another separator.
+fn blank_separated(text: &[u8], lines: &Lines, first: Option<usize>, whole: bool) -> Blank {
+    let count = |line: usize| blanks::count(&text[lines.at(line)]);
+    let end = first.map_or(lines.0.len(), |first| first + 1);
+    for line in 0..end {
+        let Some(numbers) = count(line) else { continue };
+        let next = (line + 1..lines.0.len()).find(|&next| !trim(&text[lines.at(next)]).is_empty());
+        match next {
+            None if !whole => return Blank::NotYetKnown,
+            Some(next) if count(next) != Some(numbers) => continue,
+            _ => {}
+        }
+        let last = lines.0.len().min(line + LINES_OF_BLANKS);
+        let is_row = |of: usize| count(of) == Some(numbers) && !blanks::is_one_number(&text[lines.at(of)]);
+        return if (line..last).any(is_row) { Blank::From(line) } else { Blank::No };
+    }
+    Blank::No
+}
+
 /// Whether a line has a number, and nothing but numbers and date-times between any of the separators.
 fn holds_samples(line: &[u8]) -> bool {
     let numbers = Numbers::new(b';');
@@ -178,6 +230,13 @@ mod tests {
             ("\"x, y\ntwo\",b\n1,2\n", b',', 3),
             ("\n\n1;2\n", b';', 3),
             ("sep=;\r\nu;y\r\n1,5;2\r\n", b';', 3),
+            ("sep=;\r\nu\r\n1 500\r\n", b';', 3),
+            ("u y\n1 2\n3 4\n", b'\t', 2),
+            ("Test 3\n\n  1.5 -2\n  3 4\n", b'\t', 3),
+            ("u\n1 234,5\n12\n", b';', 2),
+            ("u\n1 234,5\n2 345,6\n", b';', 2),
+            ("1 200\n2 3\n", b'\t', 1),
+            ("u, y\n1, 2\n3, 4\n", b',', 2),
         ] {
             let found = Layout::of(text.as_bytes(), true).unwrap();
             assert_eq!((found.separator, found.first_samples), (separator, Some(line)), "{text:?}");
@@ -189,6 +248,7 @@ mod tests {
     #[test]
     fn a_beginning_without_samples_decides_nothing_yet() {
         assert_eq!(Layout::of(b"a,b\n1,2", false), None);
+        assert_eq!(Layout::of(b"1 2\n3 ", false), None);
         assert_eq!(Layout::of(b"a,b\n1,2\n", false).unwrap().first_samples, Some(2));
         assert_eq!(Layout::of(b"", true).unwrap().first_samples, None);
     }

@@ -10,6 +10,7 @@ use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
 use encoding_rs_io::{DecodeReaderBytes, DecodeReaderBytesBuilder};
 
+use super::blanks::Blanks;
 use super::layout::Layout;
 use super::number::trim;
 use crate::formats::labels::utf8_or_windows_1252;
@@ -83,6 +84,9 @@ impl<R: Read> Rows<R> {
         let mut bytes = Bytes::new(file)?;
         let layout = bytes.layout()?;
         bytes.pass(layout.declaration);
+        if layout.blanks {
+            bytes.replace_blanks();
+        }
         Ok(Self {
             bytes,
             reader: ReaderBuilder::new().delimiter(layout.separator).build(),
@@ -189,6 +193,8 @@ struct Bytes<R> {
     /// Line ends consumed, without that of a CR that was consumed last.
     lines: u64,
     after_cr: bool,
+    /// Replaces the blanks of what is read, once it is known that they separate.
+    blanks: Option<Blanks>,
 }
 
 impl<R: Read> Bytes<R> {
@@ -196,7 +202,7 @@ impl<R: Read> Bytes<R> {
     /// they are.
     fn new(file: R) -> std::io::Result<Self> {
         let file = DecodeReaderBytesBuilder::new().utf8_passthru(true).build(file);
-        let mut bytes = Self { file, piece: Vec::new(), passed: 0, lines: 0, after_cr: false };
+        let mut bytes = Self { file, piece: Vec::new(), passed: 0, lines: 0, after_cr: false, blanks: None };
         bytes.more()?;
         if bytes.piece.starts_with(b"\xEF\xBB\xBF") {
             bytes.passed = 3;
@@ -207,8 +213,21 @@ impl<R: Read> Bytes<R> {
     /// Reads up to a piece more; false at the end of the file.
     fn more(&mut self) -> std::io::Result<bool> {
         let before = self.piece.len();
-        let read = (&mut self.file).take(PIECE as u64).read_to_end(&mut self.piece);
-        read.map(|_| self.piece.len() > before)
+        loop {
+            let read = (&mut self.file).take(PIECE as u64).read_to_end(&mut self.piece)?;
+            if let Some(blanks) = &mut self.blanks {
+                blanks.replace(&mut self.piece, before);
+            }
+            // Of a piece of blanks nothing is left.
+            if read == 0 || self.piece.len() > before {
+                return Ok(self.piece.len() > before);
+            }
+        }
+    }
+
+    /// From the next byte on, blanks stand for the separator.
+    fn replace_blanks(&mut self) {
+        self.blanks.insert(Blanks::default()).replace(&mut self.piece, self.passed);
     }
 
     /// Bytes in memory that were not consumed yet; after [`Bytes::peek`] empty only at the end.

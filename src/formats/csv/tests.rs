@@ -41,6 +41,25 @@ fn header_units_and_time_are_taken_off_the_samples() {
 }
 
 #[test]
+fn blanks_separate_where_nothing_else_does() {
+    for text in [
+        "t u y\ns kN mm\n0.0   1.5  -2\n0.5 3.0   4.25\n",
+        "# t u y\r\n  0.0 1.5 -2\r\n  0.5 3.0 4.25\r\n",
+        "Test 3 of today\n\nt \"u\" y\n0,0 1,5 -2,0\n0,5 3,0 4,25\n",
+    ] {
+        let run = read_text(text).unwrap_or_else(|e| panic!("{text:?}: {e}"));
+        assert_eq!((names(&run), run.sample_rate_hz), (vec!["u", "y"], Some(2.0)), "{text:?}");
+        assert_eq!(run.channels, [[1.5, 3.0], [-2.0, 4.25]], "{text:?}");
+    }
+    let savetxt = read_text("1.000000000000000000e+00 2.5e-01\n-3.0e+00 4.0e+00\n").unwrap();
+    assert_eq!((savetxt.names, savetxt.channels), (None, vec![vec![1.0, -3.0], vec![0.25, 4.0]]));
+    let ragged = read_text("u y\n1 2\n3 4\n5\n").unwrap_err();
+    assert_eq!(ragged, FormatError::CsvRagged { row: 4, expected: 2, found: 1 });
+    let thousands = read_text("u\n1 234,5\n12\n").unwrap();
+    assert_eq!(thousands.channels, [[1234.5, 12.0]]);
+}
+
+#[test]
 fn every_separator_line_end_and_mark_reads_the_same() {
     for separator in [",", ";", "\t"] {
         for end in ["\n", "\r\n", "\r"] {

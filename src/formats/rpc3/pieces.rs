@@ -6,14 +6,15 @@ use super::header::{BLOCK, KEY, RECORD};
 use super::{FRAME, FULL_SCALE, GROUP};
 use crate::engine::{Samples, samples};
 
-/// The pieces of a file of 16-bit integers: the header, then a piece a group. The last group is filled with the
-/// last value of each channel, and `SAMPLES` says how many are true.
+/// The pieces of a file of 16-bit integers, or of single floats: the header, then a piece a group. The last group is
+/// filled with the last value of each channel, and `SAMPLES` says how many are true.
 #[derive(Debug)]
 pub struct Rpc3Pieces<S> {
     samples: S,
     names: Vec<String>,
     units: Vec<String>,
     drives: bool,
+    floats: bool,
     /// Unit of one count of each channel, once the header is written.
     scales: Vec<f64>,
     /// The next group.
@@ -29,22 +30,35 @@ impl<S: Samples> Rpc3Pieces<S> {
     pub fn new(names: Vec<String>, units: Vec<String>, drives: bool, samples: S) -> Self {
         let channels = samples.n_channels();
         assert_eq!((names.len(), units.len()), (channels, channels), "one name and one unit a channel");
-        Self { samples, names, units, drives, scales: Vec::new(), group: 0 }
+        Self { samples, names, units, drives, floats: false, scales: Vec::new(), group: 0 }
+    }
+
+    /// The same file with single floats in place of integers. A value beyond their range becomes its end.
+    pub fn as_floats(self) -> Self {
+        Self { floats: true, ..self }
     }
 
     /// Bytes of the whole file.
     pub fn size(&self) -> usize {
         // Its length does not depend on the scales.
         let scales = vec![1.0; self.names.len()];
-        self.header(&scales).len() + self.groups() * GROUP * self.names.len() * size_of::<i16>()
+        self.header(&scales).len() + self.groups() * GROUP * self.names.len() * self.number_bytes()
+    }
+
+    fn number_bytes(&self) -> usize {
+        if self.floats { size_of::<f32>() } else { size_of::<i16>() }
     }
 
     fn groups(&self) -> usize {
         self.samples.n_samples().div_ceil(GROUP)
     }
 
-    /// The largest magnitude of each channel is the full scale, as far as seven digits say it.
+    /// The largest magnitude of each channel is the full scale, as far as seven digits say it. Floats are engineering
+    /// units.
     fn find_scales(&mut self) -> io::Result<Vec<f64>> {
+        if self.floats {
+            return Ok(vec![1.0; self.samples.n_channels()]);
+        }
         let mut scales = Vec::new();
         for channel in 0..self.samples.n_channels() {
             let mut largest = 0.0_f64;
@@ -68,7 +82,7 @@ impl<S: Samples> Rpc3Pieces<S> {
         let mut put = |key: &str, value: String| records.push((key.to_owned(), value));
         put("FILE_TYPE", "TIME_HISTORY".into());
         put("TIME_TYPE", if self.drives { "DRIVE" } else { "RESPONSE" }.into());
-        put("DATA_TYPE", "SHORT_INTEGER".into());
+        put("DATA_TYPE", if self.floats { "FLOATING_POINT" } else { "SHORT_INTEGER" }.into());
         put("DELTA_T", number(self.samples.sample_rate_hz().recip()));
         put("CHANNELS", channels.to_string());
         put("FRAMES", frames.to_string());
@@ -107,13 +121,18 @@ impl<S: Samples> Rpc3Pieces<S> {
     fn piece(&mut self) -> io::Result<Vec<u8>> {
         let n = self.samples.n_samples();
         let range = self.group * GROUP..n.min((self.group + 1) * GROUP);
-        let mut piece = Vec::with_capacity(GROUP * self.scales.len() * size_of::<i16>());
+        let mut piece = Vec::with_capacity(GROUP * self.scales.len() * self.number_bytes());
         let mut values = Vec::with_capacity(GROUP);
         for (channel, scale) in self.scales.iter().enumerate() {
             values.clear();
             self.samples.read(channel, range.clone(), &mut values)?;
             let last = *values.last().expect("a group has a sample");
             values.resize(GROUP, last);
+            if self.floats {
+                let floats = values.iter().map(|v| (*v as f32).clamp(f32::MIN, f32::MAX));
+                piece.extend(floats.flat_map(f32::to_le_bytes));
+                continue;
+            }
             let counts =
                 values.iter().map(|v| (v / scale).round().clamp(f64::from(i16::MIN), f64::from(i16::MAX)));
             piece.extend(counts.flat_map(|v| (v as i16).to_le_bytes()));

@@ -247,6 +247,20 @@ fn a_written_file_reads_back_within_half_a_count() {
 }
 
 #[test]
+fn a_file_of_floats_reads_back_to_single_precision() {
+    let channels = vec![(0..3000).map(|i| (0.1 * f64::from(i)).sin() * 1e-9).collect(), vec![1e300; 3000]];
+    let names = ["a", "b"].map(str::to_owned).to_vec();
+    let signal = Signal::new(1024.0, channels).unwrap();
+    let pieces = Rpc3Pieces::new(names.clone(), names, false, signal.clone()).as_floats();
+    let size = pieces.size();
+    let file: Vec<u8> = pieces.collect::<std::io::Result<Vec<_>>>().unwrap().concat();
+    assert_eq!(file.len(), size);
+    let run = read(&file, Reading::default()).unwrap();
+    let expected: Vec<f64> = signal.channel(0).iter().map(|v| f64::from(*v as f32)).collect();
+    assert_eq!(run.channels, [expected, vec![f64::from(f32::MAX); 3000]]);
+}
+
+#[test]
 fn columns_in_a_file_are_shortened_like_those_in_memory() {
     let directory = tempfile::tempdir().unwrap();
     for n in [0, 1, 4095, 4096, 4097, 9000, 10_000, 12_000] {

@@ -7,6 +7,7 @@ mod limited;
 pub mod pieces;
 pub mod signal_pieces;
 pub mod signals;
+pub mod source;
 
 pub use arrays::HoldsSignals;
 pub use limited::{Limited, Pace, media_type, unsupported};

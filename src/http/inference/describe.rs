@@ -8,7 +8,6 @@ use super::layout::{Layout, Tensor};
 use super::named::NamedModel;
 use crate::domain::page::MAX_LIMIT;
 use crate::domain::{Cursor, ModelRef, PageRequest, Rig, RigId};
-use crate::http::params::NoParams;
 use crate::http::paths::no_rig;
 use crate::http::problem::{Answer, Problem};
 use crate::http::{Shared, codes, json, predict};
@@ -34,7 +33,7 @@ struct Columns<'a> {
 }
 
 /// `GET /v2/models/{rig}`, `GET /v2/models/{rig}/versions/{version}`
-pub async fn metadata(State(http): State<Shared>, NamedModel(id, name): NamedModel, _: NoParams) -> Answer {
+pub async fn metadata(State(http): State<Shared>, NamedModel(id, name): NamedModel) -> Answer {
     let (rig, loaded) = predict::find(&http, &id, name).await?;
     let model = loaded.model();
     let layout = Layout::of(&rig, model);
@@ -58,7 +57,7 @@ pub async fn metadata(State(http): State<Shared>, NamedModel(id, name): NamedMod
 
 /// `GET /v2/models/{rig}/config`, `GET /v2/models/{rig}/versions/{version}/config`: Triton's form of the metadata.
 /// A `max_batch_size` of 0 says that the first dimension is no batch.
-pub async fn config(State(http): State<Shared>, NamedModel(id, name): NamedModel, _: NoParams) -> Answer {
+pub async fn config(State(http): State<Shared>, NamedModel(id, name): NamedModel) -> Answer {
     let (rig, loaded) = predict::find(&http, &id, name).await?;
     let model = loaded.model();
     let layout = Layout::of(&rig, model);
@@ -80,7 +79,7 @@ pub async fn config(State(http): State<Shared>, NamedModel(id, name): NamedModel
 
 /// `GET /v2/models/{rig}/ready`, `GET /v2/models/{rig}/versions/{version}/ready`: 200 only where a prediction
 /// would find its model.
-pub async fn ready(State(http): State<Shared>, NamedModel(id, name): NamedModel, _: NoParams) -> Answer {
+pub async fn ready(State(http): State<Shared>, NamedModel(id, name): NamedModel) -> Answer {
     match predict::find(&http, &id, name).await {
         Ok(_) => json::answer(&json!({"name": id, "ready": true})),
         Err(problem) if problem.code() == codes::MODEL_NONE_ACTIVE.name => {

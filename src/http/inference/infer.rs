@@ -14,7 +14,6 @@ use super::named::NamedModel;
 use super::request::InferRequest;
 use crate::engine::{EngineError, Progress};
 use crate::http::deadline::{self, Deadline};
-use crate::http::params::NoParams;
 use crate::http::predict::memory::Share;
 use crate::http::predict::{self, Stages};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -25,7 +24,6 @@ use crate::models::LoadedModel;
 pub async fn infer(
     State(http): State<Shared>,
     NamedModel(id, name): NamedModel,
-    _: NoParams,
     headers: HeaderMap,
     request: Body,
 ) -> Answer {

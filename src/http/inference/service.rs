@@ -10,7 +10,6 @@ use crate::domain::page::MAX_LIMIT;
 use crate::domain::{Cursor, PageRequest};
 use crate::http::auth::Caller;
 use crate::http::body::Limited;
-use crate::http::params::NoParams;
 use crate::http::problem::Answer;
 use crate::http::{Shared, health, json};
 
@@ -36,7 +35,7 @@ struct IndexRequest {
 }
 
 /// `GET /v2`
-pub async fn server(_: NoParams) -> Answer {
+pub async fn server() -> Answer {
     json::answer(&json!({
         "name": "rigcast",
         "version": env!("CARGO_PKG_VERSION"),
@@ -45,25 +44,19 @@ pub async fn server(_: NoParams) -> Answer {
 }
 
 /// `GET /v2/health/live`
-pub async fn live(_: NoParams) -> Answer {
+pub async fn live() -> Answer {
     json::answer(&json!({"live": true}))
 }
 
 /// `GET /v2/health/ready`: as `/readyz`, without what that says about rigs.
-pub async fn ready(State(http): State<Shared>, _: NoParams) -> Answer {
+pub async fn ready(State(http): State<Shared>) -> Answer {
     health::accepting(&http).await?;
     json::answer(&json!({"ready": true}))
 }
 
 /// `POST /v2/repository/index`: the rigs that the caller may see, each with its active version. Clients send
 /// an empty body.
-pub async fn index(
-    State(http): State<Shared>,
-    caller: Caller,
-    _: NoParams,
-    headers: HeaderMap,
-    body: Body,
-) -> Answer {
+pub async fn index(State(http): State<Shared>, caller: Caller, headers: HeaderMap, body: Body) -> Answer {
     let bytes = Limited::new(&headers, body, MAX_INDEX_BYTES, http.limits.pace)?.collect().await?;
     let request: IndexRequest =
         if bytes.trim_ascii().is_empty() { IndexRequest::default() } else { json::parse(&bytes)? };

@@ -1,4 +1,4 @@
-//! Diagnoses, evaluations and iterations: the forms that start them, and the pages of their results.
+//! Diagnoses, evaluations, iterations and studies: the forms that start them, and the pages of their results.
 
 use axum::extract::State;
 
@@ -7,7 +7,9 @@ use super::rigs::{find, items, whole};
 use super::{Visitor, html};
 use crate::compute::Class;
 use crate::http::params::{NoParams, Params};
-use crate::http::paths::{OfDiagnosis, OfEvaluation, OfIteration, OfRig, no_evaluation, no_iteration};
+use crate::http::paths::{
+    OfDiagnosis, OfEvaluation, OfIteration, OfRig, OfStudy, no_evaluation, no_iteration, no_study,
+};
 use crate::http::problem::Answer;
 use crate::http::{Shared, diagnoses};
 use crate::storage::RunQuery;
@@ -45,18 +47,60 @@ pub async fn diagnosis(
     html(http.off_thread(Class::Predict, draw).await?)
 }
 
-/// `GET /rigs/{rig}/evaluations/{evaluation}`
+/// `GET /rigs/{rig}/evaluations/{evaluation}`, and its figures.
 pub async fn evaluation(
     State(http): State<Shared>,
     OfEvaluation(rig, id): OfEvaluation,
     visitor: Visitor,
-    _: NoParams,
+    mut params: Params,
 ) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
     let found = http.store.evaluation(&rig, id).await?.ok_or_else(|| no_evaluation(&id.to_string()))?;
     let report = http.store.evaluation_report(&found).await?;
+    if let Some(name) = &query.name {
+        let drawing = ui::evaluation::spectrum(&report, name).map_err(|known| query.unknown(&known))?;
+        return query.answer(&drawing, &format!("{rig}-evaluation"));
+    }
     let name = find(&http, &rig).await?.name;
     let draw = move || ui::evaluation::framed(&visitor.shown, &name, &found, &report);
     html(http.off_thread(Class::Predict, draw).await?)
+}
+
+/// `GET /rigs/{rig}/evaluate`
+pub async fn evaluate(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    visitor: Visitor,
+    mut params: Params,
+) -> Answer {
+    let model = params.parse::<u32>("model", "a version")?;
+    params.finish()?;
+    let rig = find(&http, &id).await?;
+    let runs = items(http.store.runs(&id, &RunQuery::default(), &whole()).await?);
+    let models = items(http.store.models(&id, &whole()).await?);
+    html(ui::evaluation::form(&visitor.shown, &rig, &runs, &models, model))
+}
+
+/// `GET /rigs/{rig}/studies/{study}`, and its figure.
+pub async fn study(
+    State(http): State<Shared>,
+    OfStudy(rig_id, id): OfStudy,
+    visitor: Visitor,
+    mut params: Params,
+) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
+    let found = http.store.study(&rig_id, id).await?.ok_or_else(|| no_study(&id.to_string()))?;
+    match query.name.as_deref() {
+        None => {}
+        Some("errors") => {
+            return query.answer(&ui::study::errors(&found, query.width), &format!("{rig_id}-study"));
+        }
+        Some(_) => return Err(query.unknown("errors")),
+    }
+    let rig = find(&http, &rig_id).await?;
+    html(ui::study::page(&visitor.shown, &rig, &found))
 }
 
 /// `GET /rigs/{rig}/iterate`

@@ -99,6 +99,8 @@ pub async fn show(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor
     evaluations.sort_by_key(|evaluation| std::cmp::Reverse(evaluation.id));
     let mut iterations = items(http.store.iterations(&id, &whole()).await?);
     iterations.sort_by_key(|iteration| std::cmp::Reverse(iteration.id));
+    let mut studies = items(http.store.studies(&id, &whole()).await?);
+    studies.sort_by_key(|study| std::cmp::Reverse(study.id));
     let mut jobs =
         http.store.jobs(&JobQuery { rig: Some(id.clone()), ..JobQuery::default() }, &whole()).await?.items;
     jobs.sort_by_key(|job| std::cmp::Reverse(job.id));
@@ -113,6 +115,7 @@ pub async fn show(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor
         diagnoses,
         evaluations,
         iterations,
+        studies,
         active_tag,
     };
     html(ui::rig::page(&visitor.shown, &view))

@@ -29,6 +29,7 @@ impl Form {
         offers.push(MULTIPART);
         let media_type = negotiate::choose(headers, &offers)?;
         if media_type != MULTIPART {
+            let media_type = negotiate::with_numbers(headers, RPC3, media_type)?;
             return Ok(Self { media_type, with_figures: false });
         }
         let default = if own == json::MEDIA_TYPE { NPY } else { own };
@@ -41,6 +42,7 @@ impl Form {
             let detail = format!("Accept asks for a part of the type {:?}.", asked.unwrap_or_default());
             Problem::new(codes::ACCEPT_NOT_ACCEPTABLE, detail).with(FieldError::new("", FILES.join(", ")))
         })?;
+        let media_type = negotiate::with_numbers(headers, MULTIPART, media_type)?;
         Ok(Self { media_type, with_figures: true })
     }
 
@@ -64,6 +66,7 @@ mod tests {
     use axum::http::header::ACCEPT;
 
     use super::*;
+    use crate::http::negotiate::RPC3_FLOATS;
 
     fn chosen(own: &'static str, accept: &'static str) -> Option<(&'static str, bool)> {
         let mut headers = HeaderMap::new();
@@ -80,6 +83,13 @@ mod tests {
         assert_eq!(chosen(json::MEDIA_TYPE, "multipart/mixed"), Some((NPY, true)));
         assert_eq!(chosen(CSV, "multipart/mixed; file=\"application/x-rpc3\""), Some((RPC3, true)));
         assert_eq!(chosen(CSV, "multipart/mixed; file=text/html"), None);
+        assert_eq!(chosen(CSV, "application/x-rpc3; numbers=floats"), Some((RPC3_FLOATS, false)));
+        assert_eq!(
+            chosen(CSV, "multipart/mixed; file=application/x-rpc3; numbers=floats"),
+            Some((RPC3_FLOATS, true))
+        );
+        assert_eq!(chosen(CSV, "application/x-rpc3; numbers=integers"), Some((RPC3, false)));
+        assert_eq!(chosen(CSV, "application/x-rpc3; numbers=text"), None);
         assert_eq!(chosen(CSV, "text/html"), None);
     }
 }

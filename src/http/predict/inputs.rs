@@ -2,12 +2,12 @@
 
 use bytes::Bytes;
 
-use super::request::Source;
 use crate::domain::{RigId, Run};
-use crate::engine::{EngineError, Samples, Signal};
+use crate::engine::{Samples, Signal};
 use crate::formats;
 use crate::formats::npy::Batch;
 use crate::http::body::signals::Channels;
+use crate::http::body::source::{Given, Source, signal};
 use crate::http::measurement::Measurement;
 use crate::http::paths::no_run;
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -226,42 +226,13 @@ pub async fn target(http: &Shared, found: Found, model: &LoadedModel) -> Answer<
 /// # Errors
 /// A source that is neither or both, a run that is not there.
 pub async fn find(http: &Shared, rig: &RigId, source: Source, at: &str) -> Answer<Found> {
-    match source {
-        Source { run: Some(id), sample_rate_hz: None, channels: None } => {
+    match source.given(at)? {
+        Given::Run(id) => {
             let run = http.store.run(rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
             Ok(Found::Run(Box::new(run)))
         }
-        Source { run: None, sample_rate_hz: Some(rate), channels: Some(channels) } => {
-            Ok(Found::Signals(rate, channels))
-        }
-        Source { run: Some(_), .. } => {
-            let limit = "either a run, or sample_rate_hz and channels";
-            Err(Problem::new(codes::BODY_INVALID_VALUE, format!("{at} must be {limit}."))
-                .with(FieldError::new(at, limit)))
-        }
-        Source { run: None, sample_rate_hz, .. } => {
-            let field = if sample_rate_hz.is_none() { "sample_rate_hz" } else { "channels" };
-            Err(Problem::new(codes::BODY_MISSING_FIELD, format!("{at} lacks {field} (or a run)."))
-                .with(FieldError::new(format!("{at}/{field}"), "required unless a run is named")))
-        }
+        Given::Signals(rate, channels) => Ok(Found::Signals(rate, channels)),
     }
-}
-
-fn signal(rate: f64, samples: Vec<Vec<f64>>, names: &[String], at: &str) -> Answer<Signal> {
-    let signal = Signal::new(rate, samples).map_err(|error| match error {
-        // The engine does not know the field that the setting came from.
-        EngineError::Setting { limit, .. } => {
-            let detail = format!("{at}/sample_rate_hz is {rate}; it must be {limit}.");
-            Problem::new(codes::BODY_INVALID_VALUE, detail)
-                .with(FieldError::new(format!("{at}/sample_rate_hz"), limit))
-        }
-        error => errors::engine(&error, names, &format!("{at}/channels")),
-    })?;
-    if signal.n_samples() == 0 {
-        return Err(Problem::new(codes::SIGNAL_EMPTY, format!("{at} has no samples."))
-            .with(FieldError::new(format!("{at}/channels"), "at least one sample")));
-    }
-    Ok(signal)
 }
 
 fn missing(name: &str, at: &str) -> Problem {

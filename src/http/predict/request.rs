@@ -7,6 +7,7 @@ use crate::engine::EngineError;
 use crate::engine::fatigue::DamageSettings;
 use crate::http::body::HoldsSignals;
 use crate::http::body::signals::Channels;
+use crate::http::body::source::Source;
 use crate::http::codes;
 use crate::http::jobs::word;
 use crate::http::measurement::FileQuery;
@@ -31,22 +32,6 @@ pub struct PredictRequest {
     /// Parts of the answer.
     #[serde(default)]
     include: Option<Vec<AnswerPart>>,
-}
-
-/// Signals, or a run that holds them. One flat object, so that errors point at a field and no sample is
-/// buffered twice.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Source {
-    /// The run.
-    #[serde(default)]
-    pub run: Option<uuid::Uuid>,
-    /// Sample rate of the signals.
-    #[serde(default)]
-    pub sample_rate_hz: Option<f64>,
-    /// The signals.
-    #[serde(default)]
-    pub channels: Option<Channels>,
 }
 
 /// A part of the answer.
@@ -151,7 +136,7 @@ impl FileRequest {
             ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
         })?;
         let target = params.parse("target", "the id of a run")?;
-        let target = target.map(|run| Source { run: Some(run), sample_rate_hz: None, channels: None });
+        let target = target.map(Source::run);
         let damage = damage(params)?;
         let include = params.all("include");
         let parts: Vec<&str> = include.iter().flat_map(|text| text.split(',')).map(str::trim).collect();

@@ -15,7 +15,7 @@ use crate::formats::rpc3::Rpc3Pieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::body::signal_pieces::JsonPieces;
 use crate::http::body::signals::header_names;
-use crate::http::negotiate::{self, CSV, MAT, NPY, RPC3};
+use crate::http::negotiate::{self, CSV, MAT, NPY, RPC3, RPC3_FLOATS};
 use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfRun, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -33,6 +33,7 @@ pub async fn show(
     let wanted = params.one("channels")?;
     params.finish()?;
     let media_type = negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, NPY, RPC3, MAT])?;
+    let media_type = negotiate::with_numbers(&headers, RPC3, media_type)?;
     let run = http.store.run(&rig, id).await?.ok_or_else(|| no_run(&id.to_string()))?;
     let columns = columns(&run, wanted.as_deref())?;
     let range = stretch(&run, from_s, to_s)?;
@@ -64,10 +65,13 @@ pub async fn show(
             put(CONTENT_LENGTH, pieces.size().to_string())?;
             Box::new(pieces)
         }
-        RPC3 => {
+        RPC3 | RPC3_FLOATS => {
             let rig = http.store.rig(&rig).await?.ok_or_else(|| no_run(&id.to_string()))?;
             let drives = names.iter().all(|n| rig.channel(n).is_some_and(|c| c.role == Role::Drive));
-            let pieces = Rpc3Pieces::new(names, units(), drives, samples);
+            let mut pieces = Rpc3Pieces::new(names, units(), drives, samples);
+            if media_type == RPC3_FLOATS {
+                pieces = pieces.as_floats();
+            }
             put(CONTENT_LENGTH, pieces.size().to_string())?;
             Box::new(pieces)
         }

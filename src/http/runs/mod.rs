@@ -2,6 +2,8 @@
 
 pub mod data;
 mod file;
+mod form;
+mod receive;
 mod understood;
 
 use axum::body::Body;
@@ -10,17 +12,18 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 
 use crate::compute::Class;
-use crate::domain::run::RunMeta;
-use crate::domain::{Created, RunKind, RunPatch, Split};
+use crate::domain::{Created, RunPatch};
 use crate::http::auth::Caller;
 use crate::http::idempotency::{RequestKey, created};
 use crate::http::jobs::word;
-use crate::http::measurement::{self, FileQuery};
-use crate::http::params::{NoParams, Params, invalid, page};
+use crate::http::params::{NoParams, Params, page};
 use crate::http::paths::{OfRig, OfRun, no_rig, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
-use crate::http::{Shared, body, codes, errors, json, rigs, upload};
+use crate::http::{Shared, codes, errors, json, rigs};
 use crate::storage::{RunInsert, RunQuery, RunUpdate};
+
+use receive::{Description, Received};
+use understood::DryRun;
 
 const KINDS: &str = "noise, service, sine, sweep or other";
 const SPLITS: &str = "training, validation or test";
@@ -42,24 +45,21 @@ pub async fn upload(
     State(http): State<Shared>,
     caller: Caller,
     OfRig(id): OfRig,
-    mut params: Params,
+    params: Params,
     key: RequestKey,
     headers: HeaderMap,
     request: Body,
 ) -> Answer {
-    let meta = meta(&mut params)?;
-    let query = FileQuery::take(&mut params)?;
-    let is_dry = params.flag("dry_run")?;
-    params.finish()?;
-    let format = measurement::format(body::media_type(&headers).as_deref())?;
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
-    let upload = upload::receive(&http, &headers, request).await?;
+    let Received { description, format, upload } = Received::take(&http, params, &headers, request).await?;
+    let Description { meta, query, is_dry } = description;
     let class = Class::of_bytes(upload.size());
     let scratch = http.store.scratch_dir();
     let read =
         http.off_thread(class, move || file::prepare(query, &rig, meta, format, upload, &scratch)).await??;
     if is_dry {
-        return json::answer(&read.understood);
+        let outlook = http.store.outlook(&id, &read.run).await?.ok_or_else(|| no_rig(id.as_str()))?;
+        return json::answer(&DryRun { understood: read.understood, outlook });
     }
     let run = read.run;
     match http.store.insert_run(&id, run, caller.token_id(), key.stored(), http.now()).await? {
@@ -75,22 +75,6 @@ pub async fn upload(
             Err(Problem::new(codes::RIG_CHANGED, detail))
         }
     }
-}
-
-/// Takes the description of a run from the query of its upload.
-fn meta(params: &mut Params) -> Answer<RunMeta> {
-    let meta = RunMeta {
-        name: params.one("name")?.unwrap_or_default(),
-        kind: word(params, "kind", KINDS)?.unwrap_or(RunKind::Other),
-        split: word(params, "split", SPLITS)?.unwrap_or(Split::Training),
-        tags: params.all("tag"),
-        started_at: params.parse("started_at", "a time like 2026-03-01T12:00:00Z")?,
-    };
-    meta.check().map_err(|found| {
-        let name = if found.iter().any(|e| e.pointer.starts_with("/tags")) { "tag" } else { "name" };
-        let limit = found.first().and_then(|e| e.limit.clone()).unwrap_or_default();
-        invalid(name, "does not fit", &limit)
-    })
 }
 
 /// `GET /v1/rigs/{rig}/runs/{run}`

@@ -2,9 +2,18 @@
 
 use serde::Serialize;
 
-use crate::domain::Quality;
 use crate::domain::columns::Column;
+use crate::domain::{Quality, RunOutlook};
 use crate::storage::PreparedRun;
+
+/// The answer.
+#[derive(Debug, Serialize)]
+pub struct DryRun {
+    #[serde(flatten)]
+    pub understood: Understood,
+    #[serde(flatten)]
+    pub outlook: RunOutlook,
+}
 
 /// What a file was taken for, before anything is stored.
 #[derive(Debug, Serialize)]

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use crate::compute::Class;
 use crate::domain::iteration::{IterationReport, IterationStep, StartDrive};
-use crate::domain::{IterationRequest, Problem, Run, UsedModel};
+use crate::domain::{IterationRequest, ModelRef, Problem, Run, UsedModel};
 use crate::engine::iteration::{Found, Problem as Wanted, Start, Step, Stopped, iterate};
 use crate::engine::metrics::{ChannelErrors, errors};
 use crate::engine::model::{Predictor, from_safetensors};
@@ -24,7 +24,7 @@ use super::work_context::WorkContext;
 use plan::IterationPlan;
 use problem::of_iteration;
 
-pub(super) use plan::check;
+pub(super) use plan::{TargetOutline, check, check_for};
 pub use problem::IterationProblem;
 
 /// Share of a target's power out of the corrections' reach above which the report warns.
@@ -40,19 +40,21 @@ pub(super) async fn make(
     control: &Arc<Control>,
 ) -> Result<IterationOutput, JobError> {
     let started = Instant::now();
-    let request: IterationRequest = spec.request()?;
+    let mut request: IterationRequest = spec.request()?;
     let rig = context.store.rig(&spec.rig).await?.ok_or(IterationProblem::RigGone)?;
     // Checked again, because runs and models may have gone since the job was queued.
-    let plan = Arc::new(check(&context.store, &rig, &request).await?);
+    let (plan, target) = check(&context.store, &rig, &request).await?;
+    request.model = ModelRef::Version(plan.model.version);
+    let plan = Arc::new(plan);
     control.report("loading the target", 0.0);
     let weights = context.store.weights(&plan.model).await?;
-    let target = signal(context, &plan.target, &plan.channels).await?;
-    let start = match (&plan.start, plan.request.start) {
+    let target = signal(context, &target, &plan.channels).await?;
+    let start = match (&plan.start, request.start) {
         (Some(run), _) => Start::Drive(signal(context, run, &plan.model.inputs).await?),
         (None, StartDrive::Zero) => Start::Zero,
         (None, _) => Start::Inverse,
     };
-    let (planned, watched) = (Arc::clone(&plan), Arc::clone(control));
+    let (planned, watched, settings) = (Arc::clone(&plan), Arc::clone(control), request.settings());
     let search = move || {
         let watch = move |progress: Progress<'_>| watched.watch(progress);
         let model = from_safetensors(&weights).map_err(|error| {
@@ -71,7 +73,7 @@ pub(super) async fn make(
             gains: &planned.gains,
             limits: &planned.limits,
         };
-        let found = iterate(&wanted, &start, &planned.request.settings(), &watch).map_err(refused)?;
+        let found = iterate(&wanted, &start, &settings, &watch).map_err(refused)?;
         let compared = predictor.model().preprocess.apply(&target).map_err(refused)?;
         let errors = errors(&compared, &found.response.select(&planned.outputs)).map_err(refused)?;
         Ok::<_, JobError>((report(&planned, &found, &errors.channels), found.drive))
@@ -81,7 +83,7 @@ pub(super) async fn make(
     let model = UsedModel { version: plan.model.version, sha256: plan.model.sha256.clone() };
     let iteration = NewIteration {
         model,
-        request: plan.request.clone(),
+        request,
         report,
         elapsed_s: started.elapsed().as_secs_f64(),
         name: plan.name.clone(),

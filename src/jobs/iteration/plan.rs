@@ -18,10 +18,7 @@ const MIN_SAMPLES: u64 = 64;
 /// An iteration with everything resolved.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::jobs) struct IterationPlan {
-    /// The request with its model filled in, as the iteration stores it.
-    pub request: IterationRequest,
     pub model: Model,
-    pub target: Run,
     /// Names of the target's channels, in the model's order.
     pub channels: Vec<String>,
     /// Their places among the model's outputs.
@@ -45,7 +42,35 @@ impl IterationPlan {
     }
 }
 
-/// Resolves a request against the rig, its models and runs, without loading a sample.
+/// A target before its samples are loaded.
+pub(in crate::jobs) struct TargetOutline<'a> {
+    /// Name of its run, if it has one.
+    pub name: &'a str,
+    pub channels: &'a [String],
+    /// The channels that are wanted of it; all that the model predicts, if none are named.
+    pub wanted: Option<&'a [String]>,
+    pub samples: u64,
+    pub sample_rate_hz: f64,
+    /// Whether its samples are in the request, by the name of their channel.
+    pub is_sent: bool,
+}
+
+impl TargetOutline<'_> {
+    /// The field that says which samples it has.
+    fn samples_at(&self) -> &'static str {
+        if self.is_sent { "/target/channels" } else { "/target/run" }
+    }
+
+    fn rate_at(&self) -> &'static str {
+        if self.is_sent { "/target/sample_rate_hz" } else { "/target/run" }
+    }
+
+    fn channel_at(&self, index: usize, name: &str) -> String {
+        if self.is_sent { pointer("target/channels", name) } else { format!("/target/channels/{index}") }
+    }
+}
+
+/// Resolves a request against the rig, its models and runs, without loading a sample; gives the run of the target too.
 ///
 /// # Errors
 /// See [`IterationProblem`].
@@ -53,6 +78,29 @@ pub(in crate::jobs) async fn check(
     store: &Store,
     rig: &Rig,
     request: &IterationRequest,
+) -> Result<(IterationPlan, Run), IterationProblem> {
+    let target = run(store, rig, request.target.run, "/target/run").await?;
+    let outline = TargetOutline {
+        name: &target.name,
+        channels: &target.channels,
+        wanted: request.target.channels.as_deref(),
+        samples: target.samples,
+        sample_rate_hz: target.sample_rate_hz,
+        is_sent: false,
+    };
+    let plan = check_for(store, rig, request, &outline).await?;
+    Ok((plan, target))
+}
+
+/// [`check`] for a target that is no run yet; the request's own target is not looked at.
+///
+/// # Errors
+/// See [`IterationProblem`].
+pub(in crate::jobs) async fn check_for<T>(
+    store: &Store,
+    rig: &Rig,
+    request: &IterationRequest<T>,
+    target: &TargetOutline<'_>,
 ) -> Result<IterationPlan, IterationProblem> {
     request.settings().check().map_err(|error| IterationProblem::Invalid(vec![of_setting(&error)]))?;
     let version = match request.model {
@@ -64,7 +112,6 @@ pub(in crate::jobs) async fn check(
     };
     let model = store.model(&rig.id, version).await?.ok_or(IterationProblem::NoModel(version))?;
     forward(rig, &model)?;
-    let target = run(store, rig, request.target.run, "/target/run").await?;
     let start = match request.start {
         StartDrive::Run(id) => Some(run(store, rig, id, "/start/run").await?),
         StartDrive::Inverse | StartDrive::Zero => None,
@@ -91,24 +138,25 @@ fn forward(rig: &Rig, model: &Model) -> Result<(), IterationProblem> {
     Err(IterationProblem::NotForward { version: model.version, inputs: inputs.join(", ") })
 }
 
-fn plan(
+fn plan<T>(
     rig: &Rig,
-    request: &IterationRequest,
+    request: &IterationRequest<T>,
     model: Model,
-    target: Run,
+    target: &TargetOutline<'_>,
     start: Option<Run>,
 ) -> Result<IterationPlan, IterationProblem> {
     let mut errors = Vec::new();
-    let outputs = outputs(request, &model, &target, &mut errors);
+    let outputs = outputs(&model, target, &mut errors);
     let channels: Vec<String> = outputs.iter().map(|&output| model.outputs[output].clone()).collect();
     if target.samples < MIN_SAMPLES {
-        let limit = format!("at least {MIN_SAMPLES} samples; the run has {}", target.samples);
-        errors.push(FieldError::new("/target/run", limit));
+        let limit = format!("at least {MIN_SAMPLES} samples; it has {}", target.samples);
+        errors.push(FieldError::new(target.samples_at(), limit));
     }
-    for (pointer, run) in [("/target/run", Some(&target)), ("/start/run", start.as_ref())] {
-        if let Some(run) = run.filter(|run| !Signal::same_rate(run.sample_rate_hz, model.sample_rate_hz)) {
-            let [wanted, found] = [model.sample_rate_hz, run.sample_rate_hz].map(|hz| rounded(hz, 10));
-            let limit = format!("{wanted} Hz, the model's sample rate; the run has {found} Hz");
+    let start_rate = start.as_ref().map(|start| ("/start/run", start.sample_rate_hz));
+    for (pointer, rate) in std::iter::once((target.rate_at(), target.sample_rate_hz)).chain(start_rate) {
+        if !Signal::same_rate(rate, model.sample_rate_hz) {
+            let [wanted, found] = [model.sample_rate_hz, rate].map(|hz| rounded(hz, 10));
+            let limit = format!("{wanted} Hz, the model's sample rate; it has {found} Hz");
             return Err(IterationProblem::SampleRate(FieldError::new(pointer, limit)));
         }
     }
@@ -135,28 +183,22 @@ fn plan(
         &mut errors,
     );
     let limits = limits(request, &model, &mut errors);
-    let name = name(rig, request, &target, &mut errors);
+    let name = name(rig, request.name.as_deref(), target.name, &mut errors);
     if !errors.is_empty() {
         return Err(IterationProblem::Invalid(errors));
     }
-    let request = IterationRequest { model: ModelRef::Version(model.version), ..request.clone() };
-    Ok(IterationPlan { request, model, target, channels, outputs, start, weights, gains, limits, name })
+    Ok(IterationPlan { model, channels, outputs, start, weights, gains, limits, name })
 }
 
 /// Places of the target's channels among the model's outputs, in the model's order.
-fn outputs(
-    request: &IterationRequest,
-    model: &Model,
-    target: &Run,
-    errors: &mut Vec<FieldError>,
-) -> Vec<usize> {
+fn outputs(model: &Model, target: &TargetOutline<'_>, errors: &mut Vec<FieldError>) -> Vec<usize> {
     let has = |name: &String| target.channels.contains(name);
-    let Some(wanted) = &request.target.channels else {
+    let Some(wanted) = target.wanted else {
         let found: Vec<usize> =
             (0..model.outputs.len()).filter(|&output| has(&model.outputs[output])).collect();
         if found.is_empty() {
             let limit = format!("a run that holds one of {}", model.outputs.join(", "));
-            errors.push(FieldError::new("/target/run", limit));
+            errors.push(FieldError::new(target.samples_at(), limit));
         }
         return found;
     };
@@ -164,7 +206,7 @@ fn outputs(
         errors.push(FieldError::new("/target/channels", "at least one channel"));
     }
     for (i, name) in wanted.iter().enumerate() {
-        let at = || format!("/target/channels/{i}");
+        let at = || target.channel_at(i, name);
         if !model.outputs.contains(name) {
             let limit = format!("one of {}, which the model predicts", model.outputs.join(", "));
             errors.push(FieldError::new(at(), limit).on_channel(name));
@@ -199,7 +241,7 @@ fn each(
     channels.iter().map(|name| given.get(name).copied().unwrap_or(otherwise)).collect()
 }
 
-fn limits(request: &IterationRequest, model: &Model, errors: &mut Vec<FieldError>) -> Vec<DriveLimit> {
+fn limits<T>(request: &IterationRequest<T>, model: &Model, errors: &mut Vec<FieldError>) -> Vec<DriveLimit> {
     for (name, limit) in &request.limits {
         let pointer = pointer("limits", name);
         if !model.inputs.contains(name) {
@@ -217,16 +259,16 @@ fn pointer(field: &str, name: &str) -> String {
 }
 
 /// Name of the run that will hold the drive.
-fn name(rig: &Rig, request: &IterationRequest, target: &Run, errors: &mut Vec<FieldError>) -> String {
+fn name(rig: &Rig, asked: Option<&str>, target: &str, errors: &mut Vec<FieldError>) -> String {
     use crate::domain::rig::MAX_NAME_CHARS;
-    match &request.name {
+    match asked {
         Some(name) if name.chars().count() > MAX_NAME_CHARS => {
             errors.push(FieldError::new("/name", format!("at most {MAX_NAME_CHARS} characters")));
             String::new()
         }
-        Some(name) => name.clone(),
+        Some(name) => name.to_owned(),
         None => {
-            let of = if target.name.is_empty() { rig.id.as_str() } else { &target.name };
+            let of = if target.is_empty() { rig.id.as_str() } else { target };
             format!("drive for {of}").chars().take(MAX_NAME_CHARS).collect()
         }
     }

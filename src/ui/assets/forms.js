@@ -19,7 +19,10 @@ function put(into, name, value) {
 function valueOf(field) {
   const as = field.dataset.as;
   if (as === 'bool') return field.checked || undefined;
-  if (field.type === 'checkbox' || field.type === 'radio') return field.checked ? field.value : undefined;
+  if (field.type === 'checkbox' || field.type === 'radio') {
+    if (!field.checked) return undefined;
+    return field.dataset.number === undefined ? field.value : Number(field.value);
+  }
   const text = field.value.trim();
   if (text === '') return undefined;
   return as && kinds[as] ? kinds[as](text) : text;

@@ -98,6 +98,8 @@ function tell(body) {
   fact('Format', body.format);
   fact('Sample rate', `${body.sample_rate_hz} Hz`);
   fact('Length', `${body.duration_s} s, ${body.samples} samples`);
+  fact('Fits', body.policy);
+  if (body.duplicate_of) fact('Same bytes', `run ${body.duplicate_of}`);
   const columns = understood.querySelector('tbody');
   columns.replaceChildren();
   for (const column of body.columns) {

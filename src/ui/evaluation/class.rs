@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use super::{named, tables};
 use crate::domain::evaluation::{ClassRow, EvaluatedChannel, EvaluationReport};
+use crate::ui::figures::{address, saves};
 use crate::ui::plot::{Figure, RatioRow, Style, ratios};
 use crate::ui::spectrum::{Density, densities};
 use crate::ui::text::{number, percent};
@@ -11,14 +12,17 @@ use crate::ui::text::{number, percent};
 /// Most rows of the plot of damage ratios; the tables have them all.
 const MOST_RATIOS: usize = 40;
 
-/// Its tables and plots. `spectra_left` counts the plots of spectra that the page may still have.
-pub fn section(k: usize, report: &EvaluationReport, rows: &[&ClassRow], spectra_left: &mut usize) -> Markup {
+/// Its tables and plots. `spectra_left` counts the plots of spectra that the page may still have; `at` is the address of
+/// the page, if it is one of the service, which has each of them as a file.
+pub fn section(
+    k: usize,
+    report: &EvaluationReport,
+    rows: &[&ClassRow],
+    spectra_left: &mut usize,
+    at: Option<&str>,
+) -> Markup {
     let class = &rows[0].class;
-    let drawn: Vec<Figure> = worst_channels(report, rows)
-        .into_iter()
-        .filter_map(|channel| spectrum(k, report, rows, channel))
-        .take(*spectra_left)
-        .collect();
+    let drawn: Vec<Figure> = spectra(k, report, rows).take(*spectra_left).collect();
     *spectra_left -= drawn.len();
     html! {
         h2 id=(format!("class-{k}")) { "Runs: " (class) }
@@ -27,7 +31,11 @@ pub fn section(k: usize, report: &EvaluationReport, rows: &[&ClassRow], spectra_
         @if rows.iter().any(|row| row.runs > 0) {
             (damage(k, report, rows))
             @for figure in &drawn {
-                figure { div.plot { (figure.svg()) } figcaption { (figure.title) } }
+                figure {
+                    div.plot { (figure.svg()) }
+                    figcaption { (figure.title) }
+                    @if let Some(at) = at { (saves(&address(at, &figure.id))) }
+                }
             }
             (tables::channels(report, rows))
         }
@@ -110,6 +118,11 @@ fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
             }
         }
     }
+}
+
+/// The spectra of a class, one for each group of channels.
+pub fn spectra(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> impl Iterator<Item = Figure> {
+    worst_channels(report, rows).into_iter().filter_map(move |channel| spectrum(k, report, rows, channel))
 }
 
 /// Of each group the channel on which the first model is worst.

@@ -1,6 +1,7 @@
 //! The page of an evaluation: per class of runs a table of the models' errors, their damage ratios, and the spectra.
 
 mod class;
+mod form;
 mod runs;
 mod tables;
 #[cfg(test)]
@@ -8,17 +9,21 @@ mod tests;
 
 use maud::{Markup, html};
 
+use super::figures::Drawing;
 use super::frame::{self, Frame, Section, Visitor};
+use super::plot::Figure;
 use super::text::{listed, percent};
 use crate::domain::evaluation::{ClassRow, EvaluatedModel, EvaluationReport};
 use crate::domain::{EvaluationRequest, StoredEvaluation};
+
+pub use form::form;
 
 /// Most plots of spectra on a page; the others are in the report as JSON.
 const MOST_SPECTRA: usize = 24;
 
 /// The report as a document that is complete in itself: no scripts, no other files.
 pub fn page(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> String {
-    frame::alone(&title(rig_name), &content(rig_name, of, report))
+    frame::alone(&title(rig_name), &content(rig_name, of, report, None))
 }
 
 /// The report as a page of the service.
@@ -29,19 +34,34 @@ pub fn framed(visitor: &Visitor, rig_name: &str, of: &StoredEvaluation, report: 
         Frame::new(&title, Section::Rigs, visitor).below(&[("/".into(), "Rigs"), (rig, rig_name)]);
     frame.class = "report";
     frame.scripts = &[];
-    frame.page(&content(rig_name, of, report))
+    let at = format!("/rigs/{}/evaluations/{}", of.summary.rig, of.summary.id);
+    frame.page(&content(rig_name, of, report, Some(&at)))
+}
+
+/// The spectrum of this name.
+///
+/// # Errors
+/// The names of all spectra, where there is no such one.
+pub fn spectrum(report: &EvaluationReport, name: &str) -> Result<Drawing, String> {
+    let all: Vec<Figure> = classes(report)
+        .iter()
+        .enumerate()
+        .flat_map(|(k, rows)| class::spectra(k, report, rows).collect::<Vec<_>>())
+        .collect();
+    let known = || all.iter().map(|figure| figure.id.as_str()).collect::<Vec<_>>().join(", ");
+    all.iter().find(|figure| figure.id == name).map(|figure| figure.clone().into()).ok_or_else(known)
 }
 
 fn title(rig_name: &str) -> String {
     format!("Evaluation of models of {rig_name}")
 }
 
-fn content(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> Markup {
+fn content(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport, at: Option<&str>) -> Markup {
     let mut spectra_left = MOST_SPECTRA;
     let sections: Vec<Markup> = classes(report)
         .into_iter()
         .enumerate()
-        .map(|(k, rows)| class::section(k, report, &rows, &mut spectra_left))
+        .map(|(k, rows)| class::section(k, report, &rows, &mut spectra_left, at))
         .collect();
     html! {
         (header(rig_name, of, report))

@@ -10,7 +10,7 @@ use crate::formats::mat::MatPieces;
 use crate::formats::rpc3::Rpc3Pieces;
 use crate::http::body::pieces::{Pieces, Written};
 use crate::http::errors;
-use crate::http::negotiate::{MAT, NPY, RPC3, too_large_for_mat};
+use crate::http::negotiate::{MAT, NPY, RPC3, RPC3_FLOATS, too_large_for_mat};
 use crate::http::predict::memory::Share;
 use crate::http::predict::stages::Stages;
 use crate::http::problem::{Answer, Problem};
@@ -53,8 +53,11 @@ impl Setting<'_> {
         let units: Vec<String> = names.iter().map(unit).collect();
         Ok(match media_type {
             NPY => of_response(response, names)?,
-            RPC3 => {
-                let pieces = Rpc3Pieces::new(names.clone(), units, false, response);
+            RPC3 | RPC3_FLOATS => {
+                let mut pieces = Rpc3Pieces::new(names.clone(), units, false, response);
+                if media_type == RPC3_FLOATS {
+                    pieces = pieces.as_floats();
+                }
                 let size = pieces.size() as u64;
                 (Box::new(pieces), Some(size))
             }

@@ -25,7 +25,7 @@ use crate::engine::model::{Prediction, Predictor, Preprocess, Trust};
 use crate::engine::{EngineError, Progress, Signal};
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
-use crate::http::negotiate::{CSV, MAT, NPY, RPC3};
+use crate::http::negotiate::{CSV, MAT, NPY, RPC3, RPC3_FLOATS};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{codes, errors};
 use crate::models::LoadedModel;
@@ -161,7 +161,7 @@ fn write(
     }
     let body = match media_type {
         NPY => npy::write(setting, begun.prediction, memory, stages)?,
-        CSV | RPC3 | MAT => file::write(setting, begun.prediction, media_type, memory, stages)?,
+        CSV | RPC3 | RPC3_FLOATS | MAT => file::write(setting, begun.prediction, media_type, memory, stages)?,
         _ => (json::write(setting, begun, memory, stages)?, None),
     };
     Ok((body, media_type.to_owned()))

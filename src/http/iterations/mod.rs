@@ -1,15 +1,18 @@
 //! Drive-file iterations: checked while the client waits, done as jobs, their drives stored as runs.
 
+mod target;
+
 use axum::extract::State;
 
 use super::Shared;
 use super::auth::Caller;
 use super::idempotency::{RequestKey, created};
-use super::json::{self, Json};
+use super::json::{self, SignalsJson};
 use super::params::{NoParams, Params, page};
 use super::paths::{OfIteration, OfRig, no_iteration, no_rig};
 use super::problem::Answer;
 use crate::domain::{Created, IterationRequest};
+use target::{SentTarget, Target};
 
 /// `POST /v1/rigs/{rig}/iterations`
 pub async fn start(
@@ -18,11 +21,20 @@ pub async fn start(
     OfRig(id): OfRig,
     _: NoParams,
     key: RequestKey,
-    Json(request): Json<IterationRequest>,
+    SignalsJson(request): SignalsJson<IterationRequest<SentTarget>>,
 ) -> Answer {
     let rig = http.store.rig(&id).await?.ok_or_else(|| no_rig(id.as_str()))?;
     let (token, key) = (caller.token_id(), key.stored());
-    let job = http.jobs.submit_iteration(&rig, &request, token, key.as_ref()).await?;
+    let (request, sent) = request.with_target(());
+    let job = match sent.target()? {
+        Target::Run(target) => {
+            let (request, ()) = request.with_target(target);
+            http.jobs.submit_iteration(&rig, &request, token, key.as_ref()).await?
+        }
+        Target::Signals(names, signal) => {
+            http.jobs.submit_iteration_for(&rig, request, (&names, signal), token, key).await?
+        }
+    };
     created(Created::job(&job))
 }
 

@@ -1,11 +1,39 @@
-//! Plots of studies.
+//! The linear study: errors against the number of files, one line a network.
 
-use crate::domain::study::LinearFit;
+use maud::{Markup, html};
 
-use super::plot::{Axis, Figure, Key, Mark, Scale, Style, picture};
+use crate::domain::study::{LinearFit, LinearStudyReport};
+use crate::ui::plot::{Axis, Figure, Key, Mark, Scale, Style, picture};
+use crate::ui::text::percent;
+use crate::ui::words::duration;
 
 /// The errors of a linear study against its files, one line a network, as an SVG file.
 pub fn linear_study_svg(fits: &[LinearFit]) -> String {
+    picture(figure(fits).svg())
+}
+
+/// Every fit.
+pub(super) fn table(report: &LinearStudyReport) -> Markup {
+    html! {
+        div.wide { table {
+            thead { tr { th { "Cells" } th.number { "Weights" } th.number { "Files" } th.number { "Data" } th.number { "Error" } th { "" } } }
+            tbody { @for fit in &report.fits { tr {
+                td { (net(&fit.net)) }
+                td.number { (fit.parameters) }
+                td.number { (fit.files) }
+                td.number { (duration(60.0 * fit.minutes)) }
+                td.number { (fit.error.map_or_else(|| "–".into(), percent)) }
+                td.soft { (fit.reason.as_deref().unwrap_or_default()) }
+            } } }
+        } }
+    }
+}
+
+fn net(cells: &[usize]) -> String {
+    format!("{{{}}}", cells.iter().map(usize::to_string).collect::<Vec<_>>().join(","))
+}
+
+pub(super) fn figure(fits: &[LinearFit]) -> Figure {
     let mut nets: Vec<&Vec<usize>> = Vec::new();
     for one in fits {
         if !nets.contains(&&one.net) {
@@ -14,16 +42,16 @@ pub fn linear_study_svg(fits: &[LinearFit]) -> String {
     }
     let known = || fits.iter().filter(|one| one.error.is_some_and(|error| error > 0.0));
     let percent = |one: &LinearFit| 100.0 * one.error.unwrap_or_default();
-    let line = |(number, net): (usize, &&Vec<usize>)| {
-        let of_net: Vec<&LinearFit> = known().filter(|one| one.net == **net).collect();
+    let line = |(number, cells): (usize, &&Vec<usize>)| {
+        let of_net: Vec<&LinearFit> = known().filter(|one| one.net == **cells).collect();
         Mark::Line {
             x: of_net.iter().map(|one| one.files as f64).collect(),
             y: of_net.iter().map(|one| percent(one)).collect(),
             style: Style::Series(number),
-            name: format!("{{{}}}", net.iter().map(usize::to_string).collect::<Vec<_>>().join(",")),
+            name: net(cells),
         }
     };
-    let figure = Figure {
+    Figure {
         id: "linear-study".into(),
         title: "Linear study".into(),
         description: "RMS error of each network against the number of training files".into(),
@@ -32,8 +60,7 @@ pub fn linear_study_svg(fits: &[LinearFit]) -> String {
         y: (Axis::around(Scale::Log, known().map(percent)), "RMS error in %".into()),
         key: Key::Ends,
         marks: nets.iter().enumerate().map(line).collect(),
-    };
-    picture(figure.svg())
+    }
 }
 
 #[cfg(test)]
