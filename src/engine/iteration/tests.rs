@@ -50,8 +50,10 @@ fn linear() -> RigModel {
         preprocess: Preprocess::default(),
         frf: Some(frf),
         frf_quality: None,
+        core: Vec::new(),
         lstm: None,
         range: vec![InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]) }; 2],
+        band: None,
         effects: Vec::new(),
     }
 }
