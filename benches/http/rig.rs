@@ -69,6 +69,7 @@ fn hybrid2() -> RigModel {
         preprocess: Preprocess::default(),
         frf: Some(frf),
         frf_quality: None,
+        core: Vec::new(),
         lstm: Some(LstmPart {
             net: LstmNet::init(inputs + outputs, &[39], outputs, 1.0, &mut rng),
             x: scaler(inputs + outputs),
@@ -78,6 +79,7 @@ fn hybrid2() -> RigModel {
             recombine: Recombine::Welch,
         }),
         range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6, band_hz: None, local: None }; inputs],
+        band: None,
         effects: Vec::new(),
     }
 }

@@ -69,5 +69,6 @@ pub fn settings(kind: ModelKind, preset: Preset, lstm: LstmOptions) -> FitSettin
         lstm,
         preset,
         start: None,
+        core: None,
     }
 }

@@ -61,8 +61,10 @@ pub fn weights(kind: ModelKind) -> Vec<u8> {
         preprocess: Preprocess::default(),
         frf: (kind != ModelKind::Lstm).then_some(frf),
         frf_quality: None,
+        core: Vec::new(),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
         range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None }],
+        band: None,
         effects: Vec::new(),
     })
 }

@@ -71,10 +71,25 @@ impl FitRequest {
             errors
                 .push(FieldError::new("/start", "a kind with a network: an FRF has no weights to start at"));
         }
+        self.check_core(&mut errors);
         check_runs(&mut errors, "/runs", self.runs.as_ref());
         check_runs(&mut errors, "/validation_runs", self.validation_runs.as_ref());
         check_runs(&mut errors, "/frf/runs", self.frf.runs.as_ref());
         if errors.is_empty() { Ok(FitChannels { inputs, outputs }) } else { Err(errors) }
+    }
+
+    /// A core belongs to a hybrid, which then estimates no FRF.
+    fn check_core(&self, errors: &mut Vec<FieldError>) {
+        if self.core.is_none() {
+            return;
+        }
+        if !matches!(self.kind, ModelKind::Hybrid1 | ModelKind::Hybrid2) {
+            let limit = "left out, or kind hybrid1 or hybrid2: a core takes the place of a hybrid's FRF";
+            errors.push(FieldError::new("/core", limit));
+        }
+        if self.frf != FrfOptions::default() {
+            errors.push(FieldError::new("/frf", "left out: with a core no FRF is estimated"));
+        }
     }
 }
 

@@ -102,6 +102,14 @@ pub struct StartFrom {
     pub version: u32,
 }
 
+/// The core that takes the place of a hybrid's FRF.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoreFrom {
+    /// An adopted version of the rig on an FRF, of the same channels and filter.
+    pub version: u32,
+}
+
 /// The request; every field but `kind` has a default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -126,6 +134,9 @@ pub struct FitRequest {
     /// FRF part.
     #[serde(default)]
     pub frf: FrfOptions,
+    /// The version in place of the FRF of a hybrid; left out: an FRF is estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub core: Option<CoreFrom>,
     /// LSTM part.
     #[serde(default)]
     pub lstm: LstmOptions,

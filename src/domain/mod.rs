@@ -34,7 +34,7 @@ pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
 pub use model::{
     ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span, StartedFrom,
-    UsedModel,
+    UsedCore, UsedModel,
 };
 pub use model_ref::ModelRef;
 pub use model_report::ModelReport;

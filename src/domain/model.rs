@@ -8,7 +8,7 @@ use super::ids::{DiagnosisId, JobId, RigId, RunId};
 use super::rig::Rig;
 use crate::engine::diagnosis::{Effect, Family};
 use crate::engine::frf::FrfSummary;
-use crate::engine::model::{FitReport, ModelKind, RigModel, VersionKind};
+use crate::engine::model::{AddedEffect, FitReport, ModelKind, RigModel, VersionKind};
 
 /// The version that some work was done with.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,6 +82,9 @@ pub struct Lineage {
     /// The version whose weights the training began at.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<StartedFrom>,
+    /// The version that took the place of a hybrid's FRF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub core: Option<UsedCore>,
     /// Effects that were adopted from diagnoses, in the order of adoption. The rest of the lineage is that of
     /// the version that they were added to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -97,6 +100,38 @@ pub struct StartedFrom {
     pub sha256: String,
     /// Data that shaped it, stopped its training or chose it.
     pub seen: Vec<Span>,
+}
+
+/// The core in place of a hybrid's FRF: an FRF with adopted effects. The model's weight file holds it, so its version may
+/// be gone.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UsedCore {
+    /// The version; none where the model was imported with its core.
+    pub version: Option<u32>,
+    /// SHA-256 of the version's weight file, hex; none where the version is unknown.
+    pub sha256: Option<String>,
+    /// Its effects, the first adopted first.
+    pub effects: Vec<AdoptedEffect>,
+    /// Data to which its FRF and its effects were fitted, or on which they were chosen.
+    pub seen: Vec<Span>,
+}
+
+impl UsedCore {
+    /// The core of weights whose origin is unknown; none where they have none.
+    pub fn of_import(model: &RigModel) -> Option<Self> {
+        let effects = adopted_effects(model, &model.core);
+        (!effects.is_empty()).then(|| Self { version: None, sha256: None, effects, seen: Vec::new() })
+    }
+}
+
+/// Effects of a model by name.
+fn adopted_effects(model: &RigModel, effects: &[AddedEffect]) -> Vec<AdoptedEffect> {
+    let named = |added: &AddedEffect| {
+        let effect = added.augmented.effect();
+        let channel = model.outputs[added.augmented.response()].clone();
+        AdoptedEffect { effect, family: effect.family(), channel }
+    };
+    effects.iter().map(named).collect()
 }
 
 /// The origin of an adopted effect.
@@ -115,10 +150,11 @@ pub struct Adopted {
 }
 
 impl Lineage {
-    /// Whether a sample of `span` shaped the model's weights or the parameters of its effects.
+    /// Whether a sample of `span` shaped the model's weights, its core or the parameters of its effects.
     pub fn was_trained_on(&self, span: &Span) -> bool {
         let effects = self.diagnoses.iter().flat_map(|adopted| &adopted.fit);
-        self.training.iter().chain(&self.frf).chain(effects).any(|used| used.overlaps(span))
+        let core = self.core.iter().flat_map(|core| &core.seen);
+        self.training.iter().chain(&self.frf).chain(effects).chain(core).any(|used| used.overlaps(span))
     }
 
     /// Whether a sample of `span` shaped the model, or stopped its training, or chose it.
@@ -126,31 +162,36 @@ impl Lineage {
         self.seen().any(|used| used.overlaps(span))
     }
 
-    /// Data that shaped the model, stopped its training or chose it, or did so for the version that it began at.
+    /// Data that shaped the model, stopped its training or chose it, or did so for the version that it began at or for
+    /// its core.
     pub fn seen(&self) -> impl Iterator<Item = &Span> {
         let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
         let stopped = self.stopping.as_ref().unwrap_or(&self.validation);
-        let before = self.start.iter().flat_map(|start| &start.seen);
-        self.training.iter().chain(&self.frf).chain(stopped).chain(effects).chain(before)
+        self.training.iter().chain(&self.frf).chain(stopped).chain(effects).chain(self.seen_before())
     }
 
-    /// Whether the version that the training began at has seen a sample of `span`.
-    pub fn start_has_seen(&self, span: &Span) -> bool {
-        self.start.iter().flat_map(|start| &start.seen).any(|used| used.overlaps(span))
+    /// Data that the model has seen through the version that its training began at, or through its core.
+    fn seen_before(&self) -> impl Iterator<Item = &Span> {
+        let start = self.start.iter().flat_map(|start| &start.seen);
+        start.chain(self.core.iter().flat_map(|core| &core.seen))
+    }
+
+    /// Whether the version that the training began at, or the core, has seen a sample of `span`.
+    pub fn had_been_seen(&self, span: &Span) -> bool {
+        self.seen_before().any(|used| used.overlaps(span))
     }
 
     /// All data that the model has seen, for weights, parameters or choices.
     pub fn spans(&self) -> impl Iterator<Item = &Span> {
         let effects = self.diagnoses.iter().flat_map(|adopted| adopted.fit.iter().chain(&adopted.select));
         let stopping = self.stopping.iter().flatten();
-        let before = self.start.iter().flat_map(|start| &start.seen);
         self.training
             .iter()
             .chain(&self.frf)
             .chain(stopping)
             .chain(&self.validation)
             .chain(effects)
-            .chain(before)
+            .chain(self.seen_before())
     }
 }
 
@@ -188,13 +229,9 @@ pub struct AdoptedEffect {
 impl Adoption {
     /// What a model with effects consists of, on a base of this version and digest; none without effects.
     pub fn of(model: &RigModel, version: Option<u32>, sha256: Option<String>) -> Option<Self> {
-        let named = |added: &crate::engine::model::AddedEffect| {
-            let effect = added.augmented.effect();
-            let channel = model.outputs[added.augmented.response()].clone();
-            AdoptedEffect { effect, family: effect.family(), channel }
-        };
         let base = Base { version, kind: model.kind, sha256 };
-        (!model.effects.is_empty()).then(|| Self { base, effects: model.effects.iter().map(named).collect() })
+        let effects = adopted_effects(model, &model.effects);
+        (!effects.is_empty()).then_some(Self { base, effects })
     }
 }
 
@@ -344,6 +381,7 @@ mod tests {
             stopping: Some(vec![span(6, "ff", 0, 10)]),
             validation: vec![span(3, "cc", 0, 10)],
             start: None,
+            core: None,
             diagnoses: vec![Adopted {
                 id: DiagnosisId::nil(),
                 hypothesis: 0,
@@ -360,7 +398,14 @@ mod tests {
         let started = StartedFrom { version: 1, sha256: "00".into(), seen: vec![span(7, "77", 0, 5)] };
         let warm = Lineage { start: Some(started), ..lineage.clone() };
         assert!(warm.has_seen(&span(7, "77", 4, 9)) && !warm.was_trained_on(&span(7, "77", 4, 9)));
-        assert!(!warm.start_has_seen(&span(1, "aa", 0, 1)) && warm.spans().count() == 7);
+        assert!(!warm.had_been_seen(&span(1, "aa", 0, 1)) && warm.spans().count() == 7);
+        let seen = vec![span(8, "88", 0, 5)];
+        let core = UsedCore { version: Some(1), sha256: Some("00".into()), effects: Vec::new(), seen };
+        let on_core = Lineage { core: Some(core), ..lineage.clone() };
+        let of_core = span(8, "88", 4, 9);
+        assert!(
+            on_core.was_trained_on(&of_core) && on_core.has_seen(&of_core) && on_core.had_been_seen(&of_core)
+        );
         let seen = |run, sha256| lineage.has_seen(&span(run, sha256, 0, 1));
         assert!(seen(6, "ff") && seen(5, "ee") && seen(1, "aa") && !seen(3, "cc"));
         let before = Lineage { stopping: None, ..lineage.clone() };

@@ -151,6 +151,8 @@ async fn make(
             Problem::new(codes::MODEL_DAMAGED, "The stored weights cannot be read as a model.").because(error)
         })?;
         model.effects.push(effect);
+        // The band was calibrated without the effect.
+        model.band = None;
         let weights = to_safetensors(&model);
         // Stored weights can be read; the error left is too many effects in one model.
         let model = from_safetensors(&weights).map_err(|error| errors::engine(&error, &[], "/hypothesis"))?;

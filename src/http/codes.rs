@@ -188,6 +188,8 @@ codes! {
     PREDICT_BATCH_SIZE = "predict.batch_size", 422, "Too many drives in one batch";
     PREDICT_UNEQUAL_LENGTHS = "predict.unequal_lengths", 422, "Drive and target differ in length";
     PREDICT_TARGET_MISSING = "predict.target_missing", 422, "Errors need a target";
+    PREDICT_NO_FALLBACK = "predict.no_fallback", 422, "The model has no FRF to fall back to";
+    PREDICT_BAND_TOO_LONG = "predict.band_too_long", 422, "A band of too many values";
     PREDICT_DEADLINE = "predict.deadline", 504, "The answer was not ready in time";
     DAMAGE_UNKNOWN_CHANNEL = "damage.unknown_channel", 422, "A channel that the request does not have";
     DAMAGE_SAMPLE_RATE = "damage.sample_rate", 422, "Prediction and target differ in sample rate";

@@ -17,7 +17,7 @@ use super::problem::{Answer, FieldError, Problem};
 use super::upload;
 use super::{Shared, body, codes, errors, json};
 use crate::compute::Class;
-use crate::domain::{Adoption, Created, Lineage, Model, Origin, Rig};
+use crate::domain::{Adoption, Created, Lineage, Model, Origin, Rig, UsedCore};
 use crate::engine::model::{RigModel, from_safetensors};
 use crate::engine::{Signal, rounded};
 use crate::storage::{Activation, ModelDelete, NewModel};
@@ -109,6 +109,7 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
         frf: model.frf_summary(),
         kind: model.kind,
         adoption: Adoption::of(&model, None, None),
+        lineage: Lineage { core: UsedCore::of_import(&model), ..Lineage::default() },
         inputs: model.inputs,
         outputs: model.outputs,
         sample_rate_hz: model.sample_rate_hz,
@@ -118,7 +119,6 @@ fn read(rig: &Rig, bytes: &[u8]) -> Answer<NewModel> {
         request: None,
         report: None,
         record: None,
-        lineage: Lineage::default(),
         // Weights made elsewhere do not say.
         instruction_set: "unknown".into(),
     })

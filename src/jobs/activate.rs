@@ -206,7 +206,7 @@ impl<'a> Side<'a> {
     /// Its score on a span. `None` if it has seen the span.
     fn score(&self, span: &Span) -> Option<Score> {
         // Scores on such data are no measure, whether they are noted or not.
-        if self.lineage.start_has_seen(span) {
+        if self.lineage.had_been_seen(span) {
             return None;
         }
         let place = self.lineage.validation.iter().position(|own| same_data(own, span));

@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::fits::FitRequest;
-use crate::domain::{JobId, Lineage, Origin, Rig, Run, faults_of_runs};
+use crate::domain::{JobId, Lineage, Origin, Rig, Run, Span, faults_of_runs};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
     FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, SplitRule, to_safetensors,
@@ -20,8 +20,8 @@ use super::checkpoints::JobCheckpoints;
 use super::control::Control;
 use super::problem::{JobError, of_engine};
 use super::spec::{JobSpec, ModelOutput};
-use super::warm_start;
 use super::work_context::WorkContext;
+use super::{core_version, warm_start};
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
 
@@ -60,18 +60,18 @@ pub(super) async fn fit_model(
     // Checked again, because runs may have come and gone since the job was queued.
     let mut plan = check(&context.store, rig, request).await?;
     control.report("loading runs", 0.0);
-    let start = warm_start::load(context, &mut plan).await?;
+    let given = GivenParts::load(context, &mut plan).await?;
     let data = load(context, &plan, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
     let (store, every) = (&context.store, context.checkpoint_every);
     let checkpoints = JobCheckpoints::open(store, job, fingerprint(&plan, isa), every, control).await?;
-    let (fitted, weights) = fit(context, (&plan, start), data, checkpoints, control).await?;
+    let (fitted, weights) = fit(context, (&plan, &given), data, checkpoints, control).await?;
     let Fitted { model, mut report, record } = fitted;
     tell_of_split(&plan, &mut report);
     let runs: Vec<&Run> = plan.training.iter().chain(plan.frf_only()).chain(&plan.validation).collect();
     report.warnings.extend(faults_of_runs(&runs, plan.inputs.iter().chain(&plan.outputs)));
     let lineage = plan.lineage(report.comparison.as_ref().is_some_and(|c| c.refitted));
-    tell_of_start(&lineage, &mut report);
+    tell_of_seen(&lineage, &mut report);
     let model = Arc::new(model);
     control.report("comparing with the active model", 1.0);
     let activate::Decision { activation, why } = activate::decide(
@@ -112,15 +112,17 @@ fn tell_of_split(plan: &FitPlan, report: &mut FitReport) {
     }
 }
 
-/// Warns if the version that the training began at has seen data that compare the model.
-fn tell_of_start(lineage: &Lineage, report: &mut FitReport) {
-    if let Some(start) = &lineage.start
-        && lineage.validation.iter().any(|span| lineage.start_has_seen(span))
-    {
+/// Warns if the version that the training began at, or the core, has seen data that compare the model.
+fn tell_of_seen(lineage: &Lineage, report: &mut FitReport) {
+    let compares = |seen: &[Span]| lineage.validation.iter().any(|v| seen.iter().any(|s| s.overlaps(v)));
+    let start = lineage.start.as_ref().filter(|start| compares(&start.seen));
+    let start = start.map(|start| format!("{}, at which the training began,", start.version));
+    let core = lineage.core.as_ref().filter(|core| compares(&core.seen));
+    let core = core.and_then(|core| core.version).map(|version| format!("{version}, the core,"));
+    for version in start.into_iter().chain(core) {
         report.warnings.push(format!(
-            "model version {}, at which the training began, has seen data that compare this model: its errors on them \
-             are too small, and they activate nothing; leave out a run that the version has not seen",
-            start.version
+            "model version {version} has seen data that compare this model: its errors on them \
+             are too small, and they activate nothing; leave out a run that the version has not seen"
         ));
     }
 }
@@ -185,7 +187,26 @@ pub(super) fn pair(
     Ok(Pair { x: select(&inputs, &outputs)?, y: select(&outputs, &[])? })
 }
 
-pub(super) fn settings(plan: &FitPlan, start: Option<LstmPart>) -> FitSettings {
+/// The parts of other versions that a fit begins with or builds on.
+#[derive(Debug, Clone, Default)]
+pub(super) struct GivenParts {
+    /// The network that the training begins at.
+    start: Option<LstmPart>,
+    /// The core in place of the FRF.
+    core: Option<RigModel>,
+}
+
+impl GivenParts {
+    /// Reads the parts of a plan. Blocks that are still open become those of the network.
+    pub(super) async fn load(context: &WorkContext, plan: &mut FitPlan) -> Result<Self, JobError> {
+        Ok(Self {
+            start: warm_start::load(context, plan).await?,
+            core: core_version::load(context, plan).await?,
+        })
+    }
+}
+
+pub(super) fn settings(plan: &FitPlan, given: &GivenParts) -> FitSettings {
     FitSettings {
         kind: plan.request.kind,
         task: plan.task,
@@ -195,7 +216,8 @@ pub(super) fn settings(plan: &FitPlan, start: Option<LstmPart>) -> FitSettings {
         frf: plan.request.frf.settings(plan.request.preset),
         lstm: plan.request.lstm.clone(),
         preset: plan.request.preset,
-        start,
+        start: given.start.clone(),
+        core: given.core.clone(),
     }
 }
 
@@ -210,12 +232,12 @@ pub(super) fn fingerprint(plan: &FitPlan, isa: Isa) -> String {
 /// Fits on the threads for fits, and writes the weights there too.
 async fn fit(
     context: &WorkContext,
-    (plan, start): (&FitPlan, Option<LstmPart>),
+    (plan, given): (&FitPlan, &GivenParts),
     data: FitData,
     checkpoints: JobCheckpoints,
     control: &Arc<Control>,
 ) -> Result<(Fitted, Bytes), JobError> {
-    let (settings, watched, function) = (settings(plan, start), Arc::clone(control), context.fit);
+    let (settings, watched, function) = (settings(plan, given), Arc::clone(control), context.fit);
     let started = std::time::Instant::now();
     let fitted = context
         .compute

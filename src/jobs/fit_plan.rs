@@ -15,7 +15,7 @@ use crate::storage::{Store, StoreError};
 
 use super::problem::{codes, rig_gone, sentence, store_failed, too_many_waiting};
 use super::selection::{by_id, matching};
-use super::warm_start;
+use super::{core_version, warm_start};
 
 /// A fit with everything resolved: channels by name, runs by row, in the order of their ids.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,6 +30,8 @@ pub struct FitPlan {
     pub task: Task,
     /// The version that the training begins at.
     pub start: Option<Model>,
+    /// The version in place of the FRF.
+    pub core: Option<Model>,
     /// Training runs.
     pub training: Vec<Run>,
     /// Runs of the FRF part, if they differ.
@@ -70,9 +72,14 @@ pub enum FitProblem {
         /// The selection.
         pointer: &'static str,
     },
-    /// The rig has no such version to start from (404 `model.not_found`).
-    #[error("the rig has no model version {0} to start from")]
-    NoStart(u32),
+    /// The rig has no such version to start from or to use as core (404 `model.not_found`).
+    #[error("the rig has no model version {version}")]
+    NoVersion {
+        /// The version.
+        version: u32,
+        /// The field that names it.
+        pointer: &'static str,
+    },
     /// The rig was deleted meanwhile (404 `rig.not_found`).
     #[error("the rig is gone")]
     RigGone,
@@ -110,10 +117,10 @@ impl FitProblem {
                 Problem::new(409, codes::FIT_NO_RUNS, title, format!("{self}."))
                     .with(vec![FieldError::new(*pointer, "at least one run of the rig")])
             }
-            Self::NoStart(_) => {
+            Self::NoVersion { pointer, .. } => {
                 let title = "No such model version";
                 Problem::new(404, codes::MODEL_NOT_FOUND, title, format!("{self}."))
-                    .with(vec![FieldError::new("/start/version", "a version of the rig")])
+                    .with(vec![FieldError::new(*pointer, "a version of the rig")])
             }
             Self::RigGone => rig_gone(format!("{self}.")),
             Self::TooManyWaiting(most) => too_many_waiting(*most),
@@ -133,15 +140,21 @@ pub async fn check(store: &Store, rig: &Rig, request: &FitRequest) -> Result<Fit
     }
     let task = task(&rig.channels, &channels.inputs, &channels.outputs);
     let start = warm_start::check(store, rig, request, &channels).await?;
+    let core = core_version::check(store, rig, request, &channels).await?;
     let mut request = request.clone();
     if let Some(blocks) = start.as_ref().and_then(warm_start::reported_blocks) {
         request.lstm.blocks.get_or_insert_with(|| blocks.clone());
     }
-    let plan = plan(&store.all_runs(&rig.id).await?, &request, channels, task)?;
+    let plan = plan(&store.all_runs(&rig.id).await?, &request, (channels, task), core)?;
     Ok(FitPlan { start, ..plan })
 }
 
-fn plan(all: &[Run], request: &FitRequest, channels: FitChannels, task: Task) -> Result<FitPlan, FitProblem> {
+fn plan(
+    all: &[Run],
+    request: &FitRequest,
+    (channels, task): (FitChannels, Task),
+    core: Option<Model>,
+) -> Result<FitPlan, FitProblem> {
     let noise = Some(RunKind::Noise);
     let select = |selection: Option<&RunSelection>, pointer| {
         let found = selected(all, selection, noise, Split::Training, pointer)?;
@@ -173,21 +186,34 @@ fn plan(all: &[Run], request: &FitRequest, channels: FitChannels, task: Task) ->
     request.runs = Some(ids(&training));
     request.frf.runs = frf.as_deref().map(ids);
     request.validation_runs = if validation.is_empty() { None } else { Some(ids(&validation)) };
-    let (split, split_reason) = divide((&request, task), &channels, &training, frf.as_deref(), &validation);
+    let fixed = (frf.as_deref(), core.as_ref());
+    let (split, split_reason) = divide((&request, task), &channels, &training, fixed, &validation);
     let FitChannels { inputs, outputs } = channels;
     let start = None;
-    let plan =
-        FitPlan { request, inputs, outputs, task, start, training, frf, validation, split, split_reason };
+    let plan = FitPlan {
+        request,
+        inputs,
+        outputs,
+        task,
+        start,
+        core,
+        training,
+        frf,
+        validation,
+        split,
+        split_reason,
+    };
     plan.long_enough()?;
     Ok(plan)
 }
 
-/// How a fit's samples are divided (design, section 3, "What stops a training").
+/// How a fit's samples are divided (design, section 3, "What stops a training"). Runs that the core has seen compare
+/// nothing while there are others.
 fn divide(
     (request, task): (&FitRequest, Task),
     channels: &FitChannels,
     training: &[Run],
-    frf: Option<&[Run]>,
+    (frf, core): (Option<&[Run]>, Option<&Model>),
     validation: &[Run],
 ) -> (FitSplit, Option<String>) {
     if !validation.is_empty() {
@@ -203,7 +229,9 @@ fn divide(
     let names: Vec<&str> = channels.inputs.iter().chain(&channels.outputs).map(String::as_str).collect();
     let of_frf = |run: &Run| frf.unwrap_or_default().iter().any(|other| other.sha256 == run.sha256);
     let shortest = 2 * window_len(request, task) as u64;
-    match left_out::choose(training, &names, of_frf, shortest) {
+    let of_core = |run: &Run| core.is_some_and(|core| core.lineage.has_seen(&span(run, 0, run.samples)));
+    let unseen = left_out::choose(training, &names, |run| of_frf(run) || of_core(run), shortest);
+    match unseen.or_else(|_| left_out::choose(training, &names, of_frf, shortest)) {
         Ok(split) => (split, None),
         Err(why) => (FitSplit::LastTenths, Some(why)),
     }
@@ -439,6 +467,7 @@ impl FitPlan {
             stopping: Some(self.spans(&stopping)),
             validation: self.spans(&comparison),
             start: self.start.as_ref().map(warm_start::lineage),
+            core: self.core.as_ref().map(core_version::lineage),
             diagnoses: Vec::new(),
         }
     }

@@ -6,6 +6,7 @@
 mod activate;
 mod checkpoints;
 mod control;
+mod core_version;
 mod diagnosis;
 mod evaluation;
 mod events;

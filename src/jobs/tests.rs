@@ -109,8 +109,10 @@ fn gain(
         preprocess: settings.preprocess,
         frf: Some(frf),
         frf_quality: None,
+        core: Vec::new(),
         lstm: None,
         range: Vec::new(),
+        band: None,
         effects: Vec::new(),
     };
     let report = serde_json::json!({

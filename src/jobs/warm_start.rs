@@ -11,6 +11,8 @@ use super::fit_plan::{FitPlan, FitProblem};
 use super::problem::{JobError, codes};
 use super::work_context::WorkContext;
 
+const AT: &str = "/start/version";
+
 /// The version that a request starts from, if it names one; kind, channels and rate are those of the fit, and so
 /// are the blocks where the version's report has them.
 ///
@@ -23,20 +25,32 @@ pub(super) async fn check(
     channels: &FitChannels,
 ) -> Result<Option<Model>, FitProblem> {
     let Some(StartFrom { version }) = request.start else { return Ok(None) };
-    let model = store.model(&rig.id, version).await?.ok_or(FitProblem::NoStart(version))?;
+    let model = store.model(&rig.id, version).await?.ok_or(FitProblem::NoVersion { version, pointer: AT })?;
     let errors = mismatches(rig, request, channels, &model);
     if errors.is_empty() { Ok(Some(model)) } else { Err(FitProblem::Invalid(errors)) }
 }
 
 fn mismatches(rig: &Rig, request: &FitRequest, channels: &FitChannels, model: &Model) -> Vec<FieldError> {
-    let at = "/start/version";
     let version = model.version;
     let mut errors = Vec::new();
     if model.kind != request.kind.into() {
         let (wanted, found) = (request.kind.as_str(), model.kind.as_str());
         let limit = format!("a version of kind {wanted}, as the fit; version {version} is of kind {found}");
-        errors.push(FieldError::new(at, limit));
+        errors.push(FieldError::new(AT, limit));
     }
+    errors.extend(other_channels(AT, rig, channels, model));
+    if let (Some(wanted), Some(found)) = (&request.lstm.blocks, reported_blocks(model))
+        && wanted != found
+    {
+        errors.push(other_blocks(version, found));
+    }
+    errors
+}
+
+/// Where the version at `at` has other channels or another sample rate than the fit.
+pub(super) fn other_channels(at: &str, rig: &Rig, channels: &FitChannels, model: &Model) -> Vec<FieldError> {
+    let version = model.version;
+    let mut errors = Vec::new();
     for (what, wanted, found) in
         [("inputs", &channels.inputs, &model.inputs), ("outputs", &channels.outputs, &model.outputs)]
     {
@@ -55,11 +69,6 @@ fn mismatches(rig: &Rig, request: &FitRequest, channels: &FitChannels, model: &M
         let limit = format!("a version at {wanted} Hz, the rig's rate; version {version} is at {found} Hz");
         errors.push(FieldError::new(at, limit));
     }
-    if let (Some(wanted), Some(found)) = (&request.lstm.blocks, reported_blocks(model))
-        && wanted != found
-    {
-        errors.push(other_blocks(version, found));
-    }
     errors
 }
 
@@ -70,6 +79,13 @@ pub(super) fn reported_blocks(model: &Model) -> Option<&Vec<usize>> {
 
 fn other_blocks(version: u32, found: &[usize]) -> FieldError {
     FieldError::new("/lstm/blocks", format!("{found:?}, the blocks of version {version}, or left out"))
+}
+
+/// The problem of a version whose weights are damaged.
+pub(super) fn unreadable(version: u32, detail: &str) -> JobError {
+    tracing::error!(model.version = version, "a stored model cannot be read, or lacks a part");
+    let title = "The stored model cannot be read";
+    JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail))
 }
 
 /// What the lineage keeps of the version.
@@ -85,10 +101,10 @@ pub(super) async fn load(context: &WorkContext, plan: &mut FitPlan) -> Result<Op
     let weights = context.store.weights(model).await?;
     let read = context.compute.run(Class::Fit, None, move || from_safetensors(&weights)).await?;
     let Some(part) = read.ok().and_then(|model| model.lstm) else {
-        tracing::error!(model.version = version, "a stored model cannot be read, or has no network");
-        let detail = "The weights of the version to start from cannot be read as a network.";
-        let title = "The stored model cannot be read";
-        return Err(JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail)));
+        return Err(unreadable(
+            version,
+            "The weights of the version to start from cannot be read as a network.",
+        ));
     };
     let found = part.net.cells();
     if *plan.request.lstm.blocks.get_or_insert_with(|| found.clone()) != found {

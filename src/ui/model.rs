@@ -169,6 +169,13 @@ fn lineage(model: &Model) -> Markup {
             }
             (spans("Fitted on", &model.lineage.training))
             (spans("FRF from", &model.lineage.frf))
+            @if let Some(core) = &model.lineage.core {
+                dt { "Core" }
+                dd {
+                    "an FRF" @for effect in &core.effects { ", with " (effect.effect.name()) " at " bdi { (effect.channel) } }
+                    @if let Some(version) = core.version { " (version " (version) ")" }
+                }
+            }
             @if let Some(stopping) = &model.lineage.stopping { (spans("Stopped by", stopping)) }
             (spans("Compared on", &model.lineage.validation))
             @for adopted in &model.lineage.diagnoses {

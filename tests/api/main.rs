@@ -5,6 +5,7 @@ mod auth;
 mod backups;
 mod bad_input;
 mod bad_runs;
+mod bands;
 mod browser;
 mod choice;
 mod command_line;

@@ -5,6 +5,7 @@
 //! turning points that close no cycle. No figure is quantised unless classes are asked for, and
 //! every answer carries the settings that made it.
 
+mod band;
 mod block;
 mod classes;
 mod counts;
@@ -14,6 +15,7 @@ mod rainflow;
 mod report;
 mod turning;
 
+pub use band::damage_band;
 pub use classes::{ClassSettings, Classes, MAX_CLASSES};
 pub use counts::{Counts, FromTo, LevelCrossing, RangePair, counts};
 pub use damage::{DamageRatio, DamageSettings, NoRatio, damage};

@@ -50,11 +50,13 @@ fn linear() -> RigModel {
         preprocess: Preprocess::default(),
         frf: Some(frf),
         frf_quality: None,
+        core: Vec::new(),
         lstm: None,
         range: vec![
             InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]), local: None };
             2
         ],
+        band: None,
         effects: Vec::new(),
     }
 }

@@ -142,8 +142,10 @@ mod tests {
             preprocess: Preprocess { low_pass_hz: Some(60.0), band_pass_hz: None },
             frf: Some(frf),
             frf_quality: None,
+            core: Vec::new(),
             lstm: None,
             range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6, band_hz: None, local: None }; 2],
+            band: None,
             effects,
         }
     }

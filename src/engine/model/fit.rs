@@ -6,7 +6,7 @@ use super::fit_record::{self, FitRecord, Residual, ResidualOf, ResidualSums};
 use super::fit_report::{Comparison, FitReport, SeedReport};
 use super::score::{self, SectionScore};
 use super::split::{Section, Sections};
-use super::{FitSettings, ModelKind, Preprocess, RigModel};
+use super::{Band, FitSettings, ModelKind, Preprocess, RigModel};
 use crate::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::frf::{self, RunPart};
 use crate::lstm::{LstmSettings, Recombine};
@@ -83,7 +83,7 @@ pub fn train_for(
     watch: Watch<'_>,
 ) -> Result<RigModel, EngineError> {
     data.check(settings)?;
-    settings.check_start()?;
+    settings.check_parts(data)?;
     let filtered = data.filtered(&settings.preprocess)?;
     let fit = Fit { recorded: data, data: &filtered, settings, checkpoints, watch };
     let all = filtered.whole_training();
@@ -105,7 +105,7 @@ fn fitted(
     refits: bool,
 ) -> Result<Fitted, EngineError> {
     data.check(settings)?;
-    settings.check_start()?;
+    settings.check_parts(data)?;
     report(watch, "filter", 0.0)?;
     let filtered = data.filtered(&settings.preprocess)?;
     let window_len = settings.lstm.resolve(settings.preset, settings.kind, settings.task, &[])?.window_len;
@@ -123,13 +123,17 @@ fn fitted(
     let chosen = fit.choose(&sections, 0.0..end)?;
     report(watch, "validation", end)?;
     let (scores, residual) = fit.score_with_residual(&chosen.model, scored, compares)?;
+    let band =
+        compares.then(|| Band::calibrate(&chosen.model, &filtered, &sections.comparison)).transpose()?;
     let mut fitted = if sections.refit { fit.again(&chosen, &sections, &scores)? } else { chosen };
     fitted.model.preprocess = settings.preprocess;
+    fitted.model.band = band;
     report(watch, "done", 1.0)?;
     let shaped = fitted.refitted.then(|| filtered.whole_training());
     let training = shaped.as_deref().unwrap_or(&sections.training);
     let coverage = fit_record::coverage(&filtered, training, &fitted.model.range);
-    let quality = fitted.model.frf_quality.as_ref();
+    // The FRF of a core is not this fit's.
+    let quality = fitted.model.frf_quality.as_ref().filter(|_| settings.core.is_none());
     Ok(Fitted {
         report: FitReport {
             task: Some(settings.task),
@@ -191,8 +195,12 @@ impl Fit<'_> {
     ) -> Result<(RigModel, Vec<String>), EngineError> {
         let (data, settings) = (self.data, self.settings);
         let mut warnings = Vec::new();
+        let mut core = Vec::new();
         let (frf, frf_quality) = if settings.kind == ModelKind::Lstm {
             (None, None)
+        } else if let Some(given) = &settings.core {
+            core.clone_from(&given.effects);
+            (given.frf.clone(), given.frf_quality.clone())
         } else {
             let sections = data.frf_sections(training);
             let parts: Vec<RunPart<'_>> = sections
@@ -217,8 +225,10 @@ impl Fit<'_> {
             preprocess: Preprocess::default(),
             frf,
             frf_quality,
+            core,
             lstm: None,
             range: data.input_ranges(training)?,
+            band: None,
             effects: Vec::new(),
         };
         Ok((model, warnings))

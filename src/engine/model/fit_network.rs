@@ -93,12 +93,9 @@ impl NetworkData {
         let kind = model.kind;
         let n_runs = data.all().count();
         let used = |run: usize| training.iter().chain(stopping).any(|section| section.run == run);
-        // FRF(x) is computed on the whole run, never on a part of it.
+        // FRF(x), or core(x), is computed on the whole run, never on a part of it.
         let linear: Vec<Option<Signal>> = (0..n_runs)
-            .map(|run| {
-                let frf = model.frf.as_ref().filter(|_| used(run));
-                frf.map(|frf| frf.apply(&data.run(run).x)).transpose()
-            })
+            .map(|run| if used(run) { model.linear(&data.run(run).x) } else { Ok(None) })
             .collect::<Result<_, _>>()?;
         let targets: Vec<Cow<'_, Signal>> = data
             .all()
@@ -200,7 +197,7 @@ impl NetworkData {
     }
 }
 
-/// The target of the network: the output, for hybrid 1 the FRF's error (section 2.3).
+/// The target of the network: the output, for hybrid 1 the error of the FRF or of the core (section 2.3).
 fn target<'a>(
     kind: ModelKind,
     y: &'a Signal,

@@ -1,6 +1,12 @@
 //! A rig's model: FRF, LSTM or a hybrid of both, fitted from runs and applied to drives.
 
+mod band;
+#[cfg(test)]
+mod band_tests;
+#[cfg(test)]
+mod core_tests;
 mod effect;
+mod fallback;
 mod fit;
 mod fit_data;
 mod fit_network;
@@ -27,9 +33,12 @@ use rayon::prelude::*;
 
 use super::frf::{Frf, FrfQuality, FrfSummary};
 use super::lstm::{LstmNet, Recombine};
+use super::progress::unwatched;
 use super::{EngineError, Signal};
 
+pub use band::{Band, COVERAGE as BAND_COVERAGE};
 pub use effect::{AddedEffect, apply_effects};
+pub use fallback::{FallbackSpan, FallbackUse};
 pub use fit::{Fitted, fit, fit_resumable, train_for, try_out};
 pub use fit_data::{FitData, Pair};
 pub use fit_record::{
@@ -80,10 +89,16 @@ pub struct RigModel {
     pub frf: Option<Frf>,
     /// Quality of its FRF; absent in weights made elsewhere or by earlier versions.
     pub frf_quality: Option<FrfQuality>,
+    /// Effects between the FRF and the network of a hybrid, the first found first: the FRF with them is the
+    /// core, which then takes the FRF's place in the hybrid.
+    pub core: Vec<AddedEffect>,
     /// Present for all kinds but `frf`.
     pub lstm: Option<LstmPart>,
     /// Range of each input in the training data; empty when unknown (imported weights).
     pub range: Vec<InputRange>,
+    /// The band about its predictions, without its effects; absent where no data compared it, and in weights made elsewhere
+    /// or by earlier versions.
+    pub band: Option<Band>,
     /// Effects that were found on top of it, the first found first.
     pub effects: Vec<AddedEffect>,
 }
@@ -103,6 +118,13 @@ impl RigModel {
         predict::whole(self, x)
     }
 
+    /// Response of its FRF, with the effects of its core, to inputs behind its filter, `[output, sample]`; `None`
+    /// without an FRF.
+    fn linear(&self, x: &Signal) -> Result<Option<Signal>, EngineError> {
+        let Some(frf) = &self.frf else { return Ok(None) };
+        effect::apply_all(&self.core, x, frf.apply(x)?, &unwatched).map(Some)
+    }
+
     /// Its FRF in a few figures, if it has one.
     pub fn frf_summary(&self) -> Option<FrfSummary> {
         let quality = self.frf_quality.as_ref();
@@ -110,8 +132,8 @@ impl RigModel {
     }
 }
 
-/// The network's inputs for a range of samples: the standardised inputs, for hybrid 2 followed by FRF(x),
-/// of which `linear` is that range.
+/// The network's inputs for a range of samples: the standardised inputs, for hybrid 2 followed by FRF(x), or by
+/// the response of its core, of which `linear` is that range.
 fn network_inputs(
     scaler: &Scaler,
     kind: ModelKind,

@@ -9,15 +9,17 @@
 //! depends on model and length alone, so that one input always has one result.
 //!
 //! Effects on top of a model are free runs from the first sample on, which each piece would have to
-//! begin anew: with them the whole response is computed before its first piece is given.
+//! begin anew: with them the whole response is computed before its first piece is given. For the same reason
+//! the whole response of a core is computed before the network's first piece.
 
 use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::fallback::{Fallback, FallbackUse};
 use super::trust::{self, BandWatch, Trust};
-use super::{LstmPart, ModelKind, RigModel, effect, network_inputs};
+use super::{LstmPart, ModelKind, RigModel, band, effect, network_inputs};
 use crate::frf::FrfFilter;
 use crate::lstm::{self, Recombine, Streaming};
 use crate::progress::{Progress, Watch, report, unwatched};
@@ -51,8 +53,12 @@ pub struct Prediction {
     at: usize,
     /// The network's state at that sample, where it is carried through.
     stream: Option<Streaming>,
+    /// The whole response of the model's core, if it has one, once it is known.
+    core: Option<Signal>,
     /// The whole response with the model's effects, if it has some, once it is known.
     whole: Option<Signal>,
+    /// Where the answer is the FRF's, if it falls back to it.
+    fallback: Option<Fallback>,
 }
 
 impl Predictor {
@@ -108,7 +114,11 @@ impl Predictor {
     /// # Errors
     /// A result that is not finite; [`EngineError::Cancelled`].
     pub fn next(&self, prediction: &mut Prediction, watch: Watch<'_>) -> Result<Option<Signal>, EngineError> {
-        next(&self.model, self.filter.as_ref(), prediction, watch)
+        let from = prediction.at;
+        match next(&self.model, self.filter.as_ref(), prediction, watch)? {
+            Some(piece) => self.blended(prediction, from, piece).map(Some),
+            None => Ok(None),
+        }
     }
 
     /// All samples of the response that have not been given yet, at least one. It asks `watch` often
@@ -118,7 +128,52 @@ impl Predictor {
     /// As [`Predictor::next`]; [`EngineError::TooShort`] when all have been given;
     /// [`EngineError::Cancelled`].
     pub fn rest(&self, prediction: &mut Prediction, watch: Watch<'_>) -> Result<Signal, EngineError> {
-        rest(&self.model, self.filter.as_ref(), prediction, watch)
+        let from = prediction.at;
+        let response = rest(&self.model, self.filter.as_ref(), prediction, watch)?;
+        self.blended(prediction, from, response)
+    }
+
+    /// Lets the FRF answer where `trust`, which is that of the prediction, reports a span outside. Says where that is;
+    /// `None` for a model without an FRF, whose prediction stays as it was.
+    pub fn fall_back(&self, prediction: &mut Prediction, trust: &Trust) -> Option<FallbackUse> {
+        self.filter.as_ref()?;
+        let fallback = Fallback::new(&self.model, trust, prediction.n_samples());
+        let used = fallback.used(self.model.sample_rate_hz);
+        prediction.fallback = Some(fallback);
+        Some(used)
+    }
+
+    /// A piece of the response that begins at sample `from`, blended with the FRF's where the prediction falls back.
+    fn blended(&self, prediction: &Prediction, from: usize, piece: Signal) -> Result<Signal, EngineError> {
+        match (&prediction.fallback, &self.filter) {
+            (Some(fallback), Some(filter)) => fallback.blend(filter, &prediction.x, from, piece),
+            _ => Ok(piece),
+        }
+    }
+
+    /// Half width of the band about the whole response of a prediction, `[output, sample]`; `None` for a model without a
+    /// band, and for one with effects on top, which came after its band.
+    ///
+    /// # Errors
+    /// A result that is not finite.
+    pub fn half_width(
+        &self,
+        prediction: &Prediction,
+        response: &Signal,
+    ) -> Result<Option<Signal>, EngineError> {
+        let model = &self.model;
+        let Some(calibrated) = model.band.as_ref().filter(|_| model.effects.is_empty()) else {
+            return Ok(None);
+        };
+        let linear = match (&prediction.core, &self.filter) {
+            _ if !band::corrected(model) => None,
+            (Some(core), _) => Some(Cow::Borrowed(core)),
+            (None, Some(filter)) => {
+                Some(Cow::Owned(filter.apply(&prediction.x).map_err(EngineError::of_result)?))
+            }
+            (None, None) => None,
+        };
+        calibrated.half_width(response, linear.as_deref()).map(Some)
     }
 
     /// Where the inputs of a prediction leave the range that the model was fitted on.
@@ -174,7 +229,14 @@ fn begin(model: &RigModel, x: Signal) -> Result<Prediction, EngineError> {
         }
         None => None,
     };
-    Ok(Prediction { x: model.preprocess.apply_to(x)?, at: 0, stream, whole: None })
+    Ok(Prediction {
+        x: model.preprocess.apply_to(x)?,
+        at: 0,
+        stream,
+        core: None,
+        whole: None,
+        fallback: None,
+    })
 }
 
 fn rest(
@@ -263,7 +325,10 @@ fn piece(
     prediction: &mut Prediction,
     watch: Watch<'_>,
 ) -> Result<Option<Signal>, EngineError> {
-    let Prediction { x, at, stream, .. } = prediction;
+    if !model.core.is_empty() && prediction.core.is_none() {
+        prediction.core = core(model, filter, &prediction.x, watch)?;
+    }
+    let Prediction { x, at, stream, core, .. } = prediction;
     let range = *at..x.n_samples().min(*at + piece_len(model.lstm.as_ref()));
     if range.is_empty() {
         return Ok(None);
@@ -278,7 +343,11 @@ fn piece(
         _ => 0,
     };
     let from = range.start.saturating_sub(warm_up);
-    let linear = filter.map(|filter| linear(filter, x, from..range.end)).transpose()?;
+    let linear = match (core, filter) {
+        (Some(core), _) => Some(core.slice(from..range.end).into_channels()),
+        (None, Some(filter)) => Some(linear(filter, x, from..range.end)?),
+        (None, None) => None,
+    };
     let channels = match &model.lstm {
         None => linear.ok_or_else(|| EngineError::Weights("a model has an FRF or an LSTM".into()))?,
         Some(part) => {
@@ -309,6 +378,20 @@ fn piece(
     Signal::new(x.sample_rate_hz(), channels).map(Some).map_err(|error| later(error, range.start))
 }
 
+/// The whole response of a model's core; `None` for a model without FRF.
+fn core(
+    model: &RigModel,
+    filter: Option<&FrfFilter>,
+    x: &Signal,
+    watch: Watch<'_>,
+) -> Result<Option<Signal>, EngineError> {
+    let Some(filter) = filter else { return Ok(None) };
+    report(watch, "prediction", 0.0)?;
+    let response = filter.apply(x).map_err(EngineError::of_result)?;
+    effect::apply_all(&model.core, x, response, &|_| watch(Progress { stage: "prediction", fraction: 0.0 }))
+        .map(Some)
+}
+
 /// Samples of a piece; with a network a multiple of its hop, so that windows keep their places.
 fn piece_len(part: Option<&LstmPart>) -> usize {
     let Some(part) = part else { return PIECE_SAMPLES };
@@ -323,7 +406,11 @@ fn warm_up(part: &LstmPart) -> usize {
 }
 
 /// FRF(x) over a range of samples, `[output][sample - range.start]`.
-fn linear(filter: &FrfFilter, x: &Signal, range: Range<usize>) -> Result<Vec<Vec<f64>>, EngineError> {
+pub(super) fn linear(
+    filter: &FrfFilter,
+    x: &Signal,
+    range: Range<usize>,
+) -> Result<Vec<Vec<f64>>, EngineError> {
     let context = filter.taps() / 2;
     let from = range.start.saturating_sub(context);
     let to = x.n_samples().min(range.end + context);

@@ -61,6 +61,38 @@ pub fn with_context(samples: &Range<usize>) -> Range<usize> {
     samples.start.saturating_sub(CONTEXT_SAMPLES)..samples.end
 }
 
+/// A section as a model predicts it, with context before it.
+pub(super) struct PredictedSection<'a> {
+    /// The section.
+    pub section: &'a Section,
+    /// Inputs of the section and of its context.
+    pub x: Signal,
+    /// The response to them.
+    pub response: Signal,
+    /// Samples of context.
+    pub skip: usize,
+}
+
+impl<'a> PredictedSection<'a> {
+    /// Predicts a section of filtered data with a model without filter of its own.
+    pub(super) fn of(
+        model: &RigModel,
+        filtered: &FitData,
+        section: &'a Section,
+    ) -> Result<Self, EngineError> {
+        let known = with_context(&section.samples);
+        let skip = section.samples.start - known.start;
+        let x = filtered.run(section.run).x.slice(known);
+        let response = model.predict(&x)?;
+        Ok(Self { section, x, response, skip })
+    }
+
+    /// One output's response over the section, without its context.
+    pub(super) fn scored(&self, output: usize) -> &[f64] {
+        &self.response.channel(output)[self.skip..]
+    }
+}
+
 /// Scores a model without filter of its own on filtered data; `recorded` are the same data before the
 /// filter.
 pub(super) fn score(
@@ -88,18 +120,16 @@ pub(super) fn score_each(
     sections
         .iter()
         .map(|section| {
-            let run = filtered.run(section.run);
-            let known = with_context(&section.samples);
-            let scored = section.samples.start - known.start..section.samples.end - known.start;
-            let predicted = model.predict(&run.x.slice(known))?.slice(scored);
+            let predicted = PredictedSection::of(model, filtered, section)?;
             let against = |measured: &Signal| -> Vec<Squares> {
                 (0..measured.n_channels())
-                    .map(|c| Squares::of(predicted.channel(c), &measured.channel(c)[section.samples.clone()]))
+                    .map(|c| Squares::of(predicted.scored(c), &measured.channel(c)[section.samples.clone()]))
                     .collect()
             };
-            look(&run.y.slice(section.samples.clone()), &predicted);
+            let shown = predicted.response.slice(predicted.skip..predicted.response.n_samples());
+            look(&filtered.run(section.run).y.slice(section.samples.clone()), &shown);
             Ok(SectionScore {
-                outputs: against(&run.y),
+                outputs: against(&filtered.run(section.run).y),
                 recorded: (!preprocess.is_none()).then(|| against(&recorded.run(section.run).y)),
             })
         })

@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::Preprocess;
-use super::{LstmPart, ModelKind};
-use crate::EngineError;
+use super::{FitData, LstmPart, ModelKind, RigModel};
 use crate::frf::{Estimator, FrfSettings};
 use crate::lstm::{HybridStart, LstmSettings, Optimizer, RecombineChoice, Schedule, WindowOffset};
+use crate::{EngineError, Signal};
 
 /// The source of values that a request leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -117,6 +117,9 @@ pub struct FitSettings {
     /// The network at whose function the training begins: that of a model of the same kind and channels, with
     /// the same blocks. Without one a network starts as the settings say.
     pub start: Option<LstmPart>,
+    /// An FRF with effects, of the same channels, rate and filter, in place of the FRF of a hybrid. It is used as it is:
+    /// no FRF is estimated.
+    pub core: Option<RigModel>,
 }
 
 impl FitSettings {
@@ -125,7 +128,7 @@ impl FitSettings {
     /// # Errors
     /// [`EngineError::Setting`] for a kind without a network and for other channels or blocks;
     /// [`EngineError::Weights`] for tensors that do not fit together.
-    pub(super) fn check_start(&self) -> Result<(), EngineError> {
+    fn check_start(&self) -> Result<(), EngineError> {
         let Some(start) = &self.start else { return Ok(()) };
         start.net.check()?;
         let x = match self.kind {
@@ -146,6 +149,47 @@ impl FitSettings {
             found: format!("blocks {found:?}, {} inputs, {} outputs", start.net.inputs(), start.net.outputs),
             limit: format!("blocks {blocks:?}, {x} inputs, {} outputs", self.outputs.len()),
         })
+    }
+}
+
+impl FitSettings {
+    /// Whether the network to start from and the core suit a fit of these data.
+    ///
+    /// # Errors
+    /// Those of [`FitSettings::check_start`] and [`FitSettings::check_core`].
+    pub(super) fn check_parts(&self, data: &FitData) -> Result<(), EngineError> {
+        self.check_start()?;
+        self.check_core(data.training[0].x.sample_rate_hz())
+    }
+
+    /// Whether the core suits a fit on data of this sample rate.
+    ///
+    /// # Errors
+    /// [`EngineError::Setting`] for a kind that is no hybrid; for a core that is no FRF with effects; for other channels,
+    /// another sample rate or another filter than the fit's.
+    fn check_core(&self, sample_rate_hz: f64) -> Result<(), EngineError> {
+        let Some(core) = &self.core else { return Ok(()) };
+        let refuse =
+            |found: String, limit: String| Err(EngineError::Setting { setting: "core", found, limit });
+        if !matches!(self.kind, ModelKind::Hybrid1 | ModelKind::Hybrid2) {
+            return refuse(format!("kind {}", self.kind.as_str()), "kind hybrid1 or hybrid2".into());
+        }
+        if core.kind != ModelKind::Frf || core.effects.is_empty() {
+            let found = format!("a {} with {} effects", core.kind.as_str(), core.effects.len());
+            return refuse(found, "an FRF with effects".into());
+        }
+        for (wanted, found) in [(&self.inputs, &core.inputs), (&self.outputs, &core.outputs)] {
+            if wanted != found {
+                return refuse(found.join(", "), wanted.join(", "));
+            }
+        }
+        if !Signal::same_rate(core.sample_rate_hz, sample_rate_hz) {
+            return refuse(format!("{} Hz", core.sample_rate_hz), format!("{sample_rate_hz} Hz"));
+        }
+        if core.preprocess != self.preprocess {
+            return refuse(format!("{:?}", core.preprocess), format!("{:?}", self.preprocess));
+        }
+        Ok(())
     }
 }
 

@@ -42,7 +42,7 @@ fn lag(x: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-fn pair(n: usize, seed: u64) -> Pair {
+pub(super) fn pair(n: usize, seed: u64) -> Pair {
     let x = noise(n, seed);
     let y = lag(&x);
     Pair { x: Signal::new(FS, vec![x]).unwrap(), y: Signal::new(FS, vec![y]).unwrap() }
@@ -69,11 +69,12 @@ pub(super) fn settings(kind: ModelKind) -> FitSettings {
         },
         preset: Preset::Default,
         start: None,
+        core: None,
     }
 }
 
 /// A model with made-up numbers in every tensor.
-fn made_up(kind: ModelKind) -> RigModel {
+pub(super) fn made_up(kind: ModelKind) -> RigModel {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| StandardNormal.sample(&mut rng)).collect() };
     let (inputs, outputs, segment_len) = (2, 3, 16);
@@ -126,8 +127,10 @@ fn made_up(kind: ModelKind) -> RigModel {
         preprocess: Preprocess { low_pass_hz: Some(30.0), band_pass_hz: None },
         frf: (kind != ModelKind::Lstm).then_some(frf),
         frf_quality: (kind != ModelKind::Lstm).then_some(quality),
+        core: Vec::new(),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
         range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0, band_hz: None, local: None }; inputs],
+        band: None,
         effects: Vec::new(),
     }
 }

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::MAX_EFFECTS;
 use super::{
-    AddedEffect, InputRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind,
+    AddedEffect, Band, InputRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind,
 };
 use crate::EngineError;
 use crate::frf::{Frf, FrfQuality, FrfSettings};
@@ -69,8 +69,21 @@ struct Metadata {
     /// Range of the inputs in the training data, for trust; left out: unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     range: Vec<InputRange>,
+    /// The band about predictions; left out: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    band: Option<Band>,
+    /// Hybrids: effects on the FRF, which together take its place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    core: Option<Core>,
     /// Effects that diagnoses found.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    effects: Vec<AddedEffect>,
+}
+
+/// The core in place of a hybrid's FRF, whose tensors the file holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Core {
     effects: Vec<AddedEffect>,
 }
 
@@ -181,6 +194,8 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
             input_hz: quality.input_hz.clone(),
         }),
         range: model.range.clone(),
+        band: model.band.clone(),
+        core: (!model.core.is_empty()).then(|| Core { effects: model.core.clone() }),
         effects: model.effects.clone(),
     };
     let metadata = serde_json::to_string(&metadata).expect("names and finite numbers are always JSON");
@@ -210,6 +225,7 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
     drop(header);
     let kind = meta.model_kind()?;
     check(&meta)?;
+    check_core(&meta, kind)?;
     let mut file =
         File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
     let frf = if kind == ModelKind::Lstm { None } else { Some(file.frf(&meta)?) };
@@ -231,8 +247,10 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         preprocess: meta.preprocess,
         frf,
         frf_quality,
+        core: meta.core.map(|core| core.effects).unwrap_or_default(),
         lstm,
         range: meta.range,
+        band: meta.band,
         effects: meta.effects,
     })
 }
@@ -292,13 +310,31 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
     }
     check_bands(meta)?;
     check_local(meta)?;
-    if meta.effects.len() > MAX_EFFECTS {
-        return Err(wrong(format!("effects: {}, at most {MAX_EFFECTS} are read", meta.effects.len())));
-    }
-    for effect in &meta.effects {
-        effect.check(meta.inputs.len(), meta.outputs.len(), meta.sample_rate_hz)?;
-    }
+    meta.band.as_ref().map_or(Ok(()), |band| band.check(meta.outputs.len()))?;
+    check_effects(meta, "effects", &meta.effects)?;
     meta.preprocess.check(meta.sample_rate_hz)
+}
+
+/// At most so many effects as are read, each of which can be simulated on the model's channels.
+fn check_effects(meta: &Metadata, what: &str, effects: &[AddedEffect]) -> Result<(), EngineError> {
+    if effects.len() > MAX_EFFECTS {
+        return Err(wrong(format!("{what}: {}, at most {MAX_EFFECTS} are read", effects.len())));
+    }
+    let check =
+        |effect: &AddedEffect| effect.check(meta.inputs.len(), meta.outputs.len(), meta.sample_rate_hz);
+    effects.iter().try_for_each(check)
+}
+
+/// Only a hybrid has a core, which has effects.
+fn check_core(meta: &Metadata, kind: ModelKind) -> Result<(), EngineError> {
+    let Some(core) = &meta.core else { return Ok(()) };
+    if !matches!(kind, ModelKind::Hybrid1 | ModelKind::Hybrid2) {
+        return Err(wrong(format!("core: only hybrids have one, this is {}", kind.as_str())));
+    }
+    if core.effects.is_empty() {
+        return Err(wrong("core.effects: a core has at least one"));
+    }
+    check_effects(meta, "core.effects", &core.effects)
 }
 
 /// Bands are two frequencies that do not fall, from zero to half the sample rate.

@@ -125,6 +125,7 @@ impl FixedNet {
             },
             preset: Preset::Paper,
             start: None,
+            core: None,
         };
         let data = FitData::with_validation(files, Vec::new(), FitSplit::ValidationStops);
         train_for(&data, &settings, checkpoints, watch)

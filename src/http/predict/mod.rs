@@ -7,6 +7,7 @@
 mod answer;
 mod compare;
 mod conversion;
+mod fallback;
 mod form;
 mod inputs;
 pub(super) mod memory;
@@ -69,10 +70,12 @@ pub async fn predict(
     respond(&http, &model, computed)
 }
 
-/// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, and a target.
+/// Bytes of the signals of a prediction: inputs before and behind the model's filter, outputs, the whole response of a
+/// core, and a target.
 pub(super) fn needed(model: &LoadedModel, samples: usize, target: bool) -> usize {
     let model = model.model();
-    let channels = 2 * model.inputs.len() + if target { 3 } else { 1 } * model.outputs.len();
+    let of_outputs = if target { 3 } else { 1 } + usize::from(!model.core.is_empty());
+    let channels = 2 * model.inputs.len() + of_outputs * model.outputs.len();
     samples.saturating_mul(channels).saturating_mul(size_of::<f64>())
 }
 
@@ -125,7 +128,7 @@ where
 }
 
 fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Response> {
-    let Computed { written, size, content_type, inside, .. } = computed;
+    let Computed { written, size, content_type, inside, fallback_share, .. } = computed;
     let mut response = written.into_body(&http.compute).into_response();
     let headers = response.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::try_from(content_type).map_err(Problem::internal)?);
@@ -143,6 +146,9 @@ fn respond(http: &Shared, model: &LoadedModel, computed: Computed) -> Answer<Res
     put("rigcast-channels", header_names(&model.model().outputs))?;
     if let Some(inside) = inside {
         put("rigcast-trust-inside", inside.to_string())?;
+    }
+    if let Some(share) = fallback_share {
+        put("rigcast-fallback-share", share.to_string())?;
     }
     Ok(response)
 }

@@ -45,6 +45,7 @@ impl Incoming {
         stages.end("receive");
         let (rig, model) = find(http, &self.rig, request.model).await?;
         let include = request.includes()?;
+        let fallback = request.fallback.is_frf_of(model.model(), "/fallback")?;
         let drive = inputs::find(http, &self.rig, request.drive, "/drive").await?;
         let target = match request.target {
             Some(source) => Some(inputs::find(http, &self.rig, source, "/target").await?),
@@ -60,7 +61,18 @@ impl Incoming {
         };
         stages.end("load");
         let damage = request.damage.unwrap_or_default();
-        Ok(PredictionTask { rig, model, drive, target, include, damage, form, conversion: to, memory })
+        Ok(PredictionTask {
+            rig,
+            model,
+            drive,
+            target,
+            include,
+            damage,
+            fallback,
+            form,
+            conversion: to,
+            memory,
+        })
     }
 
     /// An NPY file with the drives.
@@ -74,8 +86,9 @@ impl Incoming {
         let bytes = body::Limited::new(&self.headers, self.body, limits.drive_bytes, limits.pace)?;
         let bytes = bytes.collect().await?;
         stages.end("receive");
-        let FileRequest { model, target, include, damage } = request;
+        let FileRequest { model, target, include, damage, fallback } = request;
         let (rig, model) = find(http, &self.rig, model).await?;
+        let fallback = fallback.is_frf_of(model.model(), "?fallback")?;
         let drive = Drive::Npy { bytes, sample_rate_hz };
         let samples = drive.n_samples(model.model().inputs.len());
         let to = Conversion::to_rate_of(model.model(), resample);
@@ -83,7 +96,18 @@ impl Incoming {
         let memory = http.predictions.take(admission::client_id(), bytes).await?;
         let target = stored(http, &self.rig, target, &model).await?;
         stages.end("load");
-        Ok(PredictionTask { rig, model, drive, target, include, damage, form, conversion: to, memory })
+        Ok(PredictionTask {
+            rig,
+            model,
+            drive,
+            target,
+            include,
+            damage,
+            fallback,
+            form,
+            conversion: to,
+            memory,
+        })
     }
 
     /// A measurement file with the drive among its channels.
@@ -107,8 +131,9 @@ impl Incoming {
             _ => CSV,
         };
         let form = Form::choose(&self.headers, own)?;
-        let FileRequest { model, target, include, damage } = request;
+        let FileRequest { model, target, include, damage, fallback } = request;
         let (rig, model) = find(http, &self.rig, model).await?;
+        let fallback = fallback.is_frf_of(model.model(), "?fallback")?;
         let upload = upload::receive_at_most(http, http.limits.drive_bytes, &self.headers, self.body).await?;
         stages.end("receive");
         let (class, scratch) = (Class::of_bytes(upload.size()), http.store.scratch_dir());
@@ -128,7 +153,7 @@ impl Incoming {
         let drive = http.off_thread(class, move || inputs::measured(measurement, &of_model)).await??;
         let target = stored(http, &self.rig, target, &model).await?;
         stages.end("load");
-        Ok(PredictionTask { rig, model, drive, target, include, damage, form, conversion, memory })
+        Ok(PredictionTask { rig, model, drive, target, include, damage, fallback, form, conversion, memory })
     }
 }
 

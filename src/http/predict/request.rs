@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use super::fallback::FallbackTo;
 use crate::domain::ModelRef;
 use crate::engine::EngineError;
 use crate::engine::fatigue::DamageSettings;
@@ -32,6 +33,9 @@ pub struct PredictRequest {
     /// Parts of the answer.
     #[serde(default)]
     include: Option<Vec<AnswerPart>>,
+    /// What answers where the drive is outside what the model was fitted on.
+    #[serde(default)]
+    pub fallback: FallbackTo,
 }
 
 /// A part of the answer.
@@ -42,6 +46,7 @@ enum AnswerPart {
     Damage,
     Errors,
     Trust,
+    Band,
 }
 
 /// The parts of the answer.
@@ -55,6 +60,8 @@ pub struct Include {
     pub errors: bool,
     /// Whether the drive is inside the range that the model was fitted on.
     pub trust: bool,
+    /// The band about the response.
+    pub band: bool,
 }
 
 impl HoldsSignals for PredictRequest {
@@ -79,7 +86,8 @@ impl Include {
     /// The parts that are asked for, or those that follow from what was sent; none for errors without a target.
     fn of(parts: Option<&[AnswerPart]>, target: bool, damage: bool) -> Option<Self> {
         let Some(parts) = parts else {
-            return Some(Self { response: true, damage: target || damage, errors: target, trust: true });
+            let damage = target || damage;
+            return Some(Self { response: true, damage, errors: target, trust: true, band: false });
         };
         let wants = |part| parts.contains(&part);
         (target || !wants(AnswerPart::Errors)).then(|| Self {
@@ -87,6 +95,7 @@ impl Include {
             damage: wants(AnswerPart::Damage),
             errors: wants(AnswerPart::Errors),
             trust: wants(AnswerPart::Trust),
+            band: wants(AnswerPart::Band),
         })
     }
 }
@@ -107,6 +116,8 @@ pub struct FileRequest {
     pub include: Include,
     /// Settings of the damage.
     pub damage: DamageSettings,
+    /// What answers where the drive is outside.
+    pub fallback: FallbackTo,
 }
 
 /// The query beside an NPY body.
@@ -130,7 +141,7 @@ pub struct MeasurementQuery {
 }
 
 impl FileRequest {
-    /// Takes `model`, `target`, `include` and the settings of the damage.
+    /// Takes `model`, `target`, `include`, `fallback` and the settings of the damage.
     fn take(params: &mut Params) -> Answer<Self> {
         let model = params.one("model")?.map_or(Ok(ModelRef::Active), |text| {
             ModelRef::parse(&text).ok_or_else(|| invalid("model", format!("is {text:?}"), MODEL_LIMIT))
@@ -144,7 +155,8 @@ impl FileRequest {
         let parts = (!include.is_empty()).then_some(&parts[..]);
         let include = Include::of(parts, target.is_some(), damage.is_some());
         let include = include.ok_or_else(|| no_target("?target"))?;
-        Ok(Self { model, target, include, damage: damage.unwrap_or_default() })
+        let fallback = word(params, "fallback", "none or frf")?.unwrap_or_default();
+        Ok(Self { model, target, include, damage: damage.unwrap_or_default(), fallback })
     }
 }
 
@@ -152,7 +164,7 @@ impl AnswerPart {
     fn parse(text: &str) -> Answer<Self> {
         let part = serde_json::from_value(text.into());
         part.map_err(|_| {
-            invalid("include", format!("is {text:?}"), "some of response, damage, errors, trust")
+            invalid("include", format!("is {text:?}"), "some of response, damage, errors, trust, band")
         })
     }
 }
@@ -225,7 +237,7 @@ mod tests {
 
     #[test]
     fn the_parts_follow_from_what_was_sent_unless_they_are_named() {
-        let all = Include { response: true, damage: true, errors: true, trust: true };
+        let all = Include { response: true, damage: true, errors: true, trust: true, band: false };
         assert_eq!(includes(r#"{"drive": {}, "target": {}}"#).expect("parts"), all);
         assert_eq!(
             includes(r#"{"drive": {}, "damage": {}}"#).expect("parts"),
@@ -235,8 +247,10 @@ mod tests {
             includes(r#"{"drive": {}}"#).expect("parts"),
             Include { errors: false, damage: false, ..all }
         );
-        let only = Include { response: false, damage: true, errors: false, trust: false };
+        let only = Include { response: false, damage: true, errors: false, trust: false, band: false };
         assert_eq!(includes(r#"{"drive": {}, "include": ["damage"]}"#).expect("parts"), only);
+        let only = Include { damage: false, band: true, ..only };
+        assert_eq!(includes(r#"{"drive": {}, "include": ["band"]}"#).expect("parts"), only);
         let refused = includes(r#"{"drive": {}, "include": ["errors"]}"#).expect_err("no target");
         assert_eq!(refused.code(), "predict.target_missing");
     }

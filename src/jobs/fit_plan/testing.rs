@@ -33,5 +33,5 @@ pub(in crate::jobs) fn run(id: u128, kind: RunKind, split: Split, samples: u64) 
 pub(in crate::jobs) fn plan_of(runs: &[Run], request: &str) -> Result<FitPlan, FitProblem> {
     let request = serde_json::from_str(request).unwrap();
     let channels = FitChannels { inputs: vec!["u".into()], outputs: vec!["y".into()] };
-    plan(runs, &request, channels, Task::Forward)
+    plan(runs, &request, (channels, Task::Forward), None)
 }

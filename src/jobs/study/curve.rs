@@ -8,10 +8,9 @@ use crate::engine::model::{ModelKind, Section};
 use crate::engine::rounded;
 use crate::engine::simd::Isa;
 use crate::engine::study::{Curve, CurvePoint, Pool};
-use crate::jobs::fit::{self, FitPlan};
+use crate::jobs::fit::{self, FitPlan, GivenParts};
 use crate::jobs::problem::{JobError, of_engine};
 use crate::jobs::spec::StudyOutput;
-use crate::jobs::warm_start;
 use crate::storage::NewStudy;
 
 use super::attempt::{Bench, digest};
@@ -35,7 +34,7 @@ pub(super) async fn make(
     let Making { context, job, control, .. } = *making;
     control.report("loading runs", 0.0);
     let mut fit = fit.clone();
-    let start = warm_start::load(context, &mut fit).await?;
+    let given = GivenParts::load(context, &mut fit).await?;
     let data = fit::load(context, &fit, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &fit.channels()))?;
     let fits = digest(&(fit::fingerprint(&fit, isa), &plan.request));
@@ -62,7 +61,7 @@ pub(super) async fn make(
             let stage = format!("fit {} of {}: ", number + 1, report.planned);
             control.scope(stage, number as f64 / total..(number as f64 + 1.0) / total);
             let (subset, samples) = pool.subset(blocks, plan.request.seed.wrapping_add(number as u64));
-            let mut settings = fit::settings(&fit, start.clone());
+            let mut settings = fit::settings(&fit, &given);
             if fit.request.kind != ModelKind::Frf {
                 // Another start for each subset: what it adds to the scatter belongs to the error of a fit.
                 settings.lstm.seeds = Some(vec![repeat as u64 + 1]);

@@ -5,14 +5,13 @@ use std::sync::Arc;
 use crate::domain::StudyReport;
 use crate::domain::study::{Search, SearchMethod, SearchReport, Trial};
 use crate::engine::lstm::LstmSettings;
-use crate::engine::model::{FitData, FitSplit, LstmPart, ModelKind};
+use crate::engine::model::{FitData, FitSplit, ModelKind};
 use crate::engine::simd::Isa;
 use crate::engine::study::{Rung, TrialSettings, rungs, survivors};
 use crate::engine::{EngineError, rounded};
-use crate::jobs::fit::{self, FitPlan};
+use crate::jobs::fit::{self, FitPlan, GivenParts};
 use crate::jobs::problem::{JobError, of_engine};
 use crate::jobs::spec::StudyOutput;
-use crate::jobs::warm_start;
 use crate::storage::NewStudy;
 
 use super::attempt::{Bench, digest};
@@ -32,7 +31,7 @@ pub(super) async fn make(
     let Making { context, rig, job, control } = *making;
     control.report("loading runs", 0.0);
     let mut trial = task.trial.clone();
-    let start = warm_start::load(context, &mut trial).await?;
+    let given = GivenParts::load(context, &mut trial).await?;
     let mut data = fit::load(context, &trial, control).await?;
     // Where whole runs compare, the trials' plan has none of them.
     if !matches!(task.fit.split, FitSplit::LeftOut { .. }) {
@@ -50,7 +49,7 @@ pub(super) async fn make(
     let bench = Bench { context, job, control, fits: &fits };
     let data = Arc::new(data);
     let trials =
-        Trials { bench, search: &task.search, seed: plan.request.seed, trial, start, data, table, whole };
+        Trials { bench, search: &task.search, seed: plan.request.seed, trial, given, data, table, whole };
     trials.run(&rounds, &mut report).await?;
     // The last fit loads its own runs.
     drop(trials);
@@ -87,7 +86,7 @@ struct Trials<'a> {
     seed: u64,
     /// The fit of a trial, before it draws.
     trial: FitPlan,
-    start: Option<LstmPart>,
+    given: GivenParts,
     data: Arc<FitData>,
     table: Table,
     /// Work of the whole study, in trials with the full epochs.
@@ -139,7 +138,7 @@ impl Trials<'_> {
                 row.epochs = epochs;
                 let request = with(&self.trial.request, &used);
                 let plan = FitPlan { request, ..self.trial.clone() };
-                let settings = fit::settings(&plan, self.start.clone());
+                let settings = fit::settings(&plan, &self.given);
                 self.bench.fit((trial, rung), settings, Arc::clone(&self.data)).await?
             }
             Err(error) => Err(error),

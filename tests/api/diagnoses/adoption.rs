@@ -6,7 +6,7 @@ use super::rig::{DIAGNOSES, Lab, RATE, csv, drive, measure, respond, upload, upl
 use crate::support::{f8, npy, read_f4};
 
 /// Adopts an effect; returns the version and its model.
-async fn adopted(lab: &Lab, href: &str, body: Value) -> (u64, Value) {
+pub async fn adopted(lab: &Lab, href: &str, body: Value) -> (u64, Value) {
     let reply = lab.app.post_json(&format!("{href}/adopt"), &body).await.expect(201);
     let made = reply.json();
     assert_eq!(made["href"], reply.header("location"));
@@ -14,7 +14,7 @@ async fn adopted(lab: &Lab, href: &str, body: Value) -> (u64, Value) {
     (made["version"].as_u64().expect("a version"), model)
 }
 
-async fn predicted(lab: &Lab, version: u64, u: &[f64]) -> Vec<f64> {
+pub async fn predicted(lab: &Lab, version: u64, u: &[f64]) -> Vec<f64> {
     let request = json!({
         "model": version, "include": ["response"], "drive": {"sample_rate_hz": RATE, "channels": {"drive": u}},
     });

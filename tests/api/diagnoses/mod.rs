@@ -1,6 +1,7 @@
 //! Diagnoses: from runs and a model to a named effect, and what is refused before and after.
 
 mod adoption;
+mod cores;
 mod refusals;
 pub mod rig;
 

@@ -205,8 +205,10 @@ pub fn frf_weights(preprocess: Preprocess) -> Vec<u8> {
         preprocess,
         frf: Some(found.frf),
         frf_quality: Some(found.quality),
+        core: Vec::new(),
         lstm: None,
         range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3, band_hz: None, local: None }],
+        band: None,
         effects: Vec::new(),
     })
 }

@@ -74,11 +74,13 @@ pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {
             y_mean: vec![0.0; n_outputs],
         }),
         frf_quality: None,
+        core: Vec::new(),
         lstm: None,
         range: vec![
             InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None };
             n_inputs
         ],
+        band: None,
         effects: Vec::new(),
     }
 }

@@ -49,6 +49,7 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
         },
         preset: Preset::Default,
         start: None,
+        core: None,
     };
     let data = FitData::with_validation(
         vec![pair(&before, noise(60.0, 1.0, 1), 1), pair(&before, noise(30.0, 0.6, 2), 2)],

@@ -72,6 +72,7 @@ fn fitted(runs: &[ProgrammeRun]) -> RigModel {
         lstm: LstmOptions::default(),
         preset: Preset::Default,
         start: None,
+        core: None,
         task: Task::Forward,
     };
     fit(&data, &settings, &unwatched).unwrap().model

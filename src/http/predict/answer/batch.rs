@@ -2,7 +2,8 @@
 
 use super::file::held;
 use super::npy::{append, pieces, put};
-use super::{Begun, Body, Setting, multipart};
+use super::shares::Shares;
+use super::{Body, Setting, multipart};
 use crate::engine::Signal;
 use crate::formats::npy::Writer;
 use crate::http::body::pieces::Written;
@@ -14,7 +15,7 @@ use crate::http::predict::stages::Stages;
 use crate::http::problem::{Answer, Problem};
 
 /// Predicts the response to each drive, with its figures where the form has room for them. Gives the body, its
-/// `Content-Type` and the least share of samples inside the range of the training.
+/// `Content-Type` and the shares of the worst drive.
 ///
 /// # Errors
 /// A result that is not finite, by its drive; settings outside their limits; the deadline.
@@ -24,24 +25,25 @@ pub(super) fn write(
     form: Form,
     mut memory: Share,
     stages: &mut Stages,
-) -> Answer<(Body, String, f64)> {
+) -> Answer<(Body, String, Shares)> {
     let outputs = &setting.loaded.model().outputs;
     let mut npy = Writer::of_batch(drives.len(), drives[0].n_samples(), outputs.len());
-    let (mut figures, mut inside) = (Vec::new(), 1.0_f64);
+    let (mut figures, mut shares) =
+        (Vec::new(), Shares { inside: 1.0, fallback: setting.fallback.then_some(0.0) });
     for (index, drive) in drives.into_iter().enumerate() {
         setting.deadline.check()?;
         let pointer = format!("/{index}");
-        let Begun { mut prediction, trust } = setting.begin(drive, &pointer)?;
-        inside = inside.min(trust.inside);
+        let mut begun = setting.begin(drive, &pointer)?;
+        shares = shares.or_worse(Shares::of(&begun));
         if form.with_figures {
-            let response = setting.response(prediction, &pointer)?;
-            put(&mut npy, &response, outputs)?;
+            let predicted = setting.predicted(begun, &pointer)?;
+            put(&mut npy, &predicted.response, outputs)?;
             let mut of_drive = Object::new();
-            setting.add_figures(&mut of_drive, &response, trust)?;
+            setting.add_figures(&mut of_drive, &predicted)?;
             figures.push(if index == 0 { b'[' } else { b',' });
             figures.extend(of_drive.finish());
         } else {
-            append(setting, &mut npy, &mut prediction, &pointer)?;
+            append(setting, &mut npy, &mut begun.prediction, &pointer)?;
         }
     }
     stages.end("simulate");
@@ -50,7 +52,7 @@ pub(super) fn write(
     let file = held(file, memory);
     if !form.with_figures {
         let written = Written::begin(file).map_err(Problem::internal)?;
-        return Ok(((written, Some(size)), NPY.to_owned(), inside));
+        return Ok(((written, Some(size)), NPY.to_owned(), shares));
     }
     figures.push(b']');
     let mut answer = Object::new();
@@ -58,5 +60,5 @@ pub(super) fn write(
     answer.field("drives").extend(figures);
     let (body, content_type) = multipart::parts(answer.finish(), NPY, file, Some(size))?;
     stages.end("report");
-    Ok((body, content_type, inside))
+    Ok((body, content_type, shares))
 }

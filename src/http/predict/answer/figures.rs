@@ -2,19 +2,20 @@
 
 use serde::Serialize;
 
-use super::Setting;
 use super::comparison::{DamageAnswer, damages, distances};
+use super::{Predicted, Setting};
 use crate::domain::Base;
-use crate::engine::Signal;
-use crate::engine::model::{Preprocess, Trust, TrustSpan, VersionKind};
+use crate::engine::model::{FallbackUse, Preprocess, TrustSpan, VersionKind};
 use crate::http::json::Object;
 use crate::http::problem::Answer;
 
 /// Trust; unknown for imported weights without a range.
 #[derive(Debug, Serialize)]
-struct TrustAnswer {
+struct TrustAnswer<'a> {
     inside: Option<f64>,
-    spans: Vec<TrustSpan>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    fallback: Option<&'a FallbackUse>,
+    spans: &'a [TrustSpan],
 }
 
 #[derive(Debug, Serialize)]
@@ -43,12 +44,13 @@ impl Setting<'_> {
         Ok(())
     }
 
-    /// Adds what is asked for of damage, errors and trust.
+    /// Adds what is asked for of damage, errors, trust and the band.
     ///
     /// # Errors
     /// Settings outside their limits, a figure beyond its range; the deadline.
-    pub(super) fn add_figures(&self, answer: &mut Object, response: &Signal, trust: Trust) -> Answer<()> {
+    pub(super) fn add_figures(&self, answer: &mut Object, predicted: &Predicted) -> Answer<()> {
         let model = self.loaded.model();
+        let Predicted { response, half_width, trust, fallback } = predicted;
         let outputs = &model.outputs;
         if self.include.damage {
             self.deadline.check()?;
@@ -62,8 +64,13 @@ impl Setting<'_> {
         }
         if self.include.trust {
             let known = !model.range.is_empty();
-            answer
-                .add("trust", &TrustAnswer { inside: known.then_some(trust.inside), spans: trust.spans })?;
+            let inside = known.then_some(trust.inside);
+            let trust = TrustAnswer { inside, fallback: fallback.as_ref(), spans: &trust.spans };
+            answer.add("trust", &trust)?;
+        }
+        if self.include.band {
+            self.deadline.check()?;
+            self.add_band(answer, response, half_width.as_ref())?;
         }
         Ok(())
     }

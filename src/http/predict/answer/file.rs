@@ -21,12 +21,13 @@ use crate::http::problem::{Answer, Problem};
 /// A result that is not finite; a channel that CSV has no name for; the deadline.
 pub(super) fn write(
     setting: &Setting<'_>,
-    prediction: Prediction,
+    mut prediction: Prediction,
     media_type: &str,
     mut memory: Share,
     stages: &mut Stages,
 ) -> Answer<Body> {
-    let response = setting.response(prediction, "/drive/channels")?;
+    let response = setting.response(&mut prediction, "/drive/channels")?;
+    drop(prediction);
     stages.end("simulate");
     memory.keep(response.n_samples() * response.n_channels() * size_of::<f64>());
     let (pieces, size) = setting.file(response, media_type)?;

@@ -26,8 +26,8 @@ pub(super) fn write(
     stages: &mut Stages,
 ) -> Answer<Written> {
     let outputs = &setting.loaded.model().outputs;
-    let Begun { prediction, trust } = begun;
-    let response = setting.response(prediction, "/drive/channels")?;
+    let predicted = setting.predicted(begun, "/drive/channels")?;
+    let response = &predicted.response;
     stages.end("simulate");
     let mut answer = Object::new();
     setting.add_model(&mut answer)?;
@@ -35,12 +35,13 @@ pub(super) fn write(
     if setting.include.response {
         let text = answer.field("response");
         if response.n_samples() * outputs.len() <= WRITTEN_AT_ONCE {
-            write_json(text, outputs, &response);
+            write_json(text, outputs, response);
         } else {
             before = Some(std::mem::take(text));
         }
     }
-    setting.add_figures(&mut answer, &response, trust)?;
+    setting.add_figures(&mut answer, &predicted)?;
+    let response = predicted.response;
     let written = match before {
         None => Written::Whole(answer.finish()),
         Some(before) => {

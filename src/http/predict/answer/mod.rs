@@ -1,5 +1,6 @@
 //! Computes a prediction and writes the answer, off the async threads: one file a form.
 
+mod band;
 mod batch;
 mod comparison;
 mod figures;
@@ -7,6 +8,7 @@ mod file;
 mod json;
 mod multipart;
 mod npy;
+mod shares;
 
 use std::sync::Arc;
 
@@ -21,7 +23,7 @@ use super::stages::Stages;
 use crate::compute::Class;
 use crate::domain::Rig;
 use crate::engine::fatigue::DamageSettings;
-use crate::engine::model::{Prediction, Predictor, Preprocess, Trust};
+use crate::engine::model::{FallbackUse, Prediction, Predictor, Preprocess, Trust};
 use crate::engine::{EngineError, Progress, Signal};
 use crate::http::body::pieces::Written;
 use crate::http::deadline::{self, Deadline};
@@ -29,6 +31,7 @@ use crate::http::negotiate::{CSV, MAT, NPY, RPC3, RPC3_FLOATS};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{codes, errors};
 use crate::models::LoadedModel;
+use shares::Shares;
 
 /// Largest number of a network's multiplications and additions that count as short work: some 50 ms on
 /// two cores, about four minutes of signal for a network of the paper's size.
@@ -49,6 +52,8 @@ pub struct PredictionTask {
     pub include: Include,
     /// Settings of the damage.
     pub damage: DamageSettings,
+    /// Whether the model's FRF answers where the drive is outside.
+    pub fallback: bool,
     /// Form of the answer.
     pub form: Form,
     /// Conversion of drive and target to the model's rate.
@@ -71,6 +76,8 @@ pub struct Computed {
     /// Share of samples at which every input is inside the range that the model was fitted on, if that
     /// range is known; of a batch the least of its drives.
     pub inside: Option<f64>,
+    /// Share of the answer that is the FRF's, if it may be; of a batch the greatest of its drives.
+    pub fallback_share: Option<f64>,
 }
 
 /// The beginning of an answer's body, and the size of all of it where that is known.
@@ -84,6 +91,7 @@ struct Setting<'a> {
     target: Option<Target>,
     include: Include,
     damage: DamageSettings,
+    fallback: bool,
     converted_from: ConvertedFrom,
     deadline: &'a Deadline,
 }
@@ -92,6 +100,17 @@ struct Setting<'a> {
 struct Begun {
     prediction: Prediction,
     trust: Trust,
+    /// Where the FRF answers, if it may.
+    fallback: Option<FallbackUse>,
+}
+
+/// A response with everything that its figures are made from.
+struct Predicted {
+    response: Signal,
+    /// Of the band, if it is asked for and the model has one.
+    half_width: Option<Signal>,
+    trust: Trust,
+    fallback: Option<FallbackUse>,
 }
 
 impl PredictionTask {
@@ -110,7 +129,8 @@ impl PredictionTask {
     /// Another sample rate than the model's, a target of another length, settings outside their
     /// limits, a batch that the form has no room for, a result that is not finite; the deadline.
     pub fn run(self, deadline: &Deadline, stages: &mut Stages) -> Answer<Computed> {
-        let Self { rig, model: loaded, drive, target, include, damage, form, mut conversion, memory } = self;
+        let Self { rig, model: loaded, drive, target, include, damage, fallback, .. } = self;
+        let (form, mut conversion, memory) = (self.form, self.conversion, self.memory);
         let model = loaded.model();
         let Drives { mut signals, is_batch } = drive.parse(&model.inputs)?;
         if is_batch {
@@ -131,19 +151,23 @@ impl PredictionTask {
             _ => None,
         };
         let samples = (signals.iter().map(Signal::n_samples).sum::<usize>() * model.outputs.len()) as u64;
+        if include.band {
+            band::check(samples)?;
+        }
         let converted_from = conversion.made();
-        let setting =
-            Setting { rig: &rig, loaded: &loaded, target, include, damage, converted_from, deadline };
-        let (body, content_type, inside);
+        let (rig, loaded) = (&rig, &*loaded);
+        let setting = Setting { rig, loaded, target, include, damage, fallback, converted_from, deadline };
+        let (body, content_type, shares);
         if is_batch {
-            (body, content_type, inside) = batch::write(&setting, signals, form, memory, stages)?;
+            (body, content_type, shares) = batch::write(&setting, signals, form, memory, stages)?;
         } else {
             let begun = setting.begin(signals.swap_remove(0), "/drive/channels")?;
-            inside = begun.trust.inside;
+            shares = Shares::of(&begun);
             (body, content_type) = write(&setting, begun, form, memory, stages)?;
         }
-        let inside = (!model.range.is_empty()).then_some(inside);
-        Ok(Computed { written: body.0, size: body.1, content_type, samples, inside })
+        let inside = (!model.range.is_empty()).then_some(shares.inside);
+        let fallback_share = shares.fallback;
+        Ok(Computed { written: body.0, size: body.1, content_type, samples, inside, fallback_share })
     }
 }
 
@@ -174,19 +198,35 @@ impl Setting<'_> {
     /// A result of the model's filter that is not finite.
     fn begin(&self, drive: Signal, pointer: &str) -> Answer<Begun> {
         let (model, predictor) = (self.loaded.model(), &self.loaded.predictor);
-        let prediction =
+        let mut prediction =
             predictor.begin(drive).map_err(|error| errors::engine(&error, &model.inputs, pointer))?;
         let trust = predictor.trust(&prediction);
-        Ok(Begun { prediction, trust })
+        let fallback = if self.fallback { predictor.fall_back(&mut prediction, &trust) } else { None };
+        Ok(Begun { prediction, trust, fallback })
+    }
+
+    /// The whole response to the drive at `pointer`, with its band if that is asked for.
+    ///
+    /// # Errors
+    /// A result that is not finite; the deadline.
+    fn predicted(&self, begun: Begun, pointer: &str) -> Answer<Predicted> {
+        let Begun { mut prediction, trust, fallback } = begun;
+        let response = self.response(&mut prediction, pointer)?;
+        let mut half_width = None;
+        if self.include.band {
+            let found = self.loaded.predictor.half_width(&prediction, &response);
+            half_width = found.map_err(|error| self.refusal(&error, pointer))?;
+        }
+        Ok(Predicted { response, half_width, trust, fallback })
     }
 
     /// The whole response to the drive at `pointer`.
     ///
     /// # Errors
     /// A result that is not finite; the deadline.
-    fn response(&self, mut prediction: Prediction, pointer: &str) -> Answer<Signal> {
+    fn response(&self, prediction: &mut Prediction, pointer: &str) -> Answer<Signal> {
         let watch = |progress: Progress<'_>| self.deadline.watch(progress);
-        let response = self.loaded.predictor.rest(&mut prediction, &watch);
+        let response = self.loaded.predictor.rest(prediction, &watch);
         response.map_err(|error| self.refusal(&error, pointer))
     }
 
@@ -270,8 +310,10 @@ mod tests {
             preprocess: Preprocess::default(),
             frf: None,
             frf_quality: None,
+            core: Vec::new(),
             lstm: Some(part),
             range: Vec::new(),
+            band: None,
             effects: Vec::new(),
         })
         .expect("a model")

@@ -22,12 +22,12 @@ pub(super) fn write(
     mut memory: Share,
     stages: &mut Stages,
 ) -> Answer<(Body, String)> {
-    let Begun { prediction, trust } = begun;
-    let response = setting.response(prediction, "/drive/channels")?;
+    let predicted = setting.predicted(begun, "/drive/channels")?;
     stages.end("simulate");
     let mut figures = Object::new();
     setting.add_model(&mut figures)?;
-    setting.add_figures(&mut figures, &response, trust)?;
+    setting.add_figures(&mut figures, &predicted)?;
+    let response = predicted.response;
     memory.keep(response.n_samples() * response.n_channels() * size_of::<f64>());
     let (file, size) = setting.file(response, media_type)?;
     let answer = parts(figures.finish(), media_type, held(file, memory), size)?;
