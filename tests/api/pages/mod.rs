@@ -77,9 +77,16 @@ async fn every_link_of_the_pages_of_a_rig_leads_somewhere_and_every_page_is_stri
         }
         seen.push(path);
     }
-    for needed in
-        ["/rigs/bench", "/rigs/bench/upload", "/rigs/bench/fit", "/jobs", "/tokens", "/operations", "/docs"]
-    {
+    for needed in [
+        "/rigs/bench",
+        "/rigs/bench/drift",
+        "/rigs/bench/upload",
+        "/rigs/bench/fit",
+        "/jobs",
+        "/tokens",
+        "/operations",
+        "/docs",
+    ] {
         assert!(seen.iter().any(|path| path == needed), "{needed} is linked: {seen:?}");
     }
     assert!(
