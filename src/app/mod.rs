@@ -24,7 +24,7 @@ use crate::domain::TokenRole;
 use crate::http::{
     self, Admission, Auth, ClientAddress, Comparisons, Http, PredictionMemory, RunViews, Shared,
 };
-use crate::jobs::Jobs;
+use crate::jobs::{DriftWatch, Jobs};
 use crate::models::Models;
 use crate::storage::{Store, StoreError};
 use crate::telemetry::{self, names};
@@ -123,10 +123,12 @@ impl App {
         let compute = Compute::new(&settings)?;
         let models = Models::new(store.clone(), compute.clone(), MODEL_CACHE);
         let jobs = Jobs::start(store.clone(), compute.clone(), now, config.jobs.clone()).await?;
+        let drift = DriftWatch::start(store.clone(), compute.clone(), models.clone(), now);
         let (draining, seen) = watch::channel(false);
         let http = Arc::new(Http {
             store: store.clone(),
             jobs: jobs.clone(),
+            drift,
             auth: Auth::new(store.clone(), on_loopback),
             models,
             compute,
@@ -171,7 +173,7 @@ impl App {
         };
         // Jobs stop at once: the longer they go on, the less time is left to store their checkpoints.
         // Stopping them also ends the streams that follow jobs.
-        let (drained, ()) = tokio::join!(last_answers, self.jobs.shutdown());
+        let (drained, (), ()) = tokio::join!(last_answers, self.jobs.shutdown(), self.http.drift.shutdown());
         if drained.is_err() {
             tracing::warn!(drain_s = DRAIN.as_secs(), "connections were still open and are cut");
         }

@@ -4,6 +4,7 @@
 pub mod columns;
 mod created;
 pub mod diagnosis;
+pub mod drift;
 pub mod evaluation;
 mod fit_check;
 pub mod fits;

@@ -45,7 +45,10 @@ pub async fn change(
     let tags = if_match(&headers)?;
     let current = http.store.active_model(&rig).await?.ok_or_else(|| no_rig(rig.as_str()))?.etag();
     match http.store.set_active_model(&rig, wanted.version, tags.check(&current)?, http.now()).await? {
-        ActiveUpdate::Updated(active) => tagged(&active),
+        ActiveUpdate::Updated(active) => {
+            http.drift.wake();
+            tagged(&active)
+        }
         ActiveUpdate::MissingRig => Err(no_rig(rig.as_str())),
         ActiveUpdate::MissingModel => Err(no_model(&wanted.version.unwrap_or_default().to_string())),
         ActiveUpdate::NotForward => {

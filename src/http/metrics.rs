@@ -86,20 +86,27 @@ pub async fn show(State(http): State<Shared>, _: NoParams) -> Answer {
     }
     metrics::gauge!(names::DATA_FREE_BYTES).set(usage.free as f64);
     let errors = validation_errors(&http.store.validation_errors(MAX_RIGS).await?);
+    let ratios = http.store.error_ratios(MAX_RIGS).await?;
+    let ratios: Vec<(String, f64)> = ratios.into_iter().map(|(rig, ratio)| (of_rig(&rig), ratio)).collect();
     let mut text = http.metrics.render();
     telemetry::write_by_hand(&mut text, names::VALIDATION_ERROR, &errors);
+    telemetry::write_by_hand(&mut text, names::MODEL_ERROR_RATIO, &ratios);
     process::write(&mut text);
     Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 
-/// Written anew each time, so that a deleted rig disappears here too. Rig ids are slugs and need no
-/// escaping.
+/// The labels of a series of a rig. Rig ids are slugs and need no escaping.
+fn of_rig(rig: &str) -> String {
+    format!("{{rig=\"{rig}\"}}")
+}
+
+/// Written anew each time, so that a deleted rig disappears here too.
 fn validation_errors(rigs: &[(String, Vec<Option<f64>>)]) -> Vec<(String, f64)> {
     let known =
         rigs.iter().map(|(rig, errors)| (rig, errors.iter().copied().flatten().collect::<Vec<f64>>()));
     known
         .filter(|(_, errors)| !errors.is_empty())
-        .map(|(rig, errors)| (format!("{{rig=\"{rig}\"}}"), errors.iter().sum::<f64>() / errors.len() as f64))
+        .map(|(rig, errors)| (of_rig(rig), errors.iter().sum::<f64>() / errors.len() as f64))
         .collect()
 }
 

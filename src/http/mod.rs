@@ -16,6 +16,7 @@ mod contract;
 mod damage;
 mod deadline;
 mod diagnoses;
+mod drift;
 mod errors;
 mod etag;
 mod evaluations;
@@ -58,7 +59,7 @@ use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 
 use crate::compute::{Class, Compute};
 use crate::domain::{self, Clock};
-use crate::jobs::Jobs;
+use crate::jobs::{DriftWatch, Jobs};
 use crate::models::Models;
 use crate::storage::Store;
 use body::json;
@@ -111,6 +112,8 @@ pub struct Http {
     pub store: Store,
     /// Jobs.
     pub jobs: Jobs,
+    /// Errors of active models on the runs that arrive.
+    pub drift: DriftWatch,
     /// Tokens and rights.
     pub auth: Auth,
     /// Loaded models.

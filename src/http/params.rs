@@ -121,11 +121,7 @@ impl Params {
 /// # Errors
 /// `query.invalid` for a limit out of range or a cursor that the service did not make.
 pub fn page(params: &mut Params) -> Answer<PageRequest> {
-    let range = format!("a number from 1 to {MAX_LIMIT}");
-    let limit = params.parse::<u32>("limit", &range)?.unwrap_or(DEFAULT_LIMIT);
-    if !(1..=MAX_LIMIT).contains(&limit) {
-        return Err(invalid("limit", format!("is {limit}"), &range));
-    }
+    let limit = limit(params)?;
     let cursor = params
         .one("cursor")?
         .map(|text| {
@@ -134,6 +130,19 @@ pub fn page(params: &mut Params) -> Answer<PageRequest> {
         })
         .transpose()?;
     Ok(PageRequest { limit, cursor })
+}
+
+/// Takes `limit`, the most items that an answer has.
+///
+/// # Errors
+/// `query.invalid` for a limit out of range.
+pub fn limit(params: &mut Params) -> Answer<u32> {
+    let range = format!("a number from 1 to {MAX_LIMIT}");
+    let limit = params.parse::<u32>("limit", &range)?.unwrap_or(DEFAULT_LIMIT);
+    if !(1..=MAX_LIMIT).contains(&limit) {
+        return Err(invalid("limit", format!("is {limit}"), &range));
+    }
+    Ok(limit)
 }
 
 /// The refusal of a parameter's value.

@@ -7,8 +7,8 @@ use axum::routing::{MethodRouter, delete, get, patch, post, put};
 use super::admission::Traffic::{self, Control, Jobs, Predict, Registry, Upload};
 use super::auth::Right::{self, AllRigs, Public, Role};
 use super::{
-    Shared, active_model, adopt, contract, damage, diagnoses, evaluations, fits, frf, health, inference,
-    iterations, jobs, metrics, model_report, models, pages, predict, rigs, runs, studies, tokens,
+    Shared, active_model, adopt, contract, damage, diagnoses, drift, evaluations, fits, frf, health,
+    inference, iterations, jobs, metrics, model_report, models, pages, predict, rigs, runs, studies, tokens,
 };
 use crate::domain::TokenRole::{Admin, Operator, Reader};
 
@@ -81,6 +81,7 @@ pub static ROUTES: &[Route] = &[
     route(Method::GET, "/v1/rigs/{rig}/diagnoses/{diagnosis}", Role(Reader), Registry, || {
         get(diagnoses::show)
     }),
+    route(Method::GET, "/v1/rigs/{rig}/drift", Role(Reader), Registry, || get(drift::show)),
     route(Method::GET, "/v1/rigs/{rig}/iterations", Role(Reader), Registry, || get(iterations::list)),
     route(Method::POST, "/v1/rigs/{rig}/iterations", Role(Operator), Jobs, || post(iterations::start)),
     route(Method::GET, "/v1/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || {
@@ -143,6 +144,7 @@ pub static ROUTES: &[Route] = &[
     route(Method::DELETE, "/v1/tokens/{token}", AllRigs(Admin), Control, || delete(tokens::remove)),
     route(Method::GET, "/", Public, Registry, || get(pages::rigs)),
     page("/rigs/{rig}", Role(Reader), Registry, || get(pages::rig)),
+    page("/rigs/{rig}/drift", Role(Reader), Registry, || get(pages::drift)),
     page("/rigs/{rig}/upload", Role(Operator), Registry, || get(pages::upload)),
     page("/rigs/{rig}/fit", Role(Operator), Registry, || get(pages::fit)),
     page("/rigs/{rig}/predict", Role(Reader), Predict, || get(pages::predict)),

@@ -18,6 +18,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (12, "evaluations", include_str!("../../migrations/0012_evaluations.sql")),
     (14, "studies", include_str!("../../migrations/0014_studies.sql")),
     (16, "fit_records", include_str!("../../migrations/0016_fit_records.sql")),
+    (17, "drift", include_str!("../../migrations/0017_drift.sql")),
 ];
 
 /// Migrations up to this number.

@@ -8,6 +8,7 @@ pub mod backup;
 mod checkpoints;
 mod corruption;
 mod diagnoses;
+mod drift;
 mod error;
 mod evaluations;
 mod files;

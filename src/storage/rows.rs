@@ -10,6 +10,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
 
 use super::StoreError;
+use crate::domain::drift::DriftRow;
 use crate::domain::iteration::IterationReport;
 use crate::domain::{
     Adoption, Base, DiagnosisSummary, EvaluationSummary, IterationSummary, Job, Lineage, Model, ModelFrf,
@@ -472,6 +473,31 @@ impl TryFrom<StudyRow> for StoredStudy {
             model: row.version.map(|version| columns.number(version)).transpose()?,
         };
         Ok(Self { summary, request, report: columns.json_opt(row.report.as_deref())? })
+    }
+}
+
+row! {
+    struct DriftEntry {
+        id: String,
+        name: String,
+        kind: String,
+        at_us: i64,
+        outcome: String,
+    }
+}
+
+impl TryFrom<DriftEntry> for DriftRow {
+    type Error = StoreError;
+
+    fn try_from(row: DriftEntry) -> Result<Self, StoreError> {
+        let columns = Columns { table: "drift", key: &row.id };
+        Ok(Self {
+            run: columns.id(&row.id)?,
+            kind: columns.word(&row.kind)?,
+            at: columns.time(row.at_us)?,
+            outcome: columns.json(&row.outcome)?,
+            name: row.name,
+        })
     }
 }
 

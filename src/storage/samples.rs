@@ -71,8 +71,26 @@ impl Store {
     /// # Errors
     /// As [`Store::open_samples`].
     pub async fn load_channels(&self, run: &Run, columns: Vec<usize>) -> Result<Signal, StoreError> {
-        let all = 0..usize::try_from(run.samples).unwrap_or(usize::MAX);
-        let mut stored = self.open_samples(run, columns, all.clone()).await?;
+        self.load_stretch(run, columns, 0..run.samples).await
+    }
+
+    /// A range of samples of some channels of a run, in memory once.
+    ///
+    /// # Errors
+    /// As [`Store::open_samples`].
+    ///
+    /// # Panics
+    /// As [`Store::open_samples`].
+    pub async fn load_stretch(
+        &self,
+        run: &Run,
+        columns: Vec<usize>,
+        range: Range<u64>,
+    ) -> Result<Signal, StoreError> {
+        let place = |sample: u64| usize::try_from(sample).unwrap_or(usize::MAX);
+        let range = place(range.start)..place(range.end);
+        let all = 0..range.len();
+        let mut stored = self.open_samples(run, columns, range).await?;
         let (key, path) = (run.id.to_string(), self.objects().path_of(&run.object));
         off_thread(move || {
             let channels = samples::block(&mut stored, &all).map_err(failed(&path))?;

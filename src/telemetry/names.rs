@@ -66,6 +66,8 @@ metrics! {
     DEGRADED = Gauge "rigcast_degraded", "Models, runs and diagnoses that could not be read when last wanted.";
     VALIDATION_ERROR = Gauge "rigcast_validation_error",
         "Mean over outputs of the relative RMS error of the active model on its validation data, by rig.";
+    MODEL_ERROR_RATIO = Gauge "rigcast_model_error_ratio",
+        "Largest error over its control limit of the newest run that the active model was held against, by rig.";
     DATA_BYTES = Gauge "rigcast_data_bytes",
         "Size of the data directory, by part: database, objects or scratch.";
     DATA_FREE_BYTES = Gauge "rigcast_data_free_bytes",
@@ -83,7 +85,7 @@ metrics! {
 /// Whether a metric is written into the answer each time instead of being kept: its series come and go, or the
 /// system keeps it.
 pub fn by_hand(name: &str) -> bool {
-    name == VALIDATION_ERROR || name.starts_with("process_")
+    [VALIDATION_ERROR, MODEL_ERROR_RATIO].contains(&name) || name.starts_with("process_")
 }
 
 /// Values of the label `limit` of [`CONNECTIONS_REFUSED`].

@@ -3,6 +3,7 @@
 
 pub mod assets;
 pub mod diagnosis;
+pub mod drift;
 pub mod evaluation;
 pub mod figures;
 pub mod fit;

@@ -50,7 +50,10 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
             div.actions {
                 @if operator { a.button.main[of.runs.is_empty()] href={ (at) "/upload" } { "Upload a run" } }
                 @if operator && !of.runs.is_empty() { a.button.main[active.is_none()] href={ (at) "/fit" } { "Fit a model" } }
-                @if active.is_some() { a.button.main href={ (at) "/predict" } { "Predict and compare" } }
+                @if active.is_some() {
+                    a.button.main href={ (at) "/predict" } { "Predict and compare" }
+                    a.button href={ (at) "/drift" } { "Drift" }
+                }
                 @if operator && active.is_some() {
                     a.button href={ (at) "/diagnose" } { "Diagnose" }
                     a.button href={ (at) "/iterate" } { "Find a drive" }

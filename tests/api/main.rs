@@ -15,6 +15,7 @@ mod damage;
 mod damaged_rows;
 mod diagnoses;
 mod docs;
+mod drift;
 mod evaluations;
 mod fits;
 mod flips;

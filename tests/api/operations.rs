@@ -46,6 +46,8 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", active.header("etag"));
     put.json(&json!({"version": version})).send().await.expect(200);
 
+    app.get("/v1/rigs/bench/drift").await.expect(200);
+
     let drive = json!({"sample_rate_hz": 100.0, "channels": {"u": [0.0, 0.5, -0.5, 0.0]}});
     let target = json!({"sample_rate_hz": 100.0, "channels": {"y": [0.0, 1.0, -1.0, 0.0]}});
     let request = json!({"drive": drive, "target": target, "damage": {"slope": 3}});

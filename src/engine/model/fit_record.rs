@@ -288,10 +288,10 @@ mod tests {
     #[test]
     fn coverage_counts_each_sample_in_the_class_of_its_value() {
         let range = InputRange { min: -1.0, max: 1.0, max_rate: 0.0, band_hz: Some([0.0, 4.0]), local: None };
-        let found = one_coverage([&[-1.0, 1.0, 0.9][..], &[0.05, 0.0]].into_iter(), &range, 10.0);
-        assert_eq!(found.shares, [0.2, 0.0, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 0.4]);
-        assert_eq!((found.rate, found.band_hz), ([-1.0, 20.0], Some([0.0, 4.0])));
-        assert_eq!(found.mean, 0.19);
+        let found = one_coverage([&[-1.0, 1.0, 0.75][..], &[0.05, 0.0]].into_iter(), &range, 10.0);
+        assert_eq!(found.shares, [0.2, 0.0, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.2, 0.2]);
+        assert_eq!((found.rate, found.band_hz), ([-2.5, 20.0], Some([0.0, 4.0])));
+        assert_eq!(found.mean, 0.16);
         let still = InputRange { min: 2.0, max: 2.0, max_rate: 0.0, band_hz: None, local: None };
         let found = one_coverage([&[2.0, 2.0][..]].into_iter(), &still, 10.0);
         assert_eq!((found.rms, found.shares[0], found.band_hz), (2.0, 1.0, None));

@@ -134,6 +134,13 @@ pub async fn fit(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor,
     html(ui::fit::page(&visitor.shown, &rig, &runs))
 }
 
+/// `GET /rigs/{rig}/drift`
+pub async fn drift(State(http): State<Shared>, OfRig(id): OfRig, visitor: Visitor, _: NoParams) -> Answer {
+    let rig = find(&http, &id).await?;
+    let drift = crate::http::drift::read(&http, &id, ITEMS).await?;
+    html(ui::drift::page(&visitor.shown, &rig, &drift))
+}
+
 /// The rig of this id.
 ///
 /// # Errors

@@ -67,6 +67,7 @@ pub async fn upload(
             if !inserted.jobs.is_empty() {
                 http.jobs.wake();
             }
+            http.drift.wake();
             created(Created::run(&inserted))
         }
         RunInsert::MissingRig => Err(no_rig(id.as_str())),

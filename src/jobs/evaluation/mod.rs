@@ -22,13 +22,14 @@ use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::NewEvaluation;
 
 use super::control::Control;
+use super::predicted::{Predicted, predicted};
 use super::problem::{JobError, codes, of_engine};
 use super::spec::{EvaluationOutput, JobSpec};
 use super::work_context::WorkContext;
 use plan::{EvaluationPlan, Pairing};
 use report::Table;
 
-pub(super) use plan::check;
+pub(super) use plan::{check, comparable};
 pub use problem::EvaluationProblem;
 
 /// Share of a comparison's progress that is the prediction; the rest is rainflow and spectra.
@@ -146,15 +147,9 @@ async fn one(
             let fraction = part.from + part.length * PREDICTED * progress.fraction;
             watched.watch(Progress { stage: &part.stage, fraction })
         };
-        let place = |name: &String| needed.iter().position(|n| n == name).expect("what is needed was loaded");
-        let select = |names: &[String]| signal.select(&names.iter().map(place).collect::<Vec<_>>());
         let predictor = &predictors[pairing.model];
-        let mut prediction = predictor.begin(select(&predictor.model().inputs))?;
-        let predicted = predictor.rest(&mut prediction, &watch)?;
-        let inside = predictor.trust(&prediction).inside;
-        drop(prediction);
-        let predicted = predicted.select(&pairing.outputs);
-        let measured = predictor.model().preprocess.apply_to(select(&names))?;
+        let Predicted { inside, measured, predicted } =
+            predicted(predictor, &signal, &needed, &pairing.outputs, &watch)?;
         let groups = vectors(&plan, &names);
         let compared = compare(&names, &groups, &measured, &predicted, &plan.request.settings())?;
         Ok::<_, EngineError>((inside, compared))

@@ -5,11 +5,12 @@ use std::collections::HashSet;
 
 use crate::domain::evaluation::{Classes, Omission, OmittedRun, Seen};
 use crate::domain::fits::{RunFilter, RunSelection};
-use crate::domain::{EvaluationRequest, FieldError, Model, ModelRef, Rig, Run, RunKind, Span, Split};
+use crate::domain::{EvaluationRequest, FieldError, Model, ModelRef, Rig, Run, RunKind, Split};
 use crate::engine::Signal;
 use crate::engine::evaluation::ChannelGroup;
 use crate::storage::Store;
 
+use super::super::predicted::{needed, seen};
 use super::super::problem::of_setting;
 use super::super::selection;
 use super::problem::EvaluationProblem;
@@ -291,10 +292,15 @@ fn plan(
 }
 
 /// Why there is no comparison, and the channels that are missing.
-type Missing = (Omission, Vec<String>);
+pub(in crate::jobs) type Missing = (Omission, Vec<String>);
 
 /// The outputs on which a model is compared with a run, and what the run had been to it.
 fn pairing(model: &Model, run: &Run) -> Result<(Vec<usize>, Option<Seen>), Missing> {
+    Ok((comparable(model, run)?, seen(model, run)))
+}
+
+/// The outputs, by their places, on which a model can be compared with a run.
+pub(in crate::jobs) fn comparable(model: &Model, run: &Run) -> Result<Vec<usize>, Missing> {
     if !Signal::same_rate(run.sample_rate_hz, model.sample_rate_hz) {
         return Err((Omission::SampleRate, Vec::new()));
     }
@@ -308,19 +314,7 @@ fn pairing(model: &Model, run: &Run) -> Result<(Vec<usize>, Option<Seen>), Missi
             missing.into_iter().chain(outputs.iter().cloned()).collect(),
         ));
     }
-    Ok((outputs, seen(model, run)))
-}
-
-fn seen(model: &Model, run: &Run) -> Option<Seen> {
-    let whole = Span { run: run.id, sha256: run.sha256.clone(), from_sample: 0, to_sample: run.samples };
-    let lineage = &model.lineage;
-    if lineage.was_trained_on(&whole) {
-        Some(Seen::Training)
-    } else if lineage.has_seen(&whole) {
-        Some(Seen::Choice)
-    } else {
-        lineage.validation.iter().any(|span| span.overlaps(&whole)).then_some(Seen::Comparison)
-    }
+    Ok(outputs)
 }
 
 /// Refuses models that no run can be compared with.
@@ -377,17 +371,13 @@ impl EvaluationPlan {
 
     /// The channels of a run that its comparisons need, each once.
     pub fn needed(&self, run: usize) -> Vec<String> {
-        let mut needed: Vec<String> = Vec::new();
+        let mut all: Vec<String> = Vec::new();
         for pairing in self.of_run(run) {
-            let model = &self.models[pairing.model];
-            let outputs = pairing.outputs.iter().map(|&output| &model.outputs[output]);
-            for name in model.inputs.iter().chain(outputs) {
-                if !needed.contains(name) {
-                    needed.push(name.clone());
-                }
-            }
+            let of_pairing = needed(&self.models[pairing.model], &pairing.outputs);
+            let new: Vec<String> = of_pairing.into_iter().filter(|name| !all.contains(name)).collect();
+            all.extend(new);
         }
-        needed
+        all
     }
 
     /// Refuses an evaluation whose report, or one of whose runs, is too large.

@@ -58,6 +58,7 @@ async fn foreign_and_unknown_ids_look_alike() {
         "/models/1/report",
         "/models/x",
         "/active-model",
+        "/drift",
         "/predict",
         "/fits",
         "/diagnoses",
