@@ -9,7 +9,7 @@ use crate::domain::fits::FitRequest;
 use crate::domain::{JobId, Lineage, Origin, Rig, Run, Span, faults_of_runs};
 use crate::engine::checkpoint::CheckpointStore;
 use crate::engine::model::{
-    FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, SplitRule, to_safetensors,
+    FitData, FitReport, FitSettings, Fitted, LstmPart, Pair, RigModel, SplitRule, to_safetensors,
 };
 use crate::engine::simd::Isa;
 use crate::engine::{EngineError, Signal, Watch};

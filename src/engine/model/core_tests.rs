@@ -46,7 +46,7 @@ fn adopted() -> RigModel {
         frf_quality: Some(found.quality),
         core: Vec::new(),
         lstm: None,
-        range: vec![InputRange { min: -5.0, max: 5.0, max_rate: 1e4, band_hz: None }],
+        range: vec![InputRange { min: -5.0, max: 5.0, max_rate: 1e4, band_hz: None, local: None }],
         band: None,
         effects: vec![AddedEffect { drives: vec![0], augmented }],
     }
