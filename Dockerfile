@@ -6,9 +6,10 @@ WORKDIR /src
 # Dependencies first: a change of the program's own code does not compile them again. Cargo wants a file for
 # every target that the manifest names, so the program, its benches and its example are empty here.
 COPY Cargo.toml Cargo.lock ./
-COPY src/engine/Cargo.toml src/engine/
+COPY src/engine/Cargo.toml src/engine/Cargo.toml
+COPY src/engine/numerics/Cargo.toml src/engine/numerics/Cargo.toml
 RUN mkdir -p src benches/http examples/blind_check \
-    && touch src/lib.rs src/engine/mod.rs \
+    && touch src/lib.rs src/engine/mod.rs src/engine/numerics/mod.rs \
     && for target in src benches/http examples/blind_check; do echo 'fn main() {}' > $target/main.rs; done \
     && cp src/main.rs benches/engine.rs \
     && cargo build --release --locked --bin rigcast
@@ -17,7 +18,7 @@ COPY migrations migrations
 COPY src src
 # The commit that models name as their maker: docker build --build-arg COMMIT=$(git rev-parse --short=12 HEAD) .
 ARG COMMIT=
-RUN touch src/main.rs src/lib.rs src/engine/mod.rs && RIGCAST_COMMIT=$COMMIT cargo build --release --locked --bin rigcast
+RUN touch src/main.rs src/lib.rs src/engine/mod.rs src/engine/numerics/mod.rs && RIGCAST_COMMIT=$COMMIT cargo build --release --locked --bin rigcast
 
 FROM debian:bookworm-slim
 RUN useradd --system --uid 10001 --home-dir /data --create-home rigcast
