@@ -4,14 +4,14 @@ use super::fit_data::FitData;
 use super::fit_network::{self, Course, Network};
 use super::fit_record::{self, FitRecord, Residual, ResidualOf, ResidualSums};
 use super::fit_report::{Comparison, FitReport, SeedReport};
-use super::score::{self, SectionScore};
+use super::score::{self, PredictedSection, SectionScore};
 use super::split::{Section, Sections};
 use super::{Band, FitSettings, ModelKind, Preprocess, RigModel};
 use crate::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::frf::{self, RunPart};
 use crate::lstm::{LstmSettings, Recombine};
 use crate::progress::report;
-use crate::{EngineError, Progress, Signal, Watch};
+use crate::{EngineError, Progress, Watch};
 
 /// Share of a fit's time that each FRF estimate is shown to take when an LSTM follows.
 const FRF_SHARE: f64 = 0.03;
@@ -122,9 +122,12 @@ fn fitted(
     let end = if sections.refit { CHOICE_SHARE } else { 0.98 };
     let chosen = fit.choose(&sections, 0.0..end)?;
     report(watch, "validation", end)?;
-    let (scores, residual) = fit.score_with_residual(&chosen.model, scored, compares)?;
-    let band =
-        compares.then(|| Band::calibrate(&chosen.model, &filtered, &sections.comparison)).transpose()?;
+    let predicted = PredictedSection::all(&chosen.model, &filtered, scored)?;
+    let scores: Vec<SectionScore> =
+        predicted.iter().map(|part| part.score(&filtered, data, &settings.preprocess)).collect();
+    let residual = fit.residual(&predicted, compares);
+    let band = compares.then(|| Band::calibrate(&chosen.model, &filtered, &predicted)).transpose()?;
+    drop(predicted);
     let mut fitted = if sections.refit { fit.again(&chosen, &sections, &scores)? } else { chosen };
     fitted.model.preprocess = settings.preprocess;
     fitted.model.band = band;
@@ -312,19 +315,15 @@ impl Fit<'_> {
         score::score(model, self.data, self.recorded, &self.settings.preprocess, sections)
     }
 
-    /// The scores of a model, and its residual on the same data: those that compare, or those that stopped it.
-    fn score_with_residual(
-        &self,
-        model: &RigModel,
-        sections: &[Section],
-        compares: bool,
-    ) -> Result<(Vec<SectionScore>, Option<Residual>), EngineError> {
+    /// The residual of a model on the data that compare it, or those that stopped it.
+    fn residual(&self, predicted: &[PredictedSection<'_>], compares: bool) -> Option<Residual> {
         let (mut sums, names) = (ResidualSums::default(), &self.settings.outputs);
-        let mut look = |measured: &Signal, predicted: &Signal| sums.add(names, measured, predicted);
-        let preprocess = &self.settings.preprocess;
-        let scores = score::score_each(model, self.data, self.recorded, preprocess, sections, &mut look)?;
+        for part in predicted {
+            let measured = self.data.run(part.section.run).y.slice(part.section.samples.clone());
+            sums.add(names, &measured, &part.shown());
+        }
         let of = if compares { ResidualOf::Comparison } else { ResidualOf::Stopping };
-        Ok((scores, sums.finish(names, of, model.sample_rate_hz)))
+        sums.finish(names, of, self.data.training[0].x.sample_rate_hz())
     }
 }
 

@@ -87,9 +87,42 @@ impl<'a> PredictedSection<'a> {
         Ok(Self { section, x, response, skip })
     }
 
+    /// Predicts each of some sections.
+    pub(super) fn all(
+        model: &RigModel,
+        filtered: &FitData,
+        sections: &'a [Section],
+    ) -> Result<Vec<Self>, EngineError> {
+        sections.iter().map(|section| Self::of(model, filtered, section)).collect()
+    }
+
     /// One output's response over the section, without its context.
     pub(super) fn scored(&self, output: usize) -> &[f64] {
         &self.response.channel(output)[self.skip..]
+    }
+
+    /// All outputs' responses over the section, without its context.
+    pub(super) fn shown(&self) -> Signal {
+        self.response.slice(self.skip..self.response.n_samples())
+    }
+
+    /// The errors; `recorded` are the data before the filter.
+    pub(super) fn score(
+        &self,
+        filtered: &FitData,
+        recorded: &FitData,
+        preprocess: &Preprocess,
+    ) -> SectionScore {
+        let Section { run, samples } = self.section;
+        let against = |measured: &Signal| -> Vec<Squares> {
+            (0..measured.n_channels())
+                .map(|c| Squares::of(self.scored(c), &measured.channel(c)[samples.clone()]))
+                .collect()
+        };
+        SectionScore {
+            outputs: against(&filtered.run(*run).y),
+            recorded: (!preprocess.is_none()).then(|| against(&recorded.run(*run).y)),
+        }
     }
 }
 
@@ -102,38 +135,9 @@ pub(super) fn score(
     preprocess: &Preprocess,
     sections: &[Section],
 ) -> Result<Vec<SectionScore>, EngineError> {
-    score_each(model, filtered, recorded, preprocess, sections, &mut |_, _| ())
-}
-
-/// What is done with the measured and the predicted outputs of a section.
-type Look<'a> = dyn FnMut(&Signal, &Signal) + 'a;
-
-/// [`score`], with a look at each section's outputs behind the filter, measured and predicted.
-pub(super) fn score_each(
-    model: &RigModel,
-    filtered: &FitData,
-    recorded: &FitData,
-    preprocess: &Preprocess,
-    sections: &[Section],
-    look: &mut Look<'_>,
-) -> Result<Vec<SectionScore>, EngineError> {
-    sections
-        .iter()
-        .map(|section| {
-            let predicted = PredictedSection::of(model, filtered, section)?;
-            let against = |measured: &Signal| -> Vec<Squares> {
-                (0..measured.n_channels())
-                    .map(|c| Squares::of(predicted.scored(c), &measured.channel(c)[section.samples.clone()]))
-                    .collect()
-            };
-            let shown = predicted.response.slice(predicted.skip..predicted.response.n_samples());
-            look(&filtered.run(section.run).y.slice(section.samples.clone()), &shown);
-            Ok(SectionScore {
-                outputs: against(&filtered.run(section.run).y),
-                recorded: (!preprocess.is_none()).then(|| against(&recorded.run(section.run).y)),
-            })
-        })
-        .collect()
+    let one =
+        |section| Ok(PredictedSection::of(model, filtered, section)?.score(filtered, recorded, preprocess));
+    sections.iter().map(one).collect()
 }
 
 /// Sums per output over all sections.

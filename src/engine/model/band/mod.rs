@@ -19,7 +19,6 @@ use self::scale::moving_mean_square;
 
 use super::fit_data::FitData;
 use super::score::PredictedSection;
-use super::split::Section;
 use super::{ModelKind, RigModel};
 use crate::{EngineError, Signal};
 
@@ -62,19 +61,19 @@ struct OutputBand {
 }
 
 impl Band {
-    /// Calibrates the band of a model without filter of its own on sections of filtered data that it has not seen.
+    /// Calibrates the band of a model without filter of its own on sections of filtered data that it has not seen, as
+    /// it predicts them.
     ///
     /// # Errors
     /// Those of the prediction.
     pub(super) fn calibrate(
         model: &RigModel,
         filtered: &FitData,
-        sections: &[Section],
+        predicted: &[PredictedSection<'_>],
     ) -> Result<Self, EngineError> {
         let window = model.lstm.as_ref().map_or(WINDOW, |part| part.window_len);
         let mut parts = Vec::new();
-        for section in sections {
-            let found = PredictedSection::of(model, filtered, section)?;
+        for found in predicted {
             let linear = corrected(model).then(|| model.linear(&found.x)).transpose()?.flatten();
             parts.push((found, linear));
         }
