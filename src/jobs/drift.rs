@@ -2,6 +2,7 @@
 //! errors. What waits is in the store: after a restart it goes on where it was.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -12,7 +13,7 @@ use tokio::task::JoinHandle;
 use crate::compute::{Class, Compute};
 use crate::domain::drift::{ControlLimit, DueRun, Judgement, NotPredicted, Outcome};
 use crate::domain::evaluation::Omission;
-use crate::domain::{Clock, Model, Run};
+use crate::domain::{Clock, Model, Run, RunId, RunKind};
 use crate::engine::model::Squares;
 use crate::engine::{EngineError, Signal};
 use crate::models::{LoadedModel, ModelError, Models};
@@ -171,7 +172,7 @@ impl Inner {
                 return Ok(Some(Outcome::Omitted(NotPredicted::NotFinite)));
             }
         };
-        let kinds = self.store.all_runs(&model.rig).await?.iter().map(|run| (run.id, run.kind)).collect();
+        let kinds = self.held_out_kinds(model).await?;
         let limit = ControlLimit::of(model, run.kind, &kinds);
         let judged_s = samples as f64 / run.sample_rate_hz;
         Ok(Some(Outcome::Judged(Judgement::new(
@@ -180,6 +181,19 @@ impl Inner {
             inside,
             limit.as_ref(),
         ))))
+    }
+
+    /// The kinds of the runs that were held out of a model's fit; those of runs that are gone are not known.
+    async fn held_out_kinds(&self, model: &Model) -> Result<HashMap<RunId, RunKind>, StoreError> {
+        let mut kinds = HashMap::new();
+        for span in &model.lineage.validation {
+            if let Entry::Vacant(place) = kinds.entry(span.run)
+                && let Some(run) = self.store.run(&model.rig, span.run).await?
+            {
+                place.insert(run.kind);
+            }
+        }
+        Ok(kinds)
     }
 }
 
