@@ -1,14 +1,13 @@
 //! The version that takes the place of a hybrid's FRF: checked against the request, then read.
 
-use crate::compute::Class;
 use crate::domain::fits::{CoreFrom, FitRequest};
 use crate::domain::{FieldError, FitChannels, Model, Rig, UsedCore};
-use crate::engine::model::{ModelKind, Preprocess, RigModel, from_safetensors};
+use crate::engine::model::{ModelKind, Preprocess, RigModel};
 use crate::storage::Store;
 
 use super::fit_plan::{FitPlan, FitProblem};
 use super::problem::JobError;
-use super::warm_start::{other_channels, unreadable};
+use super::warm_start::other_channels;
 use super::work_context::WorkContext;
 
 const AT: &str = "/core/version";
@@ -70,11 +69,7 @@ pub(super) fn lineage(model: &Model) -> UsedCore {
 /// The core of the plan.
 pub(super) async fn load(context: &WorkContext, plan: &FitPlan) -> Result<Option<RigModel>, JobError> {
     let Some(model) = &plan.core else { return Ok(None) };
-    let weights = context.store.weights(model).await?;
-    let read = context.compute.run(Class::Fit, None, move || from_safetensors(&weights)).await?;
-    let Ok(core) = read else {
-        return Err(unreadable(model.version, "The weights of the core cannot be read as a model."));
-    };
+    let core = context.read_model(model, Ok).await?;
     match other_filter(model.version, &plan.request.preprocess, &core.preprocess) {
         Some(error) => Err(FitProblem::Invalid(vec![error]).into()),
         None => Ok(Some(core)),

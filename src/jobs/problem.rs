@@ -168,6 +168,13 @@ pub(super) fn store_failed(what: &str) -> Problem {
     Problem::new(503, codes::STORE_UNAVAILABLE, "The store is out of reach", detail)
 }
 
+/// The problem of a version whose weights are damaged or lack a part.
+pub(super) fn unreadable(version: u32, why: &dyn std::fmt::Display) -> JobError {
+    tracing::error!(model.version = version, error = %why, "a stored model cannot be read");
+    let detail = format!("The stored weights of version {version} cannot be used: {why}.");
+    JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
+}
+
 /// A place and its limit, in words.
 pub(super) fn sentence(error: &FieldError) -> String {
     let place = match &error.channel {

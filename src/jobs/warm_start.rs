@@ -1,14 +1,13 @@
 //! The model that a training goes on from: checked against the request, then read.
 
-use crate::compute::Class;
 use crate::domain::fits::{FitRequest, StartFrom};
-use crate::domain::{FieldError, FitChannels, Model, Problem, Rig, StartedFrom};
+use crate::domain::{FieldError, FitChannels, Model, Rig, StartedFrom};
 use crate::engine::Signal;
-use crate::engine::model::{LstmPart, from_safetensors};
+use crate::engine::model::LstmPart;
 use crate::storage::Store;
 
 use super::fit_plan::{FitPlan, FitProblem};
-use super::problem::{JobError, codes};
+use super::problem::{JobError, unreadable};
 use super::work_context::WorkContext;
 
 const AT: &str = "/start/version";
@@ -81,13 +80,6 @@ fn other_blocks(version: u32, found: &[usize]) -> FieldError {
     FieldError::new("/lstm/blocks", format!("{found:?}, the blocks of version {version}, or left out"))
 }
 
-/// The problem of a version whose weights are damaged.
-pub(super) fn unreadable(version: u32, detail: &str) -> JobError {
-    tracing::error!(model.version = version, "a stored model cannot be read, or lacks a part");
-    let title = "The stored model cannot be read";
-    JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail))
-}
-
 /// What the lineage keeps of the version.
 pub(super) fn lineage(model: &Model) -> StartedFrom {
     let seen = model.lineage.seen().cloned().collect();
@@ -98,14 +90,8 @@ pub(super) fn lineage(model: &Model) -> StartedFrom {
 pub(super) async fn load(context: &WorkContext, plan: &mut FitPlan) -> Result<Option<LstmPart>, JobError> {
     let Some(model) = &plan.start else { return Ok(None) };
     let version = model.version;
-    let weights = context.store.weights(model).await?;
-    let read = context.compute.run(Class::Fit, None, move || from_safetensors(&weights)).await?;
-    let Some(part) = read.ok().and_then(|model| model.lstm) else {
-        return Err(unreadable(
-            version,
-            "The weights of the version to start from cannot be read as a network.",
-        ));
-    };
+    let part = context.read_model(model, |model| Ok(model.lstm)).await?;
+    let part = part.ok_or_else(|| unreadable(version, &"it has no network"))?;
     let found = part.net.cells();
     if *plan.request.lstm.blocks.get_or_insert_with(|| found.clone()) != found {
         return Err(FitProblem::Invalid(vec![other_blocks(version, &found)]).into());

@@ -3,8 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::compute::Compute;
-use crate::domain::JobKind;
+use crate::compute::{Class, Compute};
+use crate::domain::{JobKind, Model};
+use crate::engine::EngineError;
+use crate::engine::model::{RigModel, from_safetensors};
 use crate::storage::Store;
 
 use super::control::Control;
@@ -12,7 +14,7 @@ use super::diagnosis;
 use super::evaluation;
 use super::fit::{self, FitFunction};
 use super::iteration;
-use super::problem::JobError;
+use super::problem::{JobError, unreadable};
 use super::spec::{JobOutput, JobSpec};
 use super::study;
 
@@ -27,6 +29,21 @@ pub(super) struct WorkContext {
 }
 
 impl WorkContext {
+    /// Reads the weights of a version, and makes of its model what is wanted.
+    ///
+    /// # Errors
+    /// The store's failures, and weights of which it cannot be made.
+    pub async fn read_model<T: Send + 'static>(
+        &self,
+        model: &Model,
+        make: impl FnOnce(RigModel) -> Result<T, EngineError> + Send + 'static,
+    ) -> Result<T, JobError> {
+        let weights = self.store.weights(model).await?;
+        let read = move || from_safetensors(&weights).and_then(make);
+        let made = self.compute.run(Class::Fit, None, read).await?;
+        made.map_err(|error| unreadable(model.version, &error))
+    }
+
     /// Does the work of a job.
     pub(super) async fn make(&self, spec: &JobSpec, control: &Arc<Control>) -> Result<JobOutput, JobError> {
         let made = match spec.kind {

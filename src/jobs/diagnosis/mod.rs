@@ -14,9 +14,7 @@ use crate::compute::Class;
 use crate::domain::diagnosis::{Findings, VerdictSummary};
 use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span, UsedModel};
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
-use crate::engine::model::{
-    AddedEffect, ModelKind, Pair, Predictor, Preprocess, apply_effects, from_safetensors,
-};
+use crate::engine::model::{AddedEffect, ModelKind, Pair, Predictor, Preprocess, RigModel, apply_effects};
 use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::NewDiagnosis;
 
@@ -64,18 +62,11 @@ enum Sim {
 
 async fn sim(context: &WorkContext, plan: &DiagnosisPlan) -> Result<Sim, JobError> {
     let Some(model) = &plan.model else { return Ok(Sim::Outside) };
-    let weights = context.store.weights(model).await?;
-    let read = move || {
-        let mut model = from_safetensors(&weights)?;
+    let apart = |mut model: RigModel| {
         let effects = std::mem::take(&mut model.effects);
         Ok(Sim::Model(Box::new(Predictor::new(model)?), effects))
     };
-    let read: Result<Sim, EngineError> = context.compute.run(Class::Fit, None, read).await?;
-    read.map_err(|error| {
-        tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
-        let detail = "The stored weights cannot be read as a model.";
-        JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, "The stored model cannot be read", detail))
-    })
+    context.read_model(model, apart).await
 }
 
 /// Loads every run, and simulates those to explain.

@@ -17,7 +17,7 @@ use crate::domain::evaluation::{EvaluationOutline, EvaluationReport, Omission, O
 use crate::domain::{EvaluationRequest, FitChannels, Problem, Run};
 use crate::engine::evaluation::{Compared, compare};
 use crate::engine::fatigue::DamageGroup;
-use crate::engine::model::{Predictor, from_safetensors};
+use crate::engine::model::Predictor;
 use crate::engine::{EngineError, Progress, Signal};
 use crate::storage::NewEvaluation;
 
@@ -95,20 +95,7 @@ struct Part {
 async fn predictors(context: &WorkContext, plan: &EvaluationPlan) -> Result<Vec<Predictor>, JobError> {
     let mut predictors = Vec::with_capacity(plan.models.len());
     for model in &plan.models {
-        let weights = context.store.weights(model).await?;
-        let read = move || from_safetensors(&weights).and_then(Predictor::new);
-        let predictor = context.compute.run(Class::Fit, None, read).await?;
-        predictors.push(predictor.map_err(|error| {
-            tracing::error!(%error, model.version = model.version, "a stored model cannot be read");
-            let detail =
-                format!("The stored weights of version {} cannot be read as a model.", model.version);
-            JobError::failed(Problem::new(
-                500,
-                codes::MODEL_DAMAGED,
-                "The stored model cannot be read",
-                detail,
-            ))
-        })?);
+        predictors.push(context.read_model(model, Predictor::new).await?);
     }
     Ok(predictors)
 }

@@ -12,7 +12,7 @@ use crate::domain::iteration::{IterationReport, IterationStep, StartDrive};
 use crate::domain::{IterationRequest, ModelRef, Problem, Run, UsedModel};
 use crate::engine::iteration::{Found, Problem as Wanted, Start, Step, Stopped, iterate};
 use crate::engine::metrics::{ChannelErrors, errors};
-use crate::engine::model::{Predictor, from_safetensors};
+use crate::engine::model::Predictor;
 use crate::engine::{EngineError, Progress, Signal, rounded};
 use crate::storage::NewIteration;
 
@@ -47,7 +47,7 @@ pub(super) async fn make(
     request.model = ModelRef::Version(plan.model.version);
     let plan = Arc::new(plan);
     control.report("loading the target", 0.0);
-    let weights = context.store.weights(&plan.model).await?;
+    let model = context.read_model(&plan.model, Ok).await?;
     let target = signal(context, &target, &plan.channels).await?;
     let start = match (&plan.start, request.start) {
         (Some(run), _) => Start::Drive(signal(context, run, &plan.model.inputs).await?),
@@ -57,12 +57,6 @@ pub(super) async fn make(
     let (planned, watched, settings) = (Arc::clone(&plan), Arc::clone(control), request.settings());
     let search = move || {
         let watch = move |progress: Progress<'_>| watched.watch(progress);
-        let model = from_safetensors(&weights).map_err(|error| {
-            tracing::error!(%error, model.version = planned.model.version, "a stored model cannot be read");
-            let detail = "The stored weights cannot be read as a model.";
-            let title = "The stored model cannot be read";
-            JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail))
-        })?;
         let refused = |error: EngineError| of_iteration(&error, &planned);
         let predictor = Predictor::new(model).map_err(refused)?;
         let wanted = Wanted {

@@ -4,14 +4,13 @@ use std::sync::Arc;
 
 use crate::compute::Class;
 use crate::domain::study::{LinearFit, LinearStudy, LinearStudyReport};
-use crate::domain::{Model, Problem, StudyReport};
+use crate::domain::{Model, StudyReport};
 use crate::engine::EngineError;
 use crate::engine::frf::Frf;
-use crate::engine::model::from_safetensors;
 use crate::engine::simd::Isa;
 use crate::engine::study::{FixedNet, mean_rms};
 use crate::jobs::checkpoints::JobCheckpoints;
-use crate::jobs::problem::{JobError, codes, of_engine};
+use crate::jobs::problem::{JobError, of_engine, unreadable};
 use crate::jobs::spec::StudyOutput;
 use crate::storage::NewStudy;
 
@@ -129,12 +128,6 @@ fn row(
 }
 
 async fn read_frf(making: &Making<'_>, model: &Model) -> Result<Frf, JobError> {
-    let weights = making.context.store.weights(model).await?;
-    let read = making.context.compute.run(Class::Fit, None, move || from_safetensors(&weights)).await?;
-    read.ok().and_then(|model| model.frf).ok_or_else(|| {
-        tracing::error!(model.version = model.version, "a stored model cannot be read, or has no FRF");
-        let title = "The stored model cannot be read";
-        let detail = "The stored weights cannot be read as a model with an FRF.";
-        JobError::failed(Problem::new(500, codes::MODEL_DAMAGED, title, detail))
-    })
+    let frf = making.context.read_model(model, |model| Ok(model.frf)).await?;
+    frf.ok_or_else(|| unreadable(model.version, &"it has no FRF"))
 }
