@@ -20,7 +20,7 @@ use crate::storage::NewDiagnosis;
 
 use super::control::Control;
 use super::fit::pair;
-use super::problem::{JobError, codes};
+use super::problem::JobError;
 use super::spec::{DiagnosisOutput, JobSpec};
 use super::work_context::WorkContext;
 use plan::DiagnosisPlan;

@@ -23,7 +23,7 @@ use crate::storage::NewEvaluation;
 
 use super::control::Control;
 use super::predicted::{Predicted, predicted};
-use super::problem::{JobError, codes, of_engine};
+use super::problem::{JobError, of_engine};
 use super::spec::{EvaluationOutput, JobSpec};
 use super::work_context::WorkContext;
 use plan::{EvaluationPlan, Pairing};

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use crate::compute::Class;
 use crate::domain::iteration::{IterationReport, IterationStep, StartDrive};
-use crate::domain::{IterationRequest, ModelRef, Problem, Run, UsedModel};
+use crate::domain::{IterationRequest, ModelRef, Run, UsedModel};
 use crate::engine::iteration::{Found, Problem as Wanted, Start, Step, Stopped, iterate};
 use crate::engine::metrics::{ChannelErrors, errors};
 use crate::engine::model::Predictor;
@@ -18,7 +18,7 @@ use crate::storage::NewIteration;
 
 use super::control::Control;
 use super::fit::pair;
-use super::problem::{JobError, codes};
+use super::problem::JobError;
 use super::spec::{IterationOutput, JobSpec};
 use super::work_context::WorkContext;
 use plan::IterationPlan;
