@@ -78,6 +78,8 @@ fn hybrid2() -> RigModel {
             hop: 128,
             recombine: Recombine::Welch,
         }),
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![InputRange { min: -20.0, max: 20.0, max_rate: 1e6, band_hz: None, local: None }; inputs],
         band: None,
         effects: Vec::new(),

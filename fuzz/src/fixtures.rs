@@ -63,6 +63,8 @@ pub fn weights(kind: ModelKind) -> Vec<u8> {
         frf_quality: None,
         core: Vec::new(),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None }],
         band: None,
         effects: Vec::new(),

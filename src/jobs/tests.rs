@@ -111,6 +111,8 @@ fn gain(
         frf_quality: None,
         core: Vec::new(),
         lstm: None,
+        joint_range: None,
+        window_range: Vec::new(),
         range: Vec::new(),
         band: None,
         effects: Vec::new(),

@@ -52,6 +52,8 @@ fn linear() -> RigModel {
         frf_quality: None,
         core: Vec::new(),
         lstm: None,
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![
             InputRange { min: -3.0, max: 3.0, max_rate: 1e4, band_hz: Some([0.0, 40.0]), local: None };
             2

@@ -97,27 +97,33 @@ fn coverage_on_service_loads_of_the_virtual_rig() {
             println!("  {group}: {:.1} % in the band, {:.3} wide", 100.0 * share / n, width / n);
         }
         let settings = DamageSettings::default();
-        let holds = |load: &Pair| -> Vec<(bool, f64)> {
+        // Of each output where the true damage lies, below the band, in it or above it, and how wide the band is.
+        let holds = |load: &Pair| -> Vec<(i32, f64)> {
             let mut prediction = predictor.begin(load.x.clone()).unwrap();
             let response = predictor.rest(&mut prediction, &unwatched).unwrap();
             let half = predictor.half_width(&prediction, &response).unwrap().expect("a band");
             let of = |k: usize| {
                 let [low, high] = damage_band(response.channel(k), half.channel(k), &settings).unwrap();
                 let true_damage = damage(load.y.channel(k), &settings).unwrap();
-                ((low..=high).contains(&true_damage), (high / low.max(f64::MIN_POSITIVE)).ln())
+                let side = i32::from(true_damage > high) - i32::from(true_damage < low);
+                (side, (high / low.max(f64::MIN_POSITIVE)).ln())
             };
             (0..6).map(of).collect()
         };
-        let found: Vec<Vec<(bool, f64)>> = loads.par_iter().map(holds).collect();
+        let found: Vec<Vec<(i32, f64)>> = loads.par_iter().map(holds).collect();
         for k in 0..6 {
-            let share = found.iter().filter(|load| load[k].0).count() as f64 / found.len() as f64;
+            let of_side = |side: i32| {
+                100.0 * found.iter().filter(|load| load[k].0 == side).count() as f64 / found.len() as f64
+            };
             let mut width: Vec<f64> = found.iter().map(|load| load[k].1).collect();
             width.sort_by(f64::total_cmp);
             let ratio = width[width.len() / 2].exp();
             println!(
-                "  damage of output {k}: {:.0} % of {} loads, median high / low {ratio:.2}",
-                100.0 * share,
-                found.len()
+                "  damage of output {k}: {:.0} % of {} loads, {:.0} % below, {:.0} % above, median high / low {ratio:.2}",
+                of_side(0),
+                found.len(),
+                of_side(-1),
+                of_side(1)
             );
         }
     }

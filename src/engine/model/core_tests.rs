@@ -46,6 +46,8 @@ fn adopted() -> RigModel {
         frf_quality: Some(found.quality),
         core: Vec::new(),
         lstm: None,
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![InputRange { min: -5.0, max: 5.0, max_rate: 1e4, band_hz: None, local: None }],
         band: None,
         effects: vec![AddedEffect { drives: vec![0], augmented }],

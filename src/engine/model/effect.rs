@@ -144,6 +144,8 @@ mod tests {
             frf_quality: None,
             core: Vec::new(),
             lstm: None,
+            joint_range: None,
+            window_range: Vec::new(),
             range: vec![InputRange { min: -9.0, max: 9.0, max_rate: 1e6, band_hz: None, local: None }; 2],
             band: None,
             effects,

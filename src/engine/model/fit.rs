@@ -6,7 +6,7 @@ use super::fit_record::{self, FitRecord, Residual, ResidualOf, ResidualSums};
 use super::fit_report::{Comparison, FitReport, SeedReport};
 use super::score::{self, PredictedSection, SectionScore};
 use super::split::{Section, Sections};
-use super::{Band, FitSettings, ModelKind, Preprocess, RigModel};
+use super::{Band, FitSettings, JointRange, ModelKind, Preprocess, RigModel, WindowRange};
 use crate::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::frf::{self, RunPart};
 use crate::lstm::{LstmSettings, Recombine};
@@ -219,7 +219,7 @@ impl Fit<'_> {
             warnings.extend(frf::low_coherence(&estimate.frf, &estimate.quality, &settings.outputs));
             (Some(estimate.frf), Some(estimate.quality))
         };
-        let model = RigModel {
+        let mut model = RigModel {
             kind: settings.kind,
             inputs: settings.inputs.clone(),
             outputs: settings.outputs.clone(),
@@ -231,9 +231,14 @@ impl Fit<'_> {
             core,
             lstm: None,
             range: data.input_ranges(training)?,
+            joint_range: None,
+            window_range: Vec::new(),
             band: None,
             effects: Vec::new(),
         };
+        let inputs = data.inputs(training);
+        model.window_range = WindowRange::of_training(&model, &inputs);
+        model.joint_range = JointRange::of_training(&model, &inputs);
         Ok((model, warnings))
     }
 

@@ -202,12 +202,16 @@ impl FitData {
 
     /// Values, rates and band of each input over the sections.
     pub(super) fn input_ranges(&self, sections: &[Section]) -> Result<Vec<InputRange>, EngineError> {
+        InputRange::of_training(&self.inputs(sections), self.training[0].x.sample_rate_hz())
+    }
+
+    /// The inputs of sections, `[section][input]`.
+    pub(super) fn inputs(&self, sections: &[Section]) -> Vec<Vec<&[f64]>> {
         let inputs = |section: &Section| -> Vec<&[f64]> {
             let channels = self.run(section.run).x.channels().iter();
             channels.map(|channel| &channel[section.samples.clone()]).collect()
         };
-        let parts: Vec<Vec<&[f64]>> = sections.iter().map(inputs).collect();
-        InputRange::of_training(&parts, self.training[0].x.sample_rate_hz())
+        sections.iter().map(inputs).collect()
     }
 
     /// Seconds of the sections.

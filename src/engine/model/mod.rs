@@ -52,7 +52,7 @@ pub use scaler::Scaler;
 pub use score::{CONTEXT_SAMPLES, SectionScore, Squares, with_context};
 pub use settings::{FitSettings, LstmOptions, Preset, Task};
 pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule, own_frf_sections};
-pub use trust::{InputRange, LocalRange, Trust, TrustSpan};
+pub use trust::{InputRange, JointRange, LocalRange, Trust, TrustSpan, WindowRange};
 pub use weights::{from_safetensors, to_safetensors};
 
 /// The LSTM part of a model with everything that its prediction depends on.
@@ -96,6 +96,11 @@ pub struct RigModel {
     pub lstm: Option<LstmPart>,
     /// Range of each input in the training data; empty when unknown (imported weights).
     pub range: Vec<InputRange>,
+    /// Range of the response of its FRF at each output over windows of the training data, without an FRF that of each
+    /// input; empty when unknown.
+    pub window_range: Vec<WindowRange>,
+    /// Range of the means of all inputs together over those windows; `None` when unknown, and for one input.
+    pub joint_range: Option<JointRange>,
     /// The band about its predictions, without its effects; absent where no data compared it, and in weights made elsewhere
     /// or by earlier versions.
     pub band: Option<Band>,

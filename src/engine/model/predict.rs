@@ -18,7 +18,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::fallback::{Fallback, FallbackUse};
-use super::trust::{self, BandWatch, Trust};
+use super::trust::{self, SpectrumWatch, Trust};
 use super::{LstmPart, ModelKind, RigModel, band, effect, network_inputs};
 use crate::frf::FrfFilter;
 use crate::lstm::{self, Recombine, Streaming};
@@ -41,7 +41,7 @@ const PIECE_WINDOWS: usize = 2048;
 pub struct Predictor {
     model: RigModel,
     filter: Option<FrfFilter>,
-    band: Option<BandWatch>,
+    watch: Option<SpectrumWatch>,
 }
 
 /// A prediction under way.
@@ -68,8 +68,8 @@ impl Predictor {
     /// An FRF whose fields do not belong together.
     pub fn new(model: RigModel) -> Result<Self, EngineError> {
         let filter = model.frf.as_ref().map(|frf| frf.filter()).transpose()?;
-        let band = BandWatch::new(&model);
-        Ok(Self { model, filter, band })
+        let watch = SpectrumWatch::new(&model);
+        Ok(Self { model, filter, watch })
     }
 
     /// The model.
@@ -178,7 +178,7 @@ impl Predictor {
 
     /// Where the inputs of a prediction leave the range that the model was fitted on.
     pub fn trust(&self, prediction: &Prediction) -> Trust {
-        trust::trust(&self.model.inputs, &self.model.range, self.band.as_ref(), &prediction.x)
+        trust::trust(&self.model, self.watch.as_ref(), &prediction.x)
     }
 }
 

@@ -129,6 +129,8 @@ pub(super) fn made_up(kind: ModelKind) -> RigModel {
         frf_quality: (kind != ModelKind::Lstm).then_some(quality),
         core: Vec::new(),
         lstm: (kind != ModelKind::Frf).then_some(lstm),
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![InputRange { min: -1.0, max: 2.0, max_rate: 3.0, band_hz: None, local: None }; inputs],
         band: None,
         effects: Vec::new(),

@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::MAX_EFFECTS;
 use super::{
-    AddedEffect, Band, InputRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, VersionKind,
+    AddedEffect, Band, InputRange, JointRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler,
+    VersionKind, WindowRange,
 };
 use crate::EngineError;
 use crate::frf::{Frf, FrfQuality, FrfSettings};
@@ -69,6 +70,13 @@ struct Metadata {
     /// Range of the inputs in the training data, for trust; left out: unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     range: Vec<InputRange>,
+    /// Range of the FRF's response at each output over windows of the training data, without an FRF of each input; left out:
+    /// unknown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    window_range: Vec<WindowRange>,
+    /// Range of the means of all inputs together; left out: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    joint_range: Option<JointRange>,
     /// The band about predictions; left out: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     band: Option<Band>,
@@ -194,6 +202,8 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
             input_hz: quality.input_hz.clone(),
         }),
         range: model.range.clone(),
+        window_range: model.window_range.clone(),
+        joint_range: model.joint_range.clone(),
         band: model.band.clone(),
         core: (!model.core.is_empty()).then(|| Core { effects: model.core.clone() }),
         effects: model.effects.clone(),
@@ -224,7 +234,7 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         .map_err(|e| wrong(format!("metadata key `rigcast`: {}", unreadable_json(&e))))?;
     drop(header);
     let kind = meta.model_kind()?;
-    check(&meta)?;
+    check(&meta, kind)?;
     check_core(&meta, kind)?;
     let mut file =
         File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
@@ -250,6 +260,8 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         core: meta.core.map(|core| core.effects).unwrap_or_default(),
         lstm,
         range: meta.range,
+        window_range: meta.window_range,
+        joint_range: meta.joint_range,
         band: meta.band,
         effects: meta.effects,
     })
@@ -279,7 +291,7 @@ fn check_header_len(bytes: &[u8]) -> Result<(), EngineError> {
     }
 }
 
-fn check(meta: &Metadata) -> Result<(), EngineError> {
+fn check(meta: &Metadata, kind: ModelKind) -> Result<(), EngineError> {
     if meta.schema != SCHEMA {
         return Err(wrong(format!("schema {} is unknown, this version reads {SCHEMA}", meta.schema)));
     }
@@ -310,6 +322,8 @@ fn check(meta: &Metadata) -> Result<(), EngineError> {
     }
     check_bands(meta)?;
     check_local(meta)?;
+    check_window_range(meta, kind)?;
+    meta.joint_range.as_ref().map_or(Ok(()), |joint| joint.check(meta.inputs.len()))?;
     meta.band.as_ref().map_or(Ok(()), |band| band.check(meta.outputs.len()))?;
     check_effects(meta, "effects", &meta.effects)?;
     meta.preprocess.check(meta.sample_rate_hz)
@@ -362,6 +376,27 @@ fn check_local(meta: &Metadata) -> Result<(), EngineError> {
             return Err(wrong(format!(
                 "range[{i}].local: a window of 1 to {MAX_WINDOW} samples, a mean that does not fall and a max_rms that is not \
                  negative are needed"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// One of each output, without an FRF of each input, in windows of one length that have samples; means do not fall, levels
+/// are not negative.
+fn check_window_range(meta: &Metadata, kind: ModelKind) -> Result<(), EngineError> {
+    let channels = if kind == ModelKind::Lstm { &meta.inputs } else { &meta.outputs };
+    let (found, needed) = (meta.window_range.len(), channels.len());
+    if found != 0 && found != needed {
+        return Err(wrong(format!("window_range: {found} entries for {needed} channels")));
+    }
+    for (i, range) in meta.window_range.iter().enumerate() {
+        let WindowRange { window, mean, max_rms, max_rate, max_tone } = *range;
+        let one = window == meta.window_range[0].window && (1..=MAX_WINDOW).contains(&window);
+        if !(one && mean[0] <= mean[1] && [max_rms, max_rate, max_tone].iter().all(|level| *level >= 0.0)) {
+            return Err(wrong(format!(
+                "window_range[{i}]: the same window of 1 to {MAX_WINDOW} samples for all, a mean that does not fall, and \
+                 levels that are not negative are needed"
             )));
         }
     }

@@ -207,6 +207,8 @@ pub fn frf_weights(preprocess: Preprocess) -> Vec<u8> {
         frf_quality: Some(found.quality),
         core: Vec::new(),
         lstm: None,
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![InputRange { min: -1.0, max: 1.0, max_rate: 1e3, band_hz: None, local: None }],
         band: None,
         effects: Vec::new(),

@@ -76,6 +76,8 @@ pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {
         frf_quality: None,
         core: Vec::new(),
         lstm: None,
+        joint_range: None,
+        window_range: Vec::new(),
         range: vec![
             InputRange { min: -1.0, max: 1.0, max_rate: 1000.0, band_hz: None, local: None };
             n_inputs

@@ -9,7 +9,9 @@
 //!
 //! L is the mean square of the predicted response about its mean in the calibration, so that an offset counts, and C that
 //! of what a hybrid's network changes of its FRF or core; both over a window about t. The half width is the scale times
-//! the 90 % quantile of |residual| / scale.
+//! the 90 % quantile of |residual| / scale, which is taken apart for quiet and loud times (Mondrian conformal prediction;
+//! Vovk, Gammerman, Shafer, "Algorithmic Learning in a Random World", 2005, section 4.5): residuals of a rig grow faster
+//! than in proportion, and other loads have other shares of quiet and loud.
 
 mod scale;
 
@@ -34,6 +36,10 @@ const MAX_WINDOW: usize = 65_536;
 /// A window gives so many rows to the fit of the scale.
 const ROWS_PER_WINDOW: usize = 4;
 
+/// Most classes of scales with a quantile of their own, each of at least so many windows.
+const CLASSES: usize = 8;
+const WINDOWS_PER_CLASS: usize = 20;
+
 /// The calibration of a model's band.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -45,7 +51,7 @@ pub struct Band {
 }
 
 /// The scale of one output's residuals.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct OutputBand {
     /// Mean of the predicted response in the calibration, channel unit.
@@ -56,8 +62,12 @@ struct OutputBand {
     level: f64,
     /// Share of the network's correction.
     correction: f64,
-    /// Half width over scale.
+    /// Half width over scale, of all the calibration.
     quantile: f64,
+    /// The same by scale: middle of a class of scales, half width over scale in it. By rising scale, linear in its
+    /// logarithm between the classes, constant beyond them. Empty: the same at any scale.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    by_scale: Vec<[f64; 2]>,
 }
 
 impl Band {
@@ -107,7 +117,7 @@ impl Band {
             let linear = linear.map(|linear| linear.channel(k));
             let [level, correction] = features(response.channel(k), linear, output.mean, self.window);
             let scale = level.iter().zip(&correction).map(|(l, c)| output.scale(*l, *c));
-            scale.map(|scale| output.quantile * scale).collect()
+            scale.map(|scale| output.half_width(scale)).collect()
         };
         Signal::new(response.sample_rate_hz(), self.outputs.iter().enumerate().map(of).collect())
     }
@@ -127,7 +137,11 @@ impl Band {
         let known = |v: &f64| (0.0..=1e15).contains(v);
         let bad = self.outputs.iter().position(|o| {
             let scale = [o.floor, o.level, o.correction, o.quantile];
-            !(scale.iter().all(known) && known(&o.mean.abs()))
+            let rising = o.by_scale.windows(2).all(|pair| pair[0][0] < pair[1][0]);
+            let above_zero =
+                o.by_scale.iter().all(|[scale, ratio]| *scale > 0.0 && known(scale) && known(ratio));
+            let classes = o.by_scale.len() <= CLASSES && rising && above_zero;
+            !(scale.iter().all(known) && known(&o.mean.abs()) && classes)
         });
         bad.map_or(Ok(()), |k| wrong(format!("outputs[{k}]: numbers from 0 to 1e15 are needed")))
     }
@@ -157,23 +171,52 @@ impl OutputBand {
             })
             .collect();
         let [floor, level, correction] = scale::fit(&rows).map(f64::sqrt);
-        let band = Self { mean, floor, level, correction, quantile: 1.0 };
-        let mut ratios: Vec<f64> = parts
+        let band = Self { mean, floor, level, correction, quantile: 1.0, by_scale: Vec::new() };
+        // Scale, residual over scale.
+        let mut found: Vec<[f64; 2]> = parts
             .iter()
             .flat_map(|part| {
                 let scales = part.level.iter().zip(&part.correction).map(|(l, c)| band.scale(*l, *c));
-                part.residual.iter().zip(scales).map(|(r, s)| if s > 0.0 { r.abs() / s } else { 0.0 })
+                part.residual.iter().zip(scales).map(|(r, s)| [s, if s > 0.0 { r.abs() / s } else { 0.0 }])
             })
             .collect();
-        ratios.sort_by(f64::total_cmp);
-        let place = ((ratios.len() + 1) as f64 * COVERAGE).ceil() as usize;
-        let quantile = ratios.get(place.clamp(1, ratios.len().max(1)) - 1).copied().unwrap_or_default();
-        Self { quantile, ..band }
+        found.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let classes = (found.len() / (WINDOWS_PER_CLASS * window)).min(CLASSES);
+        let mut by_scale: Vec<[f64; 2]> = Vec::new();
+        if classes > 1 {
+            for class in found.chunks(found.len().div_ceil(classes)) {
+                let middle = class[class.len() / 2][0];
+                if by_scale.last().map_or(0.0, |last| last[0]) < middle {
+                    by_scale.push([middle, quantile(class)]);
+                }
+            }
+        }
+        Self { quantile: quantile(&found), by_scale, ..band }
+    }
+
+    fn half_width(&self, scale: f64) -> f64 {
+        let after = self.by_scale.partition_point(|[middle, _]| *middle <= scale);
+        let ratio = match (after.checked_sub(1).map(|k| &self.by_scale[k]), self.by_scale.get(after)) {
+            (None, None) => self.quantile,
+            (None, Some([_, ratio])) | (Some([_, ratio]), None) => *ratio,
+            (Some([from, low]), Some([to, high])) => {
+                low + (high - low) * (scale / from).ln() / (to / from).ln()
+            }
+        };
+        ratio * scale
     }
 
     fn scale(&self, level: f64, correction: f64) -> f64 {
         (self.floor.powi(2) + self.level.powi(2) * level + self.correction.powi(2) * correction).sqrt()
     }
+}
+
+/// The quantile of the ratios `[scale, ratio]` that so many more hold with the rate of the band.
+fn quantile(found: &[[f64; 2]]) -> f64 {
+    let mut ratios: Vec<f64> = found.iter().map(|[_, ratio]| *ratio).collect();
+    ratios.sort_by(f64::total_cmp);
+    let place = ((ratios.len() + 1) as f64 * COVERAGE).ceil() as usize;
+    ratios.get(place.clamp(1, ratios.len().max(1)) - 1).copied().unwrap_or_default()
 }
 
 /// Mean squares of the response about `mean`, and of its distance from `linear`, over a window about each sample.
@@ -219,7 +262,8 @@ mod tests {
         for (loudest, seed) in [(40.0, 3), (0.05, 4)] {
             let new = columns(30_000, loudest, seed);
             let scales = new.level.iter().zip(&new.correction).map(|(l, c)| band.scale(*l, *c));
-            let held = new.residual.iter().zip(scales).filter(|(r, s)| r.abs() <= band.quantile * s).count();
+            let held =
+                new.residual.iter().zip(scales).filter(|(r, s)| r.abs() <= band.half_width(*s)).count();
             let share = held as f64 / 30_000.0;
             assert!((0.87..0.93).contains(&share), "{share} at {loudest}");
         }
@@ -233,23 +277,56 @@ mod tests {
             residual: columns(5000, 0.0, 5).residual.iter().map(|r| size * r).collect(),
         };
         let band = OutputBand::of(0.0, &[part(1.0)], 256);
-        let half = band.quantile * band.scale(1.0, 0.0);
+        let half = band.half_width(band.scale(1.0, 0.0));
         assert!((half / (1.645 * 0.02) - 1.0).abs() < 0.05, "{band:?}");
         let none = OutputBand::of(0.0, &[part(0.0)], 256);
-        assert_eq!(none.quantile * none.scale(1.0, 0.0), 0.0);
+        assert_eq!(none.half_width(none.scale(1.0, 0.0)), 0.0);
         let empty = OutputBand::of(0.0, &[], 256);
         assert_eq!(empty.quantile, 0.0);
     }
 
     #[test]
+    fn residuals_that_grow_faster_than_the_level_are_held_at_quiet_and_at_loud_times() {
+        // Residuals in proportion to the square of the response's level.
+        let steep = |loudest: f64, seed: u64| {
+            let mut part = columns(60_000, loudest, seed);
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            for (residual, level) in part.residual.iter_mut().zip(&part.level) {
+                let white: f64 = StandardNormal.sample(&mut rng);
+                *residual = 0.05 * level * white;
+            }
+            part.correction.fill(0.0);
+            part
+        };
+        let band = OutputBand::of(0.0, &[steep(9.0, 1), steep(9.0, 2)], 256);
+        for (loudest, seed) in [(1.0, 3), (3.0, 4), (9.0, 5)] {
+            let new = steep(loudest, seed);
+            let inside = |(r, l): (&f64, &f64)| r.abs() <= band.half_width(band.scale(*l, 0.0));
+            let held = new.residual.iter().zip(&new.level).filter(|one| inside(*one)).count();
+            let share = held as f64 / 60_000.0;
+            assert!((0.85..0.95).contains(&share), "{share} at {loudest}: {band:?}");
+        }
+    }
+
+    #[test]
     fn a_band_that_cannot_be_one_is_refused() {
-        let output = OutputBand { mean: 0.0, floor: 0.1, level: 0.0, correction: 0.0, quantile: 1.6 };
-        let band = Band { window: 256, outputs: vec![output] };
+        let output = OutputBand {
+            mean: 0.0,
+            floor: 0.1,
+            level: 0.0,
+            correction: 0.0,
+            quantile: 1.6,
+            by_scale: vec![[0.1, 1.6], [0.2, 2.0]],
+        };
+        let band = Band { window: 256, outputs: vec![output.clone()] };
         band.check(1).unwrap();
         let refused = |band: Band, outputs| band.check(outputs).unwrap_err().to_string();
         assert!(refused(band.clone(), 2).contains("1 entries for 2 outputs"));
         assert!(refused(Band { window: 0, ..band.clone() }, 1).contains("window 0"));
-        let negative = OutputBand { floor: -0.1, ..output };
-        assert!(refused(Band { outputs: vec![negative], ..band }, 1).contains("outputs[0]"));
+        let negative = OutputBand { floor: -0.1, ..output.clone() };
+        let falling = OutputBand { by_scale: vec![[0.2, 1.6], [0.1, 2.0]], ..output };
+        for wrong in [negative, falling] {
+            assert!(refused(Band { outputs: vec![wrong], ..band.clone() }, 1).contains("outputs[0]"));
+        }
     }
 }

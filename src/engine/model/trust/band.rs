@@ -1,16 +1,12 @@
 //! Power of a drive outside the band that a model knows, over short times.
 
 use std::ops::Range;
-use std::sync::Arc;
 
-use rayon::prelude::*;
 use realfft::num_complex::Complex64;
-use rigcast_numerics::fft::{RealFftPlanner, RealToComplex};
 
 use super::InputRange;
-use crate::Signal;
+use super::short_time::{ShortTime, WindowOfInputs};
 use crate::model::RigModel;
-use crate::spectral::hann;
 
 /// Share of the power over a window, the mean removed, that may lie outside the band: a tenth in
 /// amplitude.
@@ -29,15 +25,15 @@ const PERIODS_OF_LOWER: f64 = 16.0;
 const GUARD: usize = 4;
 
 /// Samples of the shortest and the longest window.
-const WINDOW_LEN: Range<usize> = 64..4096;
+pub(super) const WINDOW_LEN: Range<usize> = 64..4096;
 
-/// Watches the spectra of a model's inputs.
-#[derive(Clone)]
-pub(in crate::model) struct BandWatch {
-    sample_rate_hz: f64,
+/// The bands of a model's inputs on the lines of windows.
+#[derive(Debug, Clone)]
+pub(super) struct Bands {
     /// Of each input, first and last frequency.
     bands: Vec<[f64; 2]>,
-    fft: ShortTime,
+    outside: Vec<Outside>,
+    window_s: f64,
 }
 
 /// A stretch of one input with power outside its band.
@@ -45,6 +41,8 @@ pub(in crate::model) struct BandWatch {
 pub(super) struct OutOfBand {
     /// Samples.
     pub samples: Range<usize>,
+    /// The input.
+    pub input: usize,
     /// Share of the power outside.
     pub share: f64,
     /// The band.
@@ -53,56 +51,70 @@ pub(super) struct OutOfBand {
     pub window_s: f64,
 }
 
-impl std::fmt::Debug for BandWatch {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let window = self.fft.window.len();
-        f.debug_struct("BandWatch").field("bands", &self.bands).field("window", &window).finish()
-    }
+/// Mean squares of an input over a window: of the lines outside its band, and of all.
+type Power = [f64; 2];
+
+/// The band of each input that a model knows.
+pub(super) fn of_model(model: &RigModel) -> Vec<[f64; 2]> {
+    let all = [0.0, model.sample_rate_hz / 2.0];
+    let [from, to] = model.frf.as_ref().map_or(all, |frf| frf.usable_hz);
+    // The FRF may come from other runs than the network: both must know a frequency.
+    let both = |range: &InputRange| {
+        let [first, last] = range.band_hz.unwrap_or(all);
+        let upper = to.min(last);
+        [from.max(first).min(upper), upper]
+    };
+    model.range.iter().map(both).collect()
 }
 
-impl BandWatch {
-    /// None when no frequency can be told to be outside.
-    pub fn new(model: &RigModel) -> Option<Self> {
-        let rate = model.sample_rate_hz;
-        let all = [0.0, rate / 2.0];
-        let [from, to] = model.frf.as_ref().map_or(all, |frf| frf.usable_hz);
-        // The FRF may come from other runs than the network: both must know a frequency.
-        let both = |range: &InputRange| {
-            let [first, last] = range.band_hz.unwrap_or(all);
-            let upper = to.min(last);
-            [from.max(first).min(upper), upper]
-        };
-        let bands: Vec<[f64; 2]> = model.range.iter().map(both).collect();
-        let fft = ShortTime::new(window_len(&bands, rate));
-        let watch = Self { sample_rate_hz: rate, bands, fft };
-        let tells = (0..watch.bands.len()).any(|input| watch.fft.outside(watch.bands[input], rate).any());
-        tells.then_some(watch)
+impl Bands {
+    /// Those on the lines of some windows.
+    pub fn new(bands: &[[f64; 2]], fft: &ShortTime, sample_rate_hz: f64) -> Self {
+        let outside = bands.iter().map(|band| Outside::new(*band, fft, sample_rate_hz)).collect();
+        Self { bands: bands.to_vec(), outside, window_s: fft.len() as f64 / sample_rate_hz }
     }
 
-    /// Where each input's power leaves its band, in their order.
-    pub(super) fn find(&self, range: &[InputRange], x: &Signal) -> Vec<Vec<OutOfBand>> {
-        let n = x.n_samples();
-        if n < WINDOW_LEN.start {
-            return vec![Vec::new(); self.bands.len()];
-        }
-        // A drive shorter than the window is looked at through a shorter one.
-        let shorter = (n < self.fft.window.len()).then(|| ShortTime::new(1 << n.ilog2()));
-        let fft = shorter.as_ref().unwrap_or(&self.fft);
-        self.bands
-            .par_iter()
-            .enumerate()
-            .map(|(input, &band_hz)| {
-                let outside = fft.outside(band_hz, self.sample_rate_hz);
-                if !outside.any() {
-                    return Vec::new();
+    /// Whether any line can be told to be outside.
+    pub fn tell(&self) -> bool {
+        self.outside.iter().any(Outside::any)
+    }
+
+    /// The power of each input.
+    pub fn of(&self, window: &WindowOfInputs<'_>) -> Vec<Power> {
+        let power = |(outside, lines): (&Outside, &Vec<Complex64>)| {
+            let sum = |lines: &[Complex64]| lines.iter().map(Complex64::norm_sqr).sum::<f64>();
+            let out = sum(&lines[outside.below.clone()]) + sum(&lines[outside.above.clone()]);
+            [out, sum(&lines[1..])].map(|squares| window.mean_square(squares))
+        };
+        self.outside.iter().zip(window.lines).map(power).collect()
+    }
+
+    /// Stretches of windows with more than [`SHARE`] of their power outside, by input; with the share over the stretch.
+    pub fn find(&self, range: &[InputRange], windows: &[(Range<usize>, Vec<Power>)]) -> Vec<OutOfBand> {
+        let mut found = Vec::new();
+        for (input, range) in range.iter().enumerate().filter(|(input, _)| self.outside[*input].any()) {
+            let least = (LEVEL * (range.max - range.min) / 2.0).powi(2);
+            let mut stretches: Vec<(Range<usize>, f64, f64)> = Vec::new();
+            for (samples, power) in windows {
+                let [out, all] = power[input];
+                // Not a comparison of shares: a drive at rest has no power.
+                if !(out > least && out > SHARE * all) {
+                    continue;
                 }
-                let InputRange { min, max, .. } = range[input];
-                let least = (LEVEL * (max - min) / 2.0).powi(2);
-                let window_s = fft.window.len() as f64 / self.sample_rate_hz;
-                let found = fft.find(x.channel(input), &outside, least).into_iter();
-                found.map(|(samples, share)| OutOfBand { samples, share, band_hz, window_s }).collect()
-            })
-            .collect()
+                match stretches.last_mut() {
+                    Some((last, last_out, last_all)) if last.end >= samples.start => {
+                        last.end = samples.end;
+                        *last_out += out;
+                        *last_all += all;
+                    }
+                    _ => stretches.push((samples.clone(), out, all)),
+                }
+            }
+            let (band_hz, window_s) = (self.bands[input], self.window_s);
+            let of = |(samples, out, all)| OutOfBand { samples, input, share: out / all, band_hz, window_s };
+            found.extend(stretches.into_iter().map(of));
+        }
+        found
     }
 }
 
@@ -116,75 +128,23 @@ pub(super) fn window_len(bands: &[[f64; 2]], rate: f64) -> usize {
     (longest as usize).next_power_of_two().clamp(WINDOW_LEN.start, WINDOW_LEN.end)
 }
 
-/// Spectra of half-overlapping windows of one length.
-#[derive(Clone)]
-struct ShortTime {
-    window: Vec<f64>,
-    fft: Arc<dyn RealToComplex<f64>>,
-}
-
 /// Lines outside a band; the mean, line 0, is judged by its value.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Outside {
     below: Range<usize>,
     above: Range<usize>,
 }
 
 impl Outside {
-    fn any(&self) -> bool {
-        !(self.below.is_empty() && self.above.is_empty())
-    }
-}
-
-impl ShortTime {
-    fn new(len: usize) -> Self {
-        Self { window: hann(len), fft: RealFftPlanner::new().plan_fft_forward(len) }
-    }
-
-    fn outside(&self, [low_hz, high_hz]: [f64; 2], rate: f64) -> Outside {
-        let (df, lines) = (rate / self.window.len() as f64, self.window.len() / 2 + 1);
+    fn new([low_hz, high_hz]: [f64; 2], fft: &ShortTime, sample_rate_hz: f64) -> Self {
+        let (df, lines) = (sample_rate_hz / fft.len() as f64, fft.n_lines());
         let below = ((low_hz / df).ceil() as usize).saturating_sub(GUARD);
         let above = (high_hz / df).floor() as usize + GUARD + 1;
-        Outside { below: 1..below.max(1), above: above.min(lines)..lines }
+        Self { below: 1..below.max(1), above: above.min(lines)..lines }
     }
 
-    /// Stretches of windows with more than [`SHARE`] of their power outside, and more than `least` (a
-    /// mean square); with the share over the stretch. A window speaks for its middle half.
-    fn find(&self, samples: &[f64], outside: &Outside, least: f64) -> Vec<(Range<usize>, f64)> {
-        let (n, len) = (samples.len(), self.window.len());
-        let starts: Vec<usize> = (0..n - len).step_by(len / 2).chain([n - len]).collect();
-        let (mut time, mut lines) = (self.fft.make_input_vec(), self.fft.make_output_vec());
-        let mut scratch = self.fft.make_scratch_vec();
-        let scale = 2.0 / (len as f64 * self.window.iter().map(|w| w * w).sum::<f64>());
-        let mut found: Vec<(Range<usize>, f64, f64)> = Vec::new();
-        for (k, &start) in starts.iter().enumerate() {
-            let segment = &samples[start..start + len];
-            let mean = segment.iter().sum::<f64>() / len as f64;
-            for ((t, v), w) in time.iter_mut().zip(segment).zip(&self.window) {
-                *t = (v - mean) * w;
-            }
-            self.fft
-                .process_with_scratch(&mut time, &mut lines, &mut scratch)
-                .expect("buffers are the plan's own");
-            let power = |lines: &[Complex64]| scale * lines.iter().map(Complex64::norm_sqr).sum::<f64>();
-            let out = power(&lines[outside.below.clone()]) + power(&lines[outside.above.clone()]);
-            // Not a comparison of shares: a drive at rest has no power.
-            let all = power(&lines[1..]);
-            if !(out > least && out > SHARE * all) {
-                continue;
-            }
-            let from = if k == 0 { 0 } else { start + len / 4 };
-            let to = starts.get(k + 1).map_or(n, |next| next + len / 4);
-            match found.last_mut() {
-                Some((last, last_out, last_all)) if last.end >= from => {
-                    last.end = to;
-                    *last_out += out;
-                    *last_all += all;
-                }
-                _ => found.push((from..to, out, all)),
-            }
-        }
-        found.into_iter().map(|(samples, out, all)| (samples, out / all)).collect()
+    fn any(&self) -> bool {
+        !(self.below.is_empty() && self.above.is_empty())
     }
 }
 
@@ -198,7 +158,7 @@ mod tests {
         (0..n).map(|t| amplitude * (std::f64::consts::TAU * hz * t as f64 / RATE).sin()).collect()
     }
 
-    fn watch(bands: &[[f64; 2]]) -> (BandWatch, Vec<InputRange>) {
+    fn find(bands: &[[f64; 2]], channels: Vec<Vec<f64>>) -> Vec<Vec<OutOfBand>> {
         let range = |band: &[f64; 2]| InputRange {
             min: -2.0,
             max: 2.0,
@@ -206,14 +166,15 @@ mod tests {
             band_hz: Some(*band),
             local: None,
         };
-        let fft = ShortTime::new(window_len(bands, RATE));
-        let watch = BandWatch { sample_rate_hz: RATE, bands: bands.to_vec(), fft };
-        (watch, bands.iter().map(range).collect())
-    }
-
-    fn find(bands: &[[f64; 2]], channels: Vec<Vec<f64>>) -> Vec<Vec<OutOfBand>> {
-        let (watch, range) = watch(bands);
-        watch.find(&range, &Signal::new(RATE, channels).unwrap())
+        let range: Vec<InputRange> = bands.iter().map(range).collect();
+        if channels[0].len() < WINDOW_LEN.start {
+            return vec![Vec::new(); bands.len()];
+        }
+        let fft = ShortTime::new(window_len(bands, RATE)).no_longer_than(channels[0].len());
+        let on_lines = Bands::new(bands, &fft, RATE);
+        let inputs: Vec<&[f64]> = channels.iter().map(Vec::as_slice).collect();
+        let found = on_lines.find(&range, &fft.each(&inputs, |window| on_lines.of(window)));
+        (0..bands.len()).map(|i| found.iter().filter(|out| out.input == i).cloned().collect()).collect()
     }
 
     #[test]

@@ -1,23 +1,31 @@
-//! Whether an input lies inside what a model was fitted on: value and rate of each channel, and where
-//! its power lies in frequency, and means and levels over short times.
+//! Whether an input lies inside what a model was fitted on: value and rate of each channel, where its power lies in
+//! frequency, means and levels over short times, and those of the linear response to all channels together.
 
 mod band;
+mod joint;
 mod local;
 mod range;
+mod response;
+mod short_time;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 use std::ops::Range;
 
 use serde::Serialize;
 
+use super::RigModel;
 use crate::{Signal, rounded};
 
 use local::{Dwelling, Way};
+use response::Driven;
 
-pub(super) use band::BandWatch;
+pub use joint::JointRange;
 pub use local::LocalRange;
 pub use range::InputRange;
+pub use response::WindowRange;
+pub(super) use watch::SpectrumWatch;
 
 /// A span in which one channel is outside in one way.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -48,10 +56,12 @@ const JOIN_S: f64 = 0.1;
 /// Rounding of a filter or a file format must not put a training run outside of itself.
 const TOLERANCE: f64 = 1e-9;
 
-/// `band` is the model's, [`BandWatch::new`]; `x` the inputs behind its filter.
-pub(super) fn trust(names: &[String], range: &[InputRange], band: Option<&BandWatch>, x: &Signal) -> Trust {
+/// `watch` is the model's, [`SpectrumWatch::new`]; `x` the inputs behind its filter.
+pub(super) fn trust(model: &RigModel, watch: Option<&SpectrumWatch>, x: &Signal) -> Trust {
+    let range = &model.range;
     let n = x.n_samples();
     let fs = x.sample_rate_hz();
+    // Channels are counted from the first input to the last output.
     let mut found: Vec<(Range<usize>, usize, String)> = Vec::new();
     let mut outside = Outside { join: ((JOIN_S * fs) as usize).max(1), samples: vec![false; n] };
     let mut rates = Vec::new();
@@ -72,10 +82,21 @@ pub(super) fn trust(names: &[String], range: &[InputRange], band: Option<&BandWa
         let fast = outside.leaving(&rates, 1, |rate| rate > rate_limit);
         add(fast, "rate above the training maximum", max_rate, " per second");
     }
-    for (channel, parts) in band.map(|band| band.find(range, x)).into_iter().flatten().enumerate() {
-        for part in parts {
+    if let Some(watch) = watch {
+        let seen = watch.find(model, x);
+        for part in seen.out_of_band {
             outside.samples[part.samples.clone()].fill(true);
-            found.push((part.samples.clone(), channel, out_of_band(&part)));
+            found.push((part.samples.clone(), part.input, out_of_band(&part)));
+        }
+        for driven in seen.driven {
+            outside.samples[driven.samples.clone()].fill(true);
+            let reason = driven_beyond(model, &driven);
+            let first = if model.frf.is_some() { model.inputs.len() } else { 0 };
+            found.push((driven.samples, first + driven.channel, reason));
+        }
+        for ((samples, apart), joint) in seen.apart.into_iter().zip(model.joint_range.iter().cycle()) {
+            outside.samples[samples.clone()].fill(true);
+            found.push((samples, apart.input, far_apart(joint, apart.distance, fs)));
         }
     }
     for (channel, range) in range.iter().enumerate() {
@@ -90,7 +111,7 @@ pub(super) fn trust(names: &[String], range: &[InputRange], band: Option<&BandWa
     let span = |(samples, channel, reason): (Range<usize>, usize, String)| TrustSpan {
         from_s: samples.start as f64 / fs,
         to_s: samples.end as f64 / fs,
-        channel: names[channel].clone(),
+        channel: model.inputs.iter().chain(&model.outputs).nth(channel).cloned().unwrap_or_default(),
         reason,
     };
     let inside = outside.samples.iter().filter(|&&o| !o).count();
@@ -107,6 +128,29 @@ fn over_windows(dwelling: &Dwelling, window_s: f64) -> String {
         Way::Strong => "RMS over windows above that of the training",
     };
     format!("{what} (windows of {} s; limit {})", rounded(window_s, 3), rounded(dwelling.limit, 6))
+}
+
+fn driven_beyond(model: &RigModel, driven: &Driven) -> String {
+    let (what, unit) = match driven.way {
+        response::Way::High => ("mean over windows above", ""),
+        response::Way::Low => ("mean over windows below", ""),
+        response::Way::Strong => ("RMS over windows above", ""),
+        response::Way::Fast => ("RMS of the rate over windows above", " per second"),
+        response::Way::Tonal => ("RMS of a single tone over windows above", ""),
+    };
+    let of = if model.frf.is_some() { "linear response: " } else { "" };
+    let window_s = model.window_range[driven.channel].window as f64 / model.sample_rate_hz;
+    let (window_s, limit) = (rounded(window_s, 3), rounded(driven.limit, 6));
+    format!("{of}{what} that of the training (windows of {window_s} s; limit {limit}{unit})")
+}
+
+fn far_apart(joint: &JointRange, distance: f64, sample_rate_hz: f64) -> String {
+    let (window_s, distance, limit) =
+        (rounded(joint.window as f64 / sample_rate_hz, 3), rounded(distance, 3), rounded(joint.limit(), 3));
+    format!(
+        "means of all drives together farther from the middle of the training than its own (windows of {window_s} s; \
+         Mahalanobis distance {distance}, limit {limit})"
+    )
 }
 
 fn out_of_band(out: &band::OutOfBand) -> String {

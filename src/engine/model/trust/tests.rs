@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::frf::FrfSettings;
+use crate::model::tests::made_up;
 use crate::model::{
     FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Preprocess, Preset, RigModel, Task, fit,
 };
@@ -14,7 +15,8 @@ fn range(min: f64, max: f64, max_rate: f64) -> Vec<InputRange> {
 }
 
 fn of(range: &[InputRange], rate: f64, samples: Vec<f64>) -> Trust {
-    trust(&["d".into()], range, None, &Signal::new(rate, vec![samples]).unwrap())
+    let model = RigModel { inputs: vec!["d".into()], range: range.to_vec(), ..made_up(ModelKind::Frf) };
+    trust(&model, None, &Signal::new(rate, vec![samples]).unwrap())
 }
 
 #[test]
@@ -79,7 +81,7 @@ fn fitted(runs: &[ProgrammeRun]) -> RigModel {
 }
 
 fn trust_of(model: &RigModel, x: &Signal) -> Trust {
-    trust(&model.inputs, &model.range, BandWatch::new(model).as_ref(), x)
+    trust(model, SpectrumWatch::new(model).as_ref(), x)
 }
 
 fn sine(hz: f64, amplitude: f64, n: usize) -> Vec<f64> {
@@ -116,6 +118,8 @@ fn means_that_the_training_left_out_are_outside_though_most_values_are_inside() 
     let model = fitted(&runs);
     let without = RigModel {
         range: model.range.iter().map(|range| InputRange { local: None, ..*range }).collect(),
+        joint_range: None,
+        window_range: Vec::new(),
         ..model.clone()
     };
     for run in runs.iter().filter(|run| run.tags.contains(&"n2")) {
@@ -135,15 +139,21 @@ fn means_that_the_training_left_out_are_outside_though_most_values_are_inside() 
 fn withheld_drives_in_the_band_are_inside() {
     let runs = drives();
     let model = fitted(&runs);
-    // The boundary region lies beyond the training's values on purpose, and the sweep at its band's end.
-    let withheld = runs.iter().filter(|run| run.split != Split::Training && !run.tags.contains(&"n2"));
-    let mut seen = 0;
+    // The boundary region lies beyond the training's values on purpose; noise has no tone as strong as a sine, and is not
+    // as fast as the end of the sweep.
+    let withheld = runs.iter().filter(|run| {
+        let like = matches!(run.kind, RunKind::Noise | RunKind::Service);
+        like && run.split != Split::Training && !run.tags.contains(&"n2")
+    });
+    let (mut seen, mut inside) = (0, 0.0);
     for run in withheld {
         let t = trust_of(&model, &run.drive);
-        assert!(t.inside >= 0.98, "{}: {} inside, {:?}", run.name, t.inside, t.spans);
+        assert!(t.inside >= 0.96, "{}: {} inside, {:?}", run.name, t.inside, t.spans);
+        inside += t.inside;
         assert!(t.spans.iter().all(|span| span.from_s < span.to_s), "{}: {:?}", run.name, t.spans);
         assert!(!t.spans.iter().any(|span| span.reason.contains("power")), "{}: {:?}", run.name, t.spans);
         seen += 1;
     }
-    assert!(seen > 12, "{seen} drives");
+    assert!(seen > 10, "{seen} drives");
+    assert!(inside / f64::from(seen) > 0.99, "{inside} of {seen} drives");
 }

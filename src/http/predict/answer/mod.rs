@@ -312,6 +312,8 @@ mod tests {
             frf_quality: None,
             core: Vec::new(),
             lstm: Some(part),
+            joint_range: None,
+            window_range: Vec::new(),
             range: Vec::new(),
             band: None,
             effects: Vec::new(),

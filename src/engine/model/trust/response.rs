@@ -1,0 +1,341 @@
+//! Levels of the linear response over short times. Each channel of a drive may be inside by itself, while together, or at
+//! a resonance, they move the rig as the training never did.
+
+use std::ops::Range;
+
+use realfft::num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+
+use super::band::{self, window_len};
+use super::short_time::{ShortTime, WindowOfInputs};
+use crate::frf::Frf;
+use crate::model::RigModel;
+
+/// The level over a window may exceed the largest of the training by this factor: that of few windows is uncertain.
+const LEVEL_SLACK: f64 = 1.1;
+
+/// Means may leave those of the training by this share of half the range that means and level span together.
+const MEAN_SLACK: f64 = 0.05;
+
+/// Lines that hold a tone in a Hann window.
+const TONE_LINES: usize = 3;
+
+/// First line of a tone: below, a drive that passes from one mean to the next within a window has power too.
+const TONE_FROM: usize = 5;
+
+/// A tone may exceed the largest of the training by this factor: the lines of noise scatter widely, and those of a load with a hump
+/// more widely still.
+const TONE_SLACK: f64 = 2.0;
+
+/// The response of a model's FRF at one output, over the windows of the training data; of a model without an FRF, one input.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindowRange {
+    /// Samples of a window.
+    pub window: usize,
+    /// Smallest and largest mean, channel unit.
+    pub mean: [f64; 2],
+    /// Largest RMS about the mean, channel unit.
+    pub max_rms: f64,
+    /// Largest RMS of the rate of change, channel unit per second.
+    pub max_rate: f64,
+    /// Largest RMS within three adjacent lines of a window, from the fifth on, channel unit.
+    pub max_tone: f64,
+}
+
+/// A way to be outside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Way {
+    High,
+    Low,
+    Strong,
+    Fast,
+    Tonal,
+}
+
+/// A stretch in which an output is outside.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Driven {
+    pub samples: Range<usize>,
+    /// Place among the ranges.
+    pub channel: usize,
+    pub way: Way,
+    /// The limit that it passed, channel unit, of rates per second.
+    pub limit: f64,
+}
+
+/// Mean, RMS about it, RMS of the rate and largest RMS of a tone, of an output.
+type Level = [f64; 4];
+
+/// Sums of the squares of an output's lines.
+#[derive(Debug, Clone, Default)]
+struct Sums {
+    power: f64,
+    rate: f64,
+    /// The largest of adjacent lines.
+    tone: f64,
+    /// The squares of the last lines, of those of a tone.
+    last: [f64; TONE_LINES],
+}
+
+impl Sums {
+    /// Adds a line at the square of an angular frequency.
+    fn add(&mut self, line: usize, square: f64, omega_squared: f64) {
+        self.power += square;
+        self.rate += omega_squared * square;
+        if line < TONE_FROM {
+            return;
+        }
+        self.last.rotate_left(1);
+        self.last[TONE_LINES - 1] = square;
+        self.tone = self.tone.max(self.last.iter().sum());
+    }
+}
+
+/// An FRF on the lines of windows.
+#[derive(Clone)]
+pub(super) struct LinearLevels {
+    n_inputs: usize,
+    n_outputs: usize,
+    /// First of the lines, those below which it is zero left out.
+    first: usize,
+    /// `[line - first, output, input]`.
+    h: Vec<Complex64>,
+    /// At rest, `[output, input]`.
+    gain: Vec<f64>,
+    x_mean: Vec<f64>,
+    y_mean: Vec<f64>,
+    /// Distance of lines, rad/s.
+    step: f64,
+}
+
+impl LinearLevels {
+    /// That of a model over windows of so many samples: of its FRF, or of an FRF of one that hands each input on.
+    pub fn new(model: &RigModel, window: usize) -> Self {
+        match &model.frf {
+            Some(frf) => Self::of_frf(frf, window),
+            None => Self::of_inputs(model.inputs.len(), model.sample_rate_hz, window),
+        }
+    }
+
+    fn of_inputs(n: usize, sample_rate_hz: f64, window: usize) -> Self {
+        let one = |place: usize| if place / n == place % n { 1.0 } else { 0.0 };
+        Self {
+            n_inputs: n,
+            n_outputs: n,
+            first: 1,
+            h: (0..window / 2 * n * n).map(|place| Complex64::from(one(place % (n * n)))).collect(),
+            gain: (0..n * n).map(one).collect(),
+            x_mean: vec![0.0; n],
+            y_mean: vec![0.0; n],
+            step: std::f64::consts::TAU * sample_rate_hz / window as f64,
+        }
+    }
+
+    fn of_frf(frf: &Frf, window: usize) -> Self {
+        let df = frf.sample_rate_hz / window as f64;
+        let at = |hz: f64, output: usize, input: usize| {
+            let place = hz / frf.df_hz();
+            let line = (place.floor() as usize).min(frf.n_lines() - 1);
+            let share = place - line as f64;
+            let next = (line + 1).min(frf.n_lines() - 1);
+            frf.at(line, output, input) * (1.0 - share) + frf.at(next, output, input) * share
+        };
+        let [from, to] = frf.usable_hz;
+        let first = ((from / df).floor() as usize).max(1);
+        let last = ((to / df).ceil() as usize).min(window / 2);
+        let pairs = || (0..frf.n_outputs).flat_map(|o| (0..frf.n_inputs).map(move |i| (o, i)));
+        let of_line = |line: usize| pairs().map(move |(o, i)| at(line as f64 * df, o, i));
+        Self {
+            n_inputs: frf.n_inputs,
+            n_outputs: frf.n_outputs,
+            first,
+            h: (first..=last).flat_map(of_line).collect(),
+            gain: pairs().map(|(o, i)| frf.at(0, o, i).re).collect(),
+            x_mean: frf.x_mean.clone(),
+            y_mean: frf.y_mean.clone(),
+            step: std::f64::consts::TAU * df,
+        }
+    }
+
+    /// The levels of all outputs over one window.
+    pub fn of(&self, window: &WindowOfInputs<'_>) -> Vec<Level> {
+        let mut sums = vec![Sums::default(); self.n_outputs];
+        for (k, h) in self.h.chunks_exact(self.n_outputs * self.n_inputs).enumerate() {
+            let line = self.first + k;
+            let omega = (self.step * line as f64).powi(2);
+            for (of_input, sums) in h.chunks_exact(self.n_inputs).zip(&mut sums) {
+                let y: Complex64 = of_input.iter().zip(window.lines).map(|(h, x)| h * x[line]).sum();
+                sums.add(line, y.norm_sqr(), omega);
+            }
+        }
+        let mean = |output: usize| {
+            let gain = &self.gain[output * self.n_inputs..(output + 1) * self.n_inputs];
+            let moved =
+                gain.iter().zip(window.means.iter().zip(&self.x_mean)).map(|(g, (x, mean))| g * (x - mean));
+            self.y_mean[output] + moved.sum::<f64>()
+        };
+        let level = |(output, sums): (usize, &Sums)| {
+            let rms = |squares| window.mean_square(squares).sqrt();
+            [mean(output), rms(sums.power), rms(sums.rate), rms(sums.tone)]
+        };
+        sums.iter().enumerate().map(level).collect()
+    }
+}
+
+impl WindowRange {
+    /// Those of a model over the parts of runs that it was trained on, `[part][input]`; none where no part is as long as a
+    /// window.
+    pub(in crate::model) fn of_training(model: &RigModel, parts: &[Vec<&[f64]>]) -> Vec<Self> {
+        let fft = ShortTime::new(window_len(&band::of_model(model), model.sample_rate_hz));
+        let levels = LinearLevels::new(model, fft.len());
+        let windows = parts.iter().flat_map(|part| fft.each(part, |window| levels.of(window)));
+        let mut found: Vec<Self> = Vec::new();
+        for (_, of_channels) in windows {
+            let none = [f64::INFINITY, f64::NEG_INFINITY];
+            let empty = Self { window: fft.len(), mean: none, max_rms: 0.0, max_rate: 0.0, max_tone: 0.0 };
+            found.resize(of_channels.len(), empty);
+            for (range, [mean, rms, rate, tone]) in found.iter_mut().zip(of_channels) {
+                range.mean = [range.mean[0].min(mean), range.mean[1].max(mean)];
+                range.max_rms = range.max_rms.max(rms);
+                range.max_rate = range.max_rate.max(rate);
+                range.max_tone = range.max_tone.max(tone);
+            }
+        }
+        found
+    }
+
+    /// The limits and the ways to pass them.
+    fn limits(&self) -> [(Way, f64); 5] {
+        let slack = MEAN_SLACK * ((self.mean[1] - self.mean[0]) / 2.0 + self.max_rms);
+        [
+            (Way::High, self.mean[1] + slack),
+            (Way::Low, self.mean[0] - slack),
+            (Way::Strong, LEVEL_SLACK * self.max_rms + slack),
+            (Way::Fast, LEVEL_SLACK * self.max_rate),
+            (Way::Tonal, TONE_SLACK * self.max_tone),
+        ]
+    }
+}
+
+/// The stretches of windows outside.
+pub(super) fn find(ranges: &[WindowRange], windows: &[(Range<usize>, Vec<Level>)]) -> Vec<Driven> {
+    let mut found = Vec::new();
+    for (channel, range) in ranges.iter().enumerate() {
+        for (way, limit) in range.limits() {
+            let mut last: Option<Driven> = None;
+            for (samples, levels) in windows {
+                let [mean, rms, rate, tone] = levels[channel];
+                let out = match way {
+                    Way::High => mean > limit,
+                    Way::Low => mean < limit,
+                    Way::Strong => rms > limit,
+                    Way::Fast => rate > limit,
+                    Way::Tonal => tone > limit,
+                };
+                match &mut last {
+                    _ if !out => {}
+                    Some(last) if last.samples.end >= samples.start => last.samples.end = samples.end,
+                    _ => found.extend(last.replace(Driven { samples: samples.clone(), channel, way, limit })),
+                }
+            }
+            found.extend(last);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frf::Frf;
+    use crate::model::tests::made_up;
+    use crate::model::{InputRange, ModelKind};
+
+    const RATE: f64 = 1000.0;
+
+    /// A model whose two inputs add up to one output, tenfold about 100 Hz.
+    fn adder() -> RigModel {
+        let segment_len = 1000;
+        let gain = |line: usize| if line.abs_diff(100) < 5 { 10.0 } else { 1.0 };
+        let frf = Frf {
+            sample_rate_hz: RATE,
+            segment_len,
+            n_inputs: 2,
+            n_outputs: 1,
+            h: (0..=segment_len / 2).flat_map(|line| [Complex64::from(gain(line)); 2]).collect(),
+            usable_hz: [0.0, RATE / 2.0],
+            x_mean: vec![0.5; 2],
+            y_mean: vec![3.0],
+        };
+        let range =
+            InputRange { min: -3.0, max: 3.0, max_rate: 1e9, band_hz: Some([0.0, 50.0]), local: None };
+        let one = made_up(ModelKind::Frf);
+        RigModel { frf: Some(frf), sample_rate_hz: RATE, range: vec![range; 2], ..one }
+    }
+
+    fn tone(hz: f64, amplitude: f64, mean: f64) -> Vec<f64> {
+        (0..8000).map(|t| mean + amplitude * (std::f64::consts::TAU * hz * t as f64 / RATE).sin()).collect()
+    }
+
+    fn ranges(model: &RigModel, inputs: [&[f64]; 2]) -> Vec<WindowRange> {
+        WindowRange::of_training(model, &[inputs.to_vec()])
+    }
+
+    /// The ways in which two inputs are outside.
+    fn ways(model: &RigModel, ranges: &[WindowRange], inputs: [&[f64]; 2]) -> Vec<Way> {
+        let fft = ShortTime::new(ranges[0].window);
+        let levels = LinearLevels::new(model, fft.len());
+        let found = find(ranges, &fft.each(&inputs, |window| levels.of(window)));
+        found.iter().map(|driven| driven.way).collect()
+    }
+
+    #[test]
+    fn the_levels_are_those_of_the_response() {
+        // Both inputs in step: twice their amplitude; means about the working point.
+        let (model, x) = (adder(), tone(20.0, 1.0, 0.75));
+        let [range] = ranges(&model, [&x, &x])[..] else { panic!("one output") };
+        let rms = 2.0_f64.sqrt();
+        assert!((range.max_rms - rms).abs() < 0.02, "{range:?}");
+        assert!((range.max_tone - rms).abs() < 0.05, "{range:?}");
+        assert!((range.max_rate - rms * std::f64::consts::TAU * 20.0).abs() < 5.0, "{range:?}");
+        assert!(range.mean.iter().all(|mean| (mean - 3.5).abs() < 0.06), "{range:?}");
+        let opposite: Vec<f64> = x.iter().map(|v| 1.5 - v).collect();
+        let [range] = ranges(&model, [&x, &opposite])[..] else { panic!("one output") };
+        assert!(range.max_rms < 1e-6, "{range:?}");
+    }
+
+    #[test]
+    fn channels_together_and_a_resonance_are_outside_though_each_channel_is_inside() {
+        let model = adder();
+        let (a, b) = (tone(20.0, 1.0, 0.0), tone(33.0, 1.0, 0.0));
+        let known = ranges(&model, [&a, &b]);
+        assert_eq!(ways(&model, &known, [&a, &b]), []);
+        assert_eq!(ways(&model, &known, [&b, &a]), []);
+        let in_step = ways(&model, &known, [&a, &a]);
+        assert!(in_step.contains(&Way::Strong), "{in_step:?}");
+        let resonant = ways(&model, &known, [&tone(100.0, 0.2, 0.0), &b]);
+        assert!(resonant.contains(&Way::Strong) && resonant.contains(&Way::Fast), "{resonant:?}");
+        let moved = ways(&model, &known, [&tone(20.0, 1.0, 0.3), &tone(33.0, 1.0, 0.3)]);
+        assert_eq!(moved, [Way::High]);
+        // The power of many lines in one.
+        let mut many = vec![0.0; 8000];
+        for hz in [10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 34.0, 38.0, 42.0, 46.0] {
+            many.iter_mut().zip(tone(hz, 0.3, 0.0)).for_each(|(sum, v)| *sum += v);
+        }
+        let still = vec![0.0; 8000];
+        let known = ranges(&model, [&many, &still]);
+        assert_eq!(ways(&model, &known, [&tone(24.0, 0.9, 0.0), &still]), [Way::Tonal]);
+    }
+
+    #[test]
+    fn without_an_frf_the_inputs_themselves_are_watched() {
+        let model = RigModel { frf: None, kind: ModelKind::Lstm, ..adder() };
+        let (a, b) = (tone(20.0, 1.0, 0.0), tone(33.0, 1.0, 0.0));
+        let known = ranges(&model, [&a, &b]);
+        assert_eq!(known.len(), 2);
+        assert!((known[0].max_rms - 0.5_f64.sqrt()).abs() < 0.01, "{known:?}");
+        assert_eq!(ways(&model, &known, [&a, &a]), []);
+        assert_eq!(ways(&model, &known, [&tone(45.0, 0.9, 0.0), &b]), [Way::Fast]);
+    }
+}
