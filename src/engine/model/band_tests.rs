@@ -97,13 +97,16 @@ fn coverage_on_service_loads_of_the_virtual_rig() {
             println!("  {group}: {:.1} % in the band, {:.3} wide", 100.0 * share / n, width / n);
         }
         let settings = DamageSettings::default();
+        let of_cycles = predictor.half_width_of_cycles();
+        println!("  factor of cycles {of_cycles:.2?}");
         // Of each output where the true damage lies, below the band, in it or above it, and how wide the band is.
         let holds = |load: &Pair| -> Vec<(i32, f64)> {
             let mut prediction = predictor.begin(load.x.clone()).unwrap();
             let response = predictor.rest(&mut prediction, &unwatched).unwrap();
             let half = predictor.half_width(&prediction, &response).unwrap().expect("a band");
             let of = |k: usize| {
-                let [low, high] = damage_band(response.channel(k), half.channel(k), &settings).unwrap();
+                let wider: Vec<f64> = half.channel(k).iter().map(|h| of_cycles[k] * h).collect();
+                let [low, high] = damage_band(response.channel(k), &wider, &settings).unwrap();
                 let true_damage = damage(load.y.channel(k), &settings).unwrap();
                 let side = i32::from(true_damage > high) - i32::from(true_damage < low);
                 (side, (high / low.max(f64::MIN_POSITIVE)).ln())

@@ -176,6 +176,11 @@ impl Predictor {
         calibrated.half_width(response, linear.as_deref()).map(Some)
     }
 
+    /// Factor on each output's half width for the damage that follows: cycles are wrong by more, or by less, than samples.
+    pub fn half_width_of_cycles(&self) -> Vec<f64> {
+        self.model.band.as_ref().map(super::Band::of_cycles).unwrap_or_default()
+    }
+
     /// Where the inputs of a prediction leave the range that the model was fitted on.
     pub fn trust(&self, prediction: &Prediction) -> Trust {
         trust::trust(&self.model, self.watch.as_ref(), &prediction.x)

@@ -13,10 +13,12 @@
 //! Vovk, Gammerman, Shafer, "Algorithmic Learning in a Random World", 2005, section 4.5): residuals of a rig grow faster
 //! than in proportion, and other loads have other shares of quiet and loud.
 
+mod cycles;
 mod scale;
 
 use serde::{Deserialize, Serialize};
 
+use self::cycles::Stretch;
 use self::scale::moving_mean_square;
 
 use super::fit_data::FitData;
@@ -68,6 +70,13 @@ struct OutputBand {
     /// logarithm between the classes, constant beyond them. Empty: the same at any scale.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     by_scale: Vec<[f64; 2]>,
+    /// Factor on the half width for the damage that follows.
+    #[serde(default = "one")]
+    of_cycles: f64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 impl Band {
@@ -98,9 +107,23 @@ impl Band {
                 let skip = part.skip;
                 let measured = &filtered.run(part.section.run).y.channel(k)[part.section.samples.clone()];
                 let residual: Vec<f64> = part.scored(k).iter().zip(measured).map(|(y, m)| m - y).collect();
-                Columns { level: level[skip..].to_vec(), correction: correction[skip..].to_vec(), residual }
+                let (level, correction) = (level[skip..].to_vec(), correction[skip..].to_vec());
+                (Columns { level, correction, residual }, measured)
             });
-            OutputBand::of(mean, &columns.collect::<Vec<_>>(), window)
+            let (columns, measured): (Vec<_>, Vec<_>) = columns.unzip();
+            let band = OutputBand::of(mean, &columns, window);
+            let half_widths: Vec<Vec<f64>> = columns.iter().map(|part| band.half_widths(part)).collect();
+            let stretches: Vec<Stretch<'_>> = columns
+                .iter()
+                .zip(measured)
+                .zip(&half_widths)
+                .map(|((part, measured), half_width)| Stretch {
+                    measured,
+                    residual: &part.residual,
+                    half_width,
+                })
+                .collect();
+            OutputBand { of_cycles: cycles::factor(&stretches, window, COVERAGE), ..band }
         };
         let outputs = (0..model.outputs.len()).map(output).collect();
         Ok(Self { window, outputs })
@@ -122,6 +145,11 @@ impl Band {
         Signal::new(response.sample_rate_hz(), self.outputs.iter().enumerate().map(of).collect())
     }
 
+    /// Factor on each output's half width for the damage that follows from the band.
+    pub(super) fn of_cycles(&self) -> Vec<f64> {
+        self.outputs.iter().map(|output| output.of_cycles).collect()
+    }
+
     /// Whether it is one of a model with so many outputs.
     ///
     /// # Errors
@@ -136,7 +164,7 @@ impl Band {
         }
         let known = |v: &f64| (0.0..=1e15).contains(v);
         let bad = self.outputs.iter().position(|o| {
-            let scale = [o.floor, o.level, o.correction, o.quantile];
+            let scale = [o.floor, o.level, o.correction, o.quantile, o.of_cycles];
             let rising = o.by_scale.windows(2).all(|pair| pair[0][0] < pair[1][0]);
             let above_zero =
                 o.by_scale.iter().all(|[scale, ratio]| *scale > 0.0 && known(scale) && known(ratio));
@@ -171,7 +199,8 @@ impl OutputBand {
             })
             .collect();
         let [floor, level, correction] = scale::fit(&rows).map(f64::sqrt);
-        let band = Self { mean, floor, level, correction, quantile: 1.0, by_scale: Vec::new() };
+        let band =
+            Self { mean, floor, level, correction, quantile: 1.0, by_scale: Vec::new(), of_cycles: 1.0 };
         // Scale, residual over scale.
         let mut found: Vec<[f64; 2]> = parts
             .iter()
@@ -192,6 +221,11 @@ impl OutputBand {
             }
         }
         Self { quantile: quantile(&found), by_scale, ..band }
+    }
+
+    fn half_widths(&self, part: &Columns) -> Vec<f64> {
+        let scales = part.level.iter().zip(&part.correction).map(|(l, c)| self.scale(*l, *c));
+        scales.map(|scale| self.half_width(scale)).collect()
     }
 
     fn half_width(&self, scale: f64) -> f64 {
@@ -317,6 +351,7 @@ mod tests {
             correction: 0.0,
             quantile: 1.6,
             by_scale: vec![[0.1, 1.6], [0.2, 2.0]],
+            of_cycles: 1.0,
         };
         let band = Band { window: 256, outputs: vec![output.clone()] };
         band.check(1).unwrap();

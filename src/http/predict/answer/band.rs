@@ -65,9 +65,11 @@ impl Setting<'_> {
         };
         let mut band =
             BandAnswer { coverage: BAND_COVERAGE, channels: BTreeMap::new(), damage: BTreeMap::new() };
+        let of_cycles = self.loaded.predictor.half_width_of_cycles();
         for (k, name) in model.outputs.iter().enumerate() {
             let (y, h) = (response.channel(k), half_width.channel(k));
-            let damage = damage_band(y, h, &self.damage)
+            let wider: Vec<f64> = h.iter().map(|h| of_cycles[k] * h).collect();
+            let damage = damage_band(y, &wider, &self.damage)
                 .map_err(|error| errors::engine(&error, &model.outputs, ""))?;
             band.damage.insert(name, damage);
             let half_width = h.iter().map(|h| rounded(*h, DIGITS)).collect();
