@@ -12,7 +12,9 @@ use bench_programme::{fit_data, fitted, record};
 use clap::Parser;
 use rayon::prelude::*;
 use rigcast::domain::drift::Basis;
-use rigcast::engine::model::{FitData, FitSplit, LstmOptions, ModelKind, Pair, Preset, RigModel, Squares};
+use rigcast::engine::model::{
+    FitData, FitSplit, LstmOptions, ModelKind, Pair, Preset, RigModel, Squares, Task,
+};
 use rigcast::engine::virtual_rig::VirtualRig;
 use rigcast::engine::virtual_rig::drives::{
     MixedNoise, NoiseRegion, ServiceLoad, ServiceShape, mixed_noise, service_load,
@@ -86,7 +88,7 @@ fn main() -> Result<(), EngineError> {
         data.split = FitSplit::ValidationHalves;
         names(Split::Validation, "").collect()
     };
-    let fitted = fitted(args.kind, Preset::Default, lstm, &data, &unwatched)?;
+    let fitted = fitted(Task::Forward, args.kind, Preset::Default, lstm, &data, &unwatched)?;
     let mut usual = Largest::new();
     let scores = fitted.report.comparison.map(|comparison| comparison.scores).unwrap_or_default();
     for (kind, score) in held_out.into_iter().zip(&scores) {

@@ -20,7 +20,7 @@ use rigcast::engine::fatigue::{DamageRatio, DamageSettings, damage};
 use rigcast::engine::frf::{DEFAULT_RIDGE, Frf, FrfInverse};
 use rigcast::engine::iteration::{DriveLimit, Found, IterationSettings, Problem, Start, iterate};
 use rigcast::engine::metrics::rms;
-use rigcast::engine::model::{LstmOptions, ModelKind, Predictor, Preset};
+use rigcast::engine::model::{LstmOptions, ModelKind, Predictor, Preset, Task};
 use rigcast::engine::virtual_rig::{DRIVE_LIMIT_KN, VirtualRig};
 use rigcast::engine::{EngineError, Progress, Signal, Split};
 use serde_json::json;
@@ -83,7 +83,7 @@ fn main() -> Result<ExitCode, EngineError> {
         let mut predictors = Vec::new();
         for kind in [ModelKind::Frf, ModelKind::Hybrid2] {
             let lstm = LstmOptions::default();
-            let fitted = fitted(kind, Preset::Default, lstm, &data, &unwatched)?;
+            let fitted = fitted(Task::Forward, kind, Preset::Default, lstm, &data, &unwatched)?;
             predictors.push((kind, Predictor::new(fitted.model)?));
         }
         let withheld = |r: &&Recorded| r.run.split == Split::Test && r.run.tags.contains(&args.load.as_str());

@@ -13,17 +13,15 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use bench_programme::{Recorded, record};
+use bench_programme::{Recorded, fit_data, fitted, record};
 use clap::Parser;
 use rigcast::engine::evaluation::{
     ChannelGroup, ClassAverage, CompareSettings, GroupAverage, RunFigures, average, compare,
 };
 use rigcast::engine::fatigue::{DamageGroup, DamageSettings};
-use rigcast::engine::model::{
-    FitData, FitSettings, FitSplit, LstmOptions, ModelKind, Pair, Preprocess, Preset, RigModel, Task, fit,
-};
+use rigcast::engine::model::{LstmOptions, ModelKind, Pair, Preset, RigModel, Task};
 use rigcast::engine::progress::unwatched;
-use rigcast::engine::virtual_rig::CHANNELS;
+use rigcast::engine::virtual_rig::SAMPLE_RATE_HZ;
 use rigcast::engine::{EngineError, Signal, Split};
 
 /// Compares kinds of models as the source paper did.
@@ -88,12 +86,14 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Fits the four kinds and compares them.
 fn table(args: &Args, preset: Preset, task: Task, runs: &[Recorded]) -> Result<Vec<Row>, Box<dyn Error>> {
-    let data = data(task, runs);
+    let runs: Vec<Recorded> =
+        runs.iter().map(|r| Recorded { run: r.run.clone(), pair: pair(task, &r.pair) }).collect();
+    let data = fit_data(&runs);
     let mut rows = Vec::new();
     for kind in KINDS {
         let started = Instant::now();
-        let settings = settings(args, preset, task, kind)?;
-        let fitted = fit(&data, &settings, &unwatched)?;
+        let lstm = lstm(args, preset, task, kind)?;
+        let fitted = fitted(task, kind, preset, lstm, &data, &unwatched)?;
         eprintln!(
             "{} {} {}: fitted in {:.0} s, seed {:?}",
             name_of(&preset)?,
@@ -104,66 +104,37 @@ fn table(args: &Args, preset: Preset, task: Task, runs: &[Recorded]) -> Result<V
         );
         for (class, tag) in CLASSES {
             let of_class = runs.iter().filter(|r| r.run.split == Split::Test && r.run.tags.contains(&tag));
-            let figures: Vec<RunFigures> = of_class
-                .map(|r| figures(&fitted.model, &pair(task, &r.pair)))
-                .collect::<Result<_, EngineError>>()?;
-            let average = average(&figures.iter().collect::<Vec<_>>(), &groups(task));
+            let figures: Vec<RunFigures> =
+                of_class.map(|r| figures(&fitted.model, &r.pair)).collect::<Result<_, EngineError>>()?;
+            let average = average(&figures.iter().collect::<Vec<_>>(), &groups(&fitted.model));
             rows.push(Row { kind, class, average });
         }
     }
     Ok(rows)
 }
 
-fn settings(args: &Args, preset: Preset, task: Task, kind: ModelKind) -> Result<FitSettings, EngineError> {
-    let (inputs, outputs) = channels(task);
+/// The preset's network, with the share of its epochs that was asked for.
+fn lstm(args: &Args, preset: Preset, task: Task, kind: ModelKind) -> Result<LstmOptions, EngineError> {
     let mut lstm = LstmOptions { seeds: Some(args.seeds.clone()), ..LstmOptions::default() };
     if args.epochs != 1.0 && kind != ModelKind::Frf {
-        let of_preset = lstm.resolve(preset, kind, task, &[(args.minutes * 60_000.0) as usize])?.epochs;
-        lstm.epochs = Some(((of_preset as f64 * args.epochs).ceil() as usize).max(1));
+        let samples = (args.minutes * 60.0 * SAMPLE_RATE_HZ) as usize;
+        let epochs = lstm.resolve(preset, kind, task, &[samples])?.epochs as f64;
+        lstm.epochs = Some(((epochs * args.epochs).ceil() as usize).max(1));
     }
-    Ok(FitSettings {
-        kind,
-        task,
-        inputs,
-        outputs,
-        preprocess: Preprocess::default(),
-        frf: preset.frf(),
-        lstm,
-        preset,
-        start: None,
-        core: None,
-    })
+    Ok(lstm)
 }
 
-/// Names of the inputs and outputs.
-fn channels(task: Task) -> (Vec<String>, Vec<String>) {
-    let names = |of: std::ops::Range<usize>| CHANNELS[of].iter().map(|c| c.name.to_owned()).collect();
-    match task {
-        Task::Forward => (names(0..3), names(3..9)),
-        Task::VirtualSensing => (names(3..6), names(6..9)),
-    }
+/// The names of a model's groups of outputs.
+fn group_names(model: &RigModel) -> &'static [&'static str] {
+    if model.outputs.len() == 3 { &["force"] } else { &["displacement", "force"] }
 }
 
-/// The groups among the outputs.
-fn groups(task: Task) -> Vec<ChannelGroup> {
-    let outputs = channels(task).1;
-    let group = |part: &[String]| {
-        let named = CHANNELS.iter().find(|channel| channel.name == part[0]).and_then(|channel| channel.group);
-        ChannelGroup { name: named.unwrap_or_default().to_owned(), channels: part.to_vec() }
+fn groups(model: &RigModel) -> Vec<ChannelGroup> {
+    let group = |(name, channels): (&&str, &[String])| ChannelGroup {
+        name: (*name).to_owned(),
+        channels: channels.to_vec(),
     };
-    outputs.chunks(3).map(group).collect()
-}
-
-/// The networks learn from the mixed noise, the FRF from the small centred noise.
-fn data(task: Task, runs: &[Recorded]) -> FitData {
-    let of = |split: Split, tag: &str| -> Vec<Pair> {
-        let chosen = runs.iter().filter(|r| r.run.split == split && r.run.tags.contains(&tag));
-        chosen.map(|r| pair(task, &r.pair)).collect()
-    };
-    let validation = runs.iter().filter(|r| r.run.split == Split::Validation);
-    let validation = validation.map(|r| pair(task, &r.pair)).collect();
-    FitData::with_validation(of(Split::Training, "mixed"), validation, FitSplit::ValidationStops)
-        .with_frf_runs(of(Split::Training, "linear"))
+    group_names(model).iter().zip(model.outputs.chunks(3)).map(group).collect()
 }
 
 /// Inputs and outputs of a recording of three drives and six responses.
@@ -179,15 +150,9 @@ fn pair(task: Task, recorded: &Pair) -> Pair {
 }
 
 fn figures(model: &RigModel, measured: &Pair) -> Result<RunFigures, EngineError> {
-    let places: Vec<[usize; 3]> =
-        (0..model.outputs.len() / 3).map(|group| [3 * group, 3 * group + 1, 3 * group + 2]).collect();
-    let names = ["displacement", "force"];
-    let first = names.len() - places.len();
-    let groups: Vec<DamageGroup<'_>> = names[first..]
-        .iter()
-        .zip(&places)
-        .map(|(name, channels)| DamageGroup { name, channels: *channels })
-        .collect();
+    let group =
+        |(k, name): (usize, &&'static str)| DamageGroup { name, channels: [3 * k, 3 * k + 1, 3 * k + 2] };
+    let groups: Vec<DamageGroup<'_>> = group_names(model).iter().enumerate().map(group).collect();
     let predicted = model.predict(&measured.x)?;
     let settings = CompareSettings { damage: DamageSettings::default(), span_s: 1.0 };
     Ok(compare(&model.outputs, &groups, &measured.y, &predicted, &settings)?.figures)

@@ -21,7 +21,7 @@ use comfy_table::{CellAlignment, Table};
 use indicatif::{ProgressBar, ProgressStyle};
 use rigcast::engine::fatigue::{DamageChannel, DamageGroup, DamageSettings, damage_report};
 use rigcast::engine::metrics;
-use rigcast::engine::model::{FitData, Fitted, LstmOptions, ModelKind, Preset, RigModel};
+use rigcast::engine::model::{FitData, Fitted, LstmOptions, ModelKind, Preset, RigModel, Task};
 use rigcast::engine::{EngineError, Progress, Signal, Split};
 use serde_json::json;
 
@@ -126,7 +126,7 @@ fn timed_fit(
         std::ops::ControlFlow::Continue(())
     };
     let began = Instant::now();
-    let fitted = fitted(kind, preset, lstm, data, &watch)?;
+    let fitted = fitted(Task::Forward, kind, preset, lstm, data, &watch)?;
     bar.finish_and_clear();
     Ok((fitted, began.elapsed().as_secs_f64()))
 }

@@ -11,7 +11,7 @@ mod bench_programme;
 use bench_programme::{fit_data, fitted, record};
 use clap::Parser;
 use rayon::prelude::*;
-use rigcast::engine::model::{FitSplit, LstmOptions, ModelKind, Predictor, Preset, RigModel, Trust};
+use rigcast::engine::model::{FitSplit, LstmOptions, ModelKind, Predictor, Preset, RigModel, Task, Trust};
 use rigcast::engine::progress::unwatched;
 use rigcast::engine::virtual_rig::VirtualRig;
 use rigcast::engine::virtual_rig::drives::{
@@ -76,7 +76,7 @@ fn main() -> Result<(), EngineError> {
     let mut data = fit_data(&runs);
     data.split = FitSplit::ValidationHalves;
     let lstm = LstmOptions { seeds: Some(vec![args.seed]), epochs: args.epochs, ..LstmOptions::default() };
-    let model = fitted(ModelKind::Hybrid2, Preset::Default, lstm, &data, &unwatched)?.model;
+    let model = fitted(Task::Forward, ModelKind::Hybrid2, Preset::Default, lstm, &data, &unwatched)?.model;
     let frf = RigModel { kind: ModelKind::Frf, lstm: None, ..model.clone() };
     let (predictor, frf) = (Predictor::new(model)?, Predictor::new(frf)?);
     let drives = drives(args.seed)?;

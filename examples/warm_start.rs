@@ -12,7 +12,7 @@ use bench_programme::{Recorded, fit_data, fitted, record, record_on, settings};
 use clap::Parser;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rigcast::engine::model::{FitSettings, LstmOptions, LstmPart, ModelKind, Preset, RigModel, fit};
+use rigcast::engine::model::{FitSettings, LstmOptions, LstmPart, ModelKind, Preset, RigModel, Task, fit};
 use rigcast::engine::virtual_rig::VirtualRig;
 use rigcast::engine::{EngineError, metrics, progress::unwatched};
 use serde_json::json;
@@ -106,9 +106,9 @@ fn trained(
     let lstm = LstmOptions { seeds: Some(vec![args.seed]), epochs, ..LstmOptions::default() };
     let data = fit_data(runs);
     let fitted = match start {
-        None => fitted(kind, Preset::Default, lstm, &data, &unwatched)?,
+        None => fitted(Task::Forward, kind, Preset::Default, lstm, &data, &unwatched)?,
         start => {
-            let settings = FitSettings { start, ..settings(kind, Preset::Default, lstm) };
+            let settings = FitSettings { start, ..settings(Task::Forward, kind, Preset::Default, lstm) };
             fit(&data, &settings, &unwatched)?
         }
     };

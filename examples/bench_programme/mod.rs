@@ -45,25 +45,30 @@ pub fn fit_data(runs: &[Recorded]) -> FitData {
         .with_frf_runs(of(Split::Training, "linear"))
 }
 
-/// A forward model of the rig: three drives, three displacements, three forces.
+/// A model of the rig: of three displacements and three forces from three drives, or of the forces from the displacements.
 pub fn fitted(
+    task: Task,
     kind: ModelKind,
     preset: Preset,
     lstm: LstmOptions,
     data: &FitData,
     watch: Watch<'_>,
 ) -> Result<Fitted, EngineError> {
-    fit(data, &settings(kind, preset, lstm), watch)
+    fit(data, &settings(task, kind, preset, lstm), watch)
 }
 
 /// Settings of [`fitted`].
-pub fn settings(kind: ModelKind, preset: Preset, lstm: LstmOptions) -> FitSettings {
+pub fn settings(task: Task, kind: ModelKind, preset: Preset, lstm: LstmOptions) -> FitSettings {
     let names = |channels: std::ops::Range<usize>| channels.map(|c| format!("channel_{c}")).collect();
+    let (inputs, outputs) = match task {
+        Task::Forward => (0..3, 3..9),
+        Task::VirtualSensing => (3..6, 6..9),
+    };
     FitSettings {
         kind,
-        task: Task::Forward,
-        inputs: names(0..3),
-        outputs: names(3..9),
+        task,
+        inputs: names(inputs),
+        outputs: names(outputs),
         preprocess: Preprocess::default(),
         frf: preset.frf(),
         lstm,
