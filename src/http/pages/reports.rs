@@ -31,18 +31,24 @@ pub async fn diagnose(
     html(ui::diagnosis::form(&visitor.shown, &rig, &runs, &models, (run.as_deref(), model)))
 }
 
-/// `GET /rigs/{rig}/diagnoses/{diagnosis}`
+/// `GET /rigs/{rig}/diagnoses/{diagnosis}`, and its figures.
 pub async fn diagnosis(
     State(http): State<Shared>,
     OfDiagnosis(rig, id): OfDiagnosis,
     visitor: Visitor,
-    _: NoParams,
+    mut params: Params,
 ) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
     let diagnosis = diagnoses::find(&http, &rig, id).await?;
     let mut findings = http.store.findings(&diagnosis).await?;
     let heading = diagnoses::heading(&http, &diagnosis, &findings.report).await?;
     let names = diagnoses::run_names(&http, &rig, &findings.report).await?;
     ui::diagnosis::name_runs(&mut findings.report, &mut findings.views, &names);
+    if let Some(name) = &query.name {
+        let found = ui::diagnosis::drawing(&findings.report, &findings.views, name);
+        return query.answer(&found.map_err(|known| query.unknown(&known))?, &format!("{rig}-diagnosis"));
+    }
     let draw = move || ui::diagnosis::framed(&visitor.shown, &heading, &findings.report, &findings.views);
     html(http.off_thread(Class::Predict, draw).await?)
 }

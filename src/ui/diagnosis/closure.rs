@@ -32,6 +32,13 @@ pub fn section(report: &Report, views: &Views) -> Markup {
     }
 }
 
+/// The plots of the section.
+pub fn figures(report: &Report, views: &Views) -> Vec<Figure> {
+    let Some(unseen) = &views.unseen else { return Vec::new() };
+    let best = report.hypotheses.first().filter(|_| unseen.with_effect.is_some());
+    vec![signals(unseen, best), errors(unseen, best), spectra(unseen, views)]
+}
+
 /// The RMS in words.
 fn in_words(best: &Hypothesis, unseen: &UnseenRun) -> String {
     let h = &best.held_out;

@@ -14,12 +14,7 @@ const ENOUGH: usize = 8;
 
 /// The section; empty where there is no gap.
 pub fn section(report: &Report, views: &Views) -> Markup {
-    let Some(view) = views.force.as_ref().filter(|_| !quiet(report.verdict.kind)) else { return html! {} };
-    let over: &[Argument] = match view.path {
-        Path::Force => &[Argument::Response, Argument::Velocity],
-        Path::Drive => &[Argument::Drive],
-        Path::Sensor => &[Argument::Response],
-    };
+    let Some((view, over)) = shown(report, views) else { return html! {} };
     html! {
         (heading("force", title(view.path)))
         p { (explained(view)) }
@@ -27,6 +22,23 @@ pub fn section(report: &Report, views: &Views) -> Markup {
             @for argument in over { (figure(&plot(view, *argument, over.len() > 1).svg(), &caption(view, *argument))) }
         }
     }
+}
+
+/// The plots of the section.
+pub fn figures(report: &Report, views: &Views) -> Vec<Figure> {
+    let Some((view, over)) = shown(report, views) else { return Vec::new() };
+    over.iter().map(|argument| plot(view, *argument, over.len() > 1)).collect()
+}
+
+/// The force and what it is drawn over.
+fn shown<'a>(report: &Report, views: &'a Views) -> Option<(&'a ForceView, &'static [Argument])> {
+    let view = views.force.as_ref().filter(|_| !quiet(report.verdict.kind))?;
+    let over: &[Argument] = match view.path {
+        Path::Force => &[Argument::Response, Argument::Velocity],
+        Path::Drive => &[Argument::Drive],
+        Path::Sensor => &[Argument::Response],
+    };
+    Some((view, over))
 }
 
 fn title(path: Path) -> &'static str {

@@ -16,7 +16,7 @@ const DRAWN: usize = 8;
 /// The section.
 pub fn section(report: &Report, views: &Views) -> Markup {
     let order = by_share(report);
-    let main = report.verdict.channel.clone().or_else(|| order.first().map(|c| c.0.clone()));
+    let main = main_channel(report, &order);
     html! {
         (heading("where", if quiet(report.verdict.kind) { "The error of the model" } else { "Where is the gap?" }))
         (spectra(report, views, &order))
@@ -24,13 +24,48 @@ pub fn section(report: &Report, views: &Views) -> Markup {
         @if let Some(channel) = &main {
             @if !quiet(report.verdict.kind) {
                 div.pair {
-                    (ranges(channel, &report.location.amplitude, "amplitude", "Size of the response, % of the largest"))
-                    (ranges(channel, &report.location.velocity, "velocity", "Size of its velocity, % of the largest"))
+                    @for by in &QUANTITIES { (by_range(channel, report, by)) }
                 }
             }
-            (over_time(channel, &report.location.segments))
+            @if let Some((plot, worst)) = over_time(channel, &report.location.segments) {
+                (figure(&plot.svg(), &html! {
+                    b { "Over time. " } "Largest in " (worst.run) " at " (number(worst.from_s)) " s: "
+                    (number(worst.chi2.max(0.0).sqrt())) " times the noise floor."
+                }))
+            }
         }
     }
+}
+
+/// The response that the verdict is about, or the one with the largest share of the gap.
+fn main_channel(report: &Report, order: &[(String, f64)]) -> Option<String> {
+    report.verdict.channel.clone().or_else(|| order.first().map(|c| c.0.clone()))
+}
+
+/// The plots of the section.
+pub fn figures(report: &Report, views: &Views) -> Vec<Figure> {
+    let order = by_share(report);
+    let (drawn, _) = drawn(views, &order);
+    let mut found: Vec<Figure> =
+        drawn.iter().enumerate().map(|(k, spectrum)| spectrum_figure(k, report, views, spectrum)).collect();
+    if let Some(channel) = main_channel(report, &order) {
+        if !quiet(report.verdict.kind) {
+            found.extend(QUANTITIES.iter().filter_map(|by| Some(ranges(&channel, report, by)?.0)));
+        }
+        found.extend(over_time(&channel, &report.location.segments).map(|(plot, _)| plot));
+    }
+    found
+}
+
+/// The spectra that are drawn, and how many are not.
+fn drawn<'a>(views: &'a Views, order: &[(String, f64)]) -> (Vec<&'a ResponseSpectra>, usize) {
+    let mut drawn: Vec<&ResponseSpectra> = order
+        .iter()
+        .filter_map(|(channel, _)| views.spectra.iter().find(|s| s.channel == *channel))
+        .collect();
+    let left_out = drawn.len().saturating_sub(DRAWN);
+    drawn.truncate(DRAWN);
+    (drawn, left_out)
 }
 
 /// Responses with their share of the gap, the largest first.
@@ -42,12 +77,7 @@ fn by_share(report: &Report) -> Vec<(String, f64)> {
 }
 
 fn spectra(report: &Report, views: &Views, order: &[(String, f64)]) -> Markup {
-    let mut drawn: Vec<&ResponseSpectra> = order
-        .iter()
-        .filter_map(|(channel, _)| views.spectra.iter().find(|s| s.channel == *channel))
-        .collect();
-    let left_out = drawn.len().saturating_sub(DRAWN);
-    drawn.truncate(DRAWN);
+    let (drawn, left_out) = drawn(views, order);
     html! {
         @for (k, spectrum) in drawn.iter().enumerate() {
             @let bands: Vec<_> = report.location.bands.iter().filter(|b| b.channel == spectrum.channel).collect();
@@ -171,11 +201,31 @@ fn shares(report: &Report, views: &Views) -> Markup {
     )
 }
 
-fn ranges(channel: &str, all: &[RangeShare], what: &str, axis: &str) -> Markup {
-    let own: Vec<&RangeShare> = all.iter().filter(|r| r.channel == channel).collect();
-    let Some(worst) = own.iter().max_by(|a, b| a.share_of_gap.total_cmp(&b.share_of_gap)) else {
-        return html! {};
-    };
+/// A quantity that the gap is divided by.
+struct Quantity {
+    name: &'static str,
+    axis: &'static str,
+    of: fn(&Report) -> &[RangeShare],
+}
+
+const QUANTITIES: [Quantity; 2] = [
+    Quantity {
+        name: "amplitude",
+        axis: "Size of the response, % of the largest",
+        of: |report| &report.location.amplitude,
+    },
+    Quantity {
+        name: "velocity",
+        axis: "Size of its velocity, % of the largest",
+        of: |report| &report.location.velocity,
+    },
+];
+
+/// The share of a channel's gap by a quantity, and the range with the largest.
+fn ranges<'a>(channel: &str, report: &'a Report, by: &Quantity) -> Option<(Figure, &'a RangeShare)> {
+    let own: Vec<&RangeShare> = (by.of)(report).iter().filter(|r| r.channel == channel).collect();
+    let worst = *own.iter().max_by(|a, b| a.share_of_gap.total_cmp(&b.share_of_gap))?;
+    let what = by.name;
     let marks = own
         .iter()
         .map(|r| Mark::Bar {
@@ -195,7 +245,7 @@ fn ranges(channel: &str, all: &[RangeShare], what: &str, axis: &str) -> Markup {
             percent(worst.to)
         ),
         size: (350.0, 210.0),
-        x: (Axis::exact(Scale::Linear, 0.0, 100.0), axis.into()),
+        x: (Axis::exact(Scale::Linear, 0.0, 100.0), by.axis.into()),
         y: (
             Axis::around(Scale::Linear, own.iter().map(|r| 100.0 * r.share_of_gap).chain([0.0])),
             "Share of the gap in %".into(),
@@ -203,10 +253,16 @@ fn ranges(channel: &str, all: &[RangeShare], what: &str, axis: &str) -> Markup {
         key: Key::Above,
         marks,
     };
-    figure(
-        &plot.svg(),
-        &html! { b { "By " (what) ". " } (percent(worst.share_of_gap)) " of it lies at " (number(100.0 * worst.from)) "–" (percent(worst.to)) " of the largest " (what) "." },
-    )
+    Some((plot, worst))
+}
+
+fn by_range(channel: &str, report: &Report, by: &Quantity) -> Markup {
+    let what = by.name;
+    html! { @if let Some((plot, worst)) = ranges(channel, report, by) {
+        (figure(&plot.svg(), &html! {
+            b { "By " (what) ". " } (percent(worst.share_of_gap)) " of it lies at " (number(100.0 * worst.from)) "–" (percent(worst.to)) " of the largest " (what) "."
+        }))
+    } }
 }
 
 /// Means of neighbouring spans of one run, where there are too many spans to draw.
@@ -222,9 +278,10 @@ fn thinned(all: Vec<&SegmentChi2>) -> Vec<SegmentChi2> {
         .collect()
 }
 
-fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
+/// The error of a channel over time, and the span with the largest.
+fn over_time(channel: &str, all: &[SegmentChi2]) -> Option<(Figure, SegmentChi2)> {
     let own = thinned(all.iter().filter(|s| s.channel == channel).collect());
-    let Some(worst) = own.iter().max_by(|a, b| a.chi2.total_cmp(&b.chi2)) else { return html! {} };
+    let worst = own.iter().max_by(|a, b| a.chi2.total_cmp(&b.chi2))?.clone();
     let (mut x, mut y, mut starts) = (Vec::new(), Vec::new(), Vec::new());
     let mut clock = 0.0;
     let mut run = "";
@@ -266,13 +323,7 @@ fn over_time(channel: &str, all: &[SegmentChi2]) -> Markup {
             .chain([Mark::Line { x, y, style: Style::Before, name: String::new() }])
             .collect(),
     };
-    figure(
-        &plot.svg(),
-        &html! {
-            b { "Over time. " } "Largest in " (worst.run) " at " (number(worst.from_s)) " s: "
-            (number(worst.chi2.max(0.0).sqrt())) " times the noise floor."
-        },
-    )
+    Some((plot, worst))
 }
 
 #[cfg(test)]

@@ -18,8 +18,10 @@ mod transfer;
 
 use maud::{Markup, html};
 
+use super::figures::{Drawing, address, saves};
 use super::frame::{self, Frame, Section, Visitor};
 use super::iteration::model_options;
+use super::plot::Figure;
 use super::rig::name_of;
 use super::words::duration;
 use crate::domain::{Model, Rig, Run, TokenRole};
@@ -98,7 +100,33 @@ pub fn framed(visitor: &Visitor, of: &Heading, report: &Report, views: &Views) -
         Frame::new(&title, Section::Rigs, visitor).below(&[("/".into(), "Rigs"), (rig, &of.rig_name)]);
     frame.class = "report";
     frame.scripts = &["forms.js"];
-    frame.page(&content(of, report, views, &form))
+    let at = format!("/rigs/{}/diagnoses/{}", of.rig, of.diagnosis);
+    let files = html! {
+        (heading("files", "Plots as files"))
+        ul { @for figure in figures(report, views) {
+            li { (figure.title) (saves(&address(&at, &figure.id))) }
+        } }
+    };
+    frame.page(&html! { (content(of, report, views, &form)) (files) })
+}
+
+/// The plots of the report.
+fn figures(report: &Report, views: &Views) -> Vec<Figure> {
+    let sections =
+        [location::figures(report, views), closure::figures(report, views), force::figures(report, views)];
+    sections.into_iter().flatten().chain(remaining::figures(report)).collect()
+}
+
+/// A plot of the report by its name.
+///
+/// # Errors
+/// The names of all plots, where there is no such one.
+pub fn drawing(report: &Report, views: &Views, name: &str) -> Result<Drawing, String> {
+    let mut all = figures(report, views);
+    match all.iter().position(|figure| figure.id == name) {
+        Some(place) => Ok(all.swap_remove(place).into()),
+        None => Err(all.iter().map(|figure| figure.id.as_str()).collect::<Vec<_>>().join(", ")),
+    }
 }
 
 /// The form that starts a diagnosis.

@@ -33,11 +33,22 @@ pub fn remaining(report: &Report) -> Markup {
                 (number(second.chi2.max(0.0).sqrt())) " noise floors, and both together close " (percent(second.closure)) " of the gap on unseen runs."
             } @else if size >= 1.26 { " No second effect of the catalogue reduces it by much." }
         }
-        @if size >= 1.15 && !r.bands.is_empty() { (remaining_bands(report)) }
+        @for plot in figures(report) {
+            (figure(&plot.svg(), &html! {
+                b { "Remaining error by frequency. " } "Share of the error above the noise that remains with the best candidate."
+            }))
+        }
     }
 }
 
-fn remaining_bands(report: &Report) -> Markup {
+/// The plots of the section.
+pub fn figures(report: &Report) -> Vec<Figure> {
+    let r = &report.remaining;
+    let much = r.chi2.max(0.0).sqrt() >= 1.15 && !r.bands.is_empty();
+    if report.hypotheses.is_empty() || !much { Vec::new() } else { vec![bands(report)] }
+}
+
+fn bands(report: &Report) -> Figure {
     let bands = &report.remaining.bands;
     let low = bands.first().map_or(1.0, |b| b.from_hz).max(bands.last().map_or(1.0, |b| b.to_hz) / 200.0);
     let high = bands.last().map_or(2.0, |b| b.to_hz);
@@ -50,7 +61,7 @@ fn remaining_bands(report: &Report) -> Markup {
             style: Style::After,
         })
         .collect();
-    let plot = Figure {
+    Figure {
         id: "remaining".into(),
         title: "Remaining error by frequency".into(),
         description: "Share of the best candidate's remaining error, by band.".into(),
@@ -62,11 +73,7 @@ fn remaining_bands(report: &Report) -> Markup {
         ),
         key: Key::Above,
         marks,
-    };
-    figure(
-        &plot.svg(),
-        &html! { b { "Remaining error by frequency. " } "Share of the error above the noise that remains with the best candidate." },
-    )
+    }
 }
 
 /// The next experiment.

@@ -1,7 +1,7 @@
 //! Pages of whole diagnoses.
 
 use super::rig::{few, hardening, none, request};
-use super::{Heading, Simulation, page, sentence};
+use super::{Heading, Simulation, drawing, figures, page, sentence};
 use crate::engine::diagnosis::{Diagnosis, Effect, Family, Input, Mode, VerdictKind, diagnose};
 use crate::engine::progress::unwatched;
 
@@ -70,6 +70,22 @@ fn a_page_tells_the_verdict_escapes_every_name_and_is_well_formed() {
     let ids: Vec<&str> = html.split(" id=\"").skip(1).map(|s| s.split('"').next().unwrap()).collect();
     let unique: std::collections::BTreeSet<&&str> = ids.iter().collect();
     assert_eq!(unique.len(), ids.len());
+}
+
+#[test]
+fn every_plot_of_the_page_is_a_file_by_the_name_that_it_has_there() {
+    let found = hostile();
+    let html = page(&heading(), &found.report, &found.views);
+    let plots = figures(&found.report, &found.views);
+    assert!(plots.len() >= 7, "{}", plots.len());
+    for plot in &plots {
+        assert!(html.contains(&plot.svg().into_string()), "{} is on the page", plot.id);
+        let file = drawing(&found.report, &found.views, &plot.id).unwrap();
+        assert!(file.csv().lines().count() > 2, "{}: {}", plot.id, file.csv());
+        tags(file.svg().split_once("?>").unwrap().1);
+    }
+    let known = drawing(&found.report, &found.views, "phase").unwrap_err();
+    assert!(known.contains("over-time") && known.contains("unseen-spectra"), "{known}");
 }
 
 #[test]

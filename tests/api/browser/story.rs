@@ -111,6 +111,9 @@ async fn diagnose(browser: &Browser, app: &TestApp, runs: &[String]) {
     result(browser, None).await;
     browser.until("location.pathname.startsWith('/rigs/mass/diagnoses/')").await;
     browser.shoot(&shots(), "diagnosis").await;
+    let files = browser.eval("Promise.all([...document.querySelectorAll('a[data-save]')].map(a => fetch(a.href).then(r => r.status))).then(all => all.join())").await;
+    let files = files.as_str().expect("a list").split(',').map(str::to_owned).collect::<Vec<_>>();
+    assert!(files.len() >= 10 && files.iter().all(|status| status == "200"), "{files:?}");
     browser.choose("[name=activate]", "always").await;
     browser.click("form[data-api$='/adopt'] button").await;
     browser.until("location.pathname === '/rigs/mass/models/2'").await;
