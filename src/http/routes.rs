@@ -153,6 +153,7 @@ pub static ROUTES: &[Route] = &[
     page("/rigs/{rig}/iterate", Role(Operator), Registry, || get(pages::iterate)),
     page("/rigs/{rig}/iterations/{iteration}", Role(Reader), Registry, || get(pages::iteration)),
     page("/rigs/{rig}/evaluate", Role(Operator), Registry, || get(pages::evaluate)),
+    page("/rigs/{rig}/study", Role(Operator), Registry, || get(pages::start_study)),
     page("/rigs/{rig}/evaluations/{evaluation}", Role(Reader), Registry, || get(pages::evaluation)),
     page("/rigs/{rig}/studies/{study}", Role(Reader), Registry, || get(pages::study)),
     page("/rigs/{rig}/runs/{run}", Role(Reader), Predict, || get(pages::run)),

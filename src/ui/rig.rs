@@ -59,6 +59,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
                     a.button href={ (at) "/iterate" } { "Find a drive" }
                 }
                 @if operator && !of.models.is_empty() && !of.runs.is_empty() { a.button href={ (at) "/evaluate" } { "Evaluate" } }
+                @if operator && !of.runs.is_empty() { a.button href={ (at) "/study" } { "Study" } }
             }
         }
         (next(of, &at, operator))

@@ -30,7 +30,7 @@ pub use assets::show as asset;
 pub use jobs::{list as jobs, show as job};
 pub use models::{report as model_report, show as model};
 pub use predict::show as predict;
-pub use reports::{diagnose, diagnosis, evaluate, evaluation, iterate, iteration, study};
+pub use reports::{diagnose, diagnosis, evaluate, evaluation, iterate, iteration, start_study, study};
 pub use rigs::{drift, fit, list as rigs, show as rig, upload};
 pub use runs::{file as run_file, show as run};
 pub use sign_in::{session, show as sign_in, sign_in as begin_session, sign_out, signed_in};

@@ -88,6 +88,18 @@ pub async fn evaluate(
     html(ui::evaluation::form(&visitor.shown, &rig, &runs, &models, model))
 }
 
+/// `GET /rigs/{rig}/study`
+pub async fn start_study(
+    State(http): State<Shared>,
+    OfRig(id): OfRig,
+    visitor: Visitor,
+    _: NoParams,
+) -> Answer {
+    let rig = find(&http, &id).await?;
+    let models = items(http.store.models(&id, &whole()).await?);
+    html(ui::study::form(&visitor.shown, &rig, &models))
+}
+
 /// `GET /rigs/{rig}/studies/{study}`, and its figure.
 pub async fn study(
     State(http): State<Shared>,

@@ -1,6 +1,7 @@
 //! The page of a study: what it has found so far, as a figure and as a table.
 
 mod curve;
+mod form;
 mod linear;
 mod search;
 
@@ -12,6 +13,7 @@ use super::words;
 use crate::domain::study::{StoredStudy, StudyKind, StudyReport};
 use crate::domain::{Rig, TokenRole};
 
+pub use form::form;
 pub use linear::linear_study_svg;
 
 /// A kind of study as a title.

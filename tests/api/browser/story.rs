@@ -121,6 +121,25 @@ async fn diagnose(browser: &Browser, app: &TestApp, runs: &[String]) {
     assert!(browser.shows("cubic_stiffness").await, "{}", browser.eval("document.body.innerText").await);
 }
 
+async fn study(browser: &Browser) {
+    browser.go("/rigs/mass/study").await;
+    browser.shoot(&shots(), "study-form").await;
+    browser.choose("[name=kind]", "learning_curve").await;
+    assert!(!browser.shows("Trials").await, "fields of other kinds are hidden");
+    browser.choose("[name='fit.kind']", "frf").await;
+    browser.fill("[name=sizes]", "3").await;
+    browser.fill("[name=repeats]", "2").await;
+    browser.click("form.fields button.main").await;
+    result(browser, None).await;
+    browser.until("location.pathname.startsWith('/rigs/mass/studies/')").await;
+    browser.shoot(&shots(), "study").await;
+    assert!(
+        browser.shows("minutes of noise would").await,
+        "{}",
+        browser.eval("document.body.innerText").await
+    );
+}
+
 async fn iterate(browser: &Browser, target: &str) {
     browser.go(&format!("/rigs/mass/iterate?run={target}")).await;
     browser.fill("[name=iterations]", "4").await;
@@ -164,6 +183,7 @@ async fn an_engineer_comes_from_the_first_sign_in_to_a_drive_and_rolls_back() {
     predict(&browser, &high[0]).await;
     diagnose(&browser, &app, &high).await;
     iterate(&browser, &high[1]).await;
+    study(&browser).await;
     browser.go("/rigs/mass/models/1").await;
     assert!(browser.shows("Roll back to this version").await);
     browser.click("form[data-api^='PUT'] button").await;

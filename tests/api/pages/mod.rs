@@ -83,6 +83,7 @@ async fn every_link_of_the_pages_of_a_rig_leads_somewhere_and_every_page_is_stri
         "/rigs/bench/upload",
         "/rigs/bench/fit",
         "/rigs/bench/evaluate",
+        "/rigs/bench/study",
         "/jobs",
         "/tokens",
         "/operations",
