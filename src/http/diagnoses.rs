@@ -1,6 +1,6 @@
 //! Diagnoses: checked while the client waits, done as jobs, shown as reports.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use axum::extract::State;
 use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
@@ -107,14 +107,15 @@ pub(super) async fn run_names(
     report: &Report,
 ) -> Answer<BTreeMap<String, String>> {
     let split = &report.data_split;
+    let parts = split.fit.iter().chain(&split.select).chain(&split.test).map(|part| &part.run);
+    // Runs of the model's own data stand in the transfer table only.
+    let transfer = report.hypotheses.iter().flat_map(|hypothesis| &hypothesis.transfer);
+    let all: BTreeSet<&String> = parts.chain(transfer.flat_map(|row| &row.runs)).collect();
     let mut names = BTreeMap::new();
-    for part in split.fit.iter().chain(&split.select).chain(&split.test) {
-        if names.contains_key(&part.run) {
-            continue;
-        }
-        let Ok(id) = part.run.parse::<RunId>() else { continue };
+    for text in all {
+        let Ok(id) = text.parse::<RunId>() else { continue };
         if let Some(run) = http.store.run(rig, id).await?.filter(|run| !run.name.is_empty()) {
-            names.insert(part.run.clone(), run.name);
+            names.insert(text.clone(), run.name);
         }
     }
     Ok(names)

@@ -9,7 +9,7 @@ use super::rig::name_of;
 use super::text::{number, percent};
 use super::words::{self, duration, minute};
 use crate::domain::iteration::IterationStep;
-use crate::domain::{Model, Rig, Run, StoredIteration};
+use crate::domain::{Model, Rig, Role, Run, StoredIteration};
 
 /// Options for the models of a rig; the empty value is the active one.
 pub(super) fn model_options(models: &[Model], chosen: Option<u32>) -> Markup {
@@ -41,10 +41,7 @@ pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen
                 label { "Gain" input type="number" name="gain" data-as="number" min="0" max="2" step="any" placeholder="1"; span.soft { "share of each correction" } }
                 label { "Name of the drive" input name="name" maxlength="1000"; }
             }
-            label { "Limits of the drives, as JSON"
-                textarea name="limits" data-as="json" rows="2" spellcheck="false" placeholder=(format!("{{\"{}\": {{\"peak\": 10}}}}", rig.drives().next().unwrap_or("drive"))) {}
-                span.soft { "peak, rms and rate of each drive, in its unit" }
-            }
+            (limits(rig))
             div { button.main type="submit" { "Start" } }
         }
     };
@@ -52,6 +49,25 @@ pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen
     let mut frame = Frame::new("Find a drive", Section::Rigs, visitor).below(&way);
     frame.scripts = &["forms.js"];
     frame.page(&main)
+}
+
+fn limits(rig: &Rig) -> Markup {
+    const LIMITS: [(&str, &str); 3] =
+        [("peak", "Peak"), ("rms", "RMS"), ("rate", "Rate of change per second")];
+    html! {
+        details open[rig.drives().count() <= 8] {
+            summary { "Limits of the drives, each in its unit; an empty field is no limit" }
+            table {
+                thead { tr { th { "Drive" } @for (_, words) in LIMITS { th { (words) } } } }
+                tbody { @for channel in rig.channels.iter().filter(|channel| channel.role == Role::Drive) { tr {
+                    td { bdi { (channel.name) } " " span.soft { (channel.unit) } }
+                    @for (name, words) in LIMITS { td {
+                        input type="number" name={ "limits.*." (name) } data-key=(channel.name) data-as="number" min="0" step="any" aria-label={ (words) " of " (channel.name) };
+                    } }
+                } } }
+            }
+        }
+    }
 }
 
 /// The page of a result.

@@ -9,10 +9,9 @@ const kinds = {
   time: text => new Date(text).toISOString(),
 };
 
-function put(into, name, value) {
-  const path = name.split('.');
-  const last = path.pop();
-  for (const key of path) into = into[key] ??= {};
+function put(into, path, value) {
+  const last = path[path.length - 1];
+  for (const key of path.slice(0, -1)) into = into[key] ??= {};
   into[last] = value;
 }
 
@@ -28,6 +27,11 @@ function valueOf(field) {
   return as && kinds[as] ? kinds[as](text) : text;
 }
 
+// The path of a field; `*` stands for a key of its own, which may hold dots.
+function pathOf(field) {
+  return field.name.split('.').map(part => (part === '*' ? field.dataset.key : part));
+}
+
 // The fields inside an element, but for those of rows deeper in it.
 function collect(root, own) {
   const found = {};
@@ -36,11 +40,10 @@ function collect(root, own) {
     const value = valueOf(field);
     if (value === undefined) continue;
     if (field.dataset.as === 'each') {
-      const path = field.name;
-      const list = path.split('.').reduce((at, key) => at?.[key], found) || [];
-      put(found, path, [...list, value]);
+      const list = pathOf(field).reduce((at, key) => at?.[key], found) || [];
+      put(found, pathOf(field), [...list, value]);
     } else {
-      put(found, field.name, value);
+      put(found, pathOf(field), value);
     }
   }
   return found;
@@ -50,7 +53,7 @@ function bodyOf(form) {
   const body = collect(form, field => !field.closest('[data-row]'));
   for (const rows of form.querySelectorAll('[data-rows]')) {
     const items = [...rows.querySelectorAll('[data-row]')].map(row => collect(row, () => true));
-    if (items.length) put(body, rows.dataset.rows, items);
+    if (items.length) put(body, rows.dataset.rows.split('.'), items);
   }
   return body;
 }
@@ -61,10 +64,10 @@ function mark(form, problem) {
   let first;
   for (const {pointer} of problem?.errors || []) {
     const row = /^\/channels\/(\d+)\/(\w+)$/.exec(pointer);
-    const name = pointer.slice(1).replaceAll('/', '.');
+    const named = field => '/' + pathOf(field).join('/') === pointer;
     const field = row
       ? form.querySelectorAll('[data-row]')[row[1]]?.querySelector(`[name="${row[2]}"]`)
-      : form.querySelector(`[name="${CSS.escape(name)}"]`);
+      : [...form.elements].find(field => field.name && named(field));
     field?.setAttribute('aria-invalid', 'true');
     first ??= field;
   }

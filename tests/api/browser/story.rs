@@ -110,6 +110,7 @@ async fn diagnose(browser: &Browser, app: &TestApp, runs: &[String]) {
     browser.click("form.fields button.main").await;
     result(browser, None).await;
     browser.until("location.pathname.startsWith('/rigs/mass/diagnoses/')").await;
+    let diagnosis = browser.path().await;
     browser.shoot(&shots(), "diagnosis").await;
     let files = browser.eval("Promise.all([...document.querySelectorAll('a[data-save]')].map(a => fetch(a.href).then(r => r.status))).then(all => all.join())").await;
     let files = files.as_str().expect("a list").split(',').map(str::to_owned).collect::<Vec<_>>();
@@ -118,6 +119,9 @@ async fn diagnose(browser: &Browser, app: &TestApp, runs: &[String]) {
     browser.click("form[data-api$='/adopt'] button").await;
     browser.until("location.pathname === '/rigs/mass/models/2'").await;
     assert_eq!(active(app).await, 2);
+    browser.go(&format!("/rigs/mass/diagnoses/{}", diagnosis.rsplit('/').next().expect("an id"))).await;
+    assert!(browser.shows("low noise 1").await, "the model's own runs have their names");
+    browser.go("/rigs/mass/models/2").await;
     assert!(browser.shows("cubic_stiffness").await, "{}", browser.eval("document.body.innerText").await);
 }
 
@@ -143,6 +147,7 @@ async fn study(browser: &Browser) {
 async fn iterate(browser: &Browser, target: &str) {
     browser.go(&format!("/rigs/mass/iterate?run={target}")).await;
     browser.fill("[name=iterations]", "4").await;
+    browser.fill("[name='limits.*.peak']", "50").await;
     browser.shoot(&shots(), "iterate").await;
     browser.click("form.fields button.main").await;
     result(browser, None).await;
