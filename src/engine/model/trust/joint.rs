@@ -70,6 +70,10 @@ impl JointRange {
         };
         let covariance = (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect();
         let mut joint = Self { window: fft.len(), middle, covariance, max_distance: 0.0 };
+        // Squares may exceed the range of numbers: then nothing is known.
+        if !joint.covariance.iter().flatten().all(|v| v.is_finite()) {
+            return None;
+        }
         let distance = joint.distance()?;
         joint.max_distance = means.iter().map(|means| distance.of(means).distance).fold(0.0, f64::max);
         Some(joint)

@@ -202,7 +202,9 @@ impl WindowRange {
                 range.max_tone = range.max_tone.max(tone);
             }
         }
-        found
+        // Squares may exceed the range of numbers: then nothing is known.
+        let finite = |range: &Self| range.limits().iter().all(|(_, limit)| limit.is_finite());
+        if found.iter().all(finite) { found } else { Vec::new() }
     }
 
     /// The limits and the ways to pass them.
@@ -326,6 +328,14 @@ mod tests {
         let still = vec![0.0; 8000];
         let known = ranges(&model, [&many, &still]);
         assert_eq!(ways(&model, &known, [&tone(24.0, 0.9, 0.0), &still]), [Way::Tonal]);
+    }
+
+    #[test]
+    fn squares_beyond_the_range_of_numbers_leave_nothing_known() {
+        let model = adder();
+        let huge = tone(20.0, 1e160, 0.0);
+        assert_eq!(ranges(&model, [&huge, &huge]), []);
+        assert_eq!(super::super::JointRange::of_training(&model, &[vec![&huge, &huge]]), None);
     }
 
     #[test]
