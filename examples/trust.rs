@@ -107,11 +107,9 @@ fn judge(
     let mut prediction = predictor.begin(x.clone())?;
     let trust = predictor.trust(&prediction);
     predictor.fall_back(&mut prediction, &trust);
-    let ranges = predictor.model().range.iter().zip(x.channels());
+    let mut ranges = predictor.model().range.iter().zip(x.channels());
     Ok(Found {
-        within: ranges.fold(true, |within, (range, samples)| {
-            within && samples.iter().all(|v| (range.min..=range.max).contains(v))
-        }),
+        within: ranges.all(|(range, samples)| samples.iter().all(|v| (range.min..=range.max).contains(v))),
         errors: of(&predictor.predict(x.clone())?),
         fallen_back: of(&predictor.rest(&mut prediction, &unwatched)?),
         linear: of(&frf.predict(x.clone())?),
