@@ -42,13 +42,13 @@ pub async fn diagnosis(
     params.finish()?;
     let diagnosis = diagnoses::find(&http, &rig, id).await?;
     let mut findings = http.store.findings(&diagnosis).await?;
-    let heading = diagnoses::heading(&http, &diagnosis, &findings.report).await?;
     let names = diagnoses::run_names(&http, &rig, &findings.report).await?;
     ui::diagnosis::name_runs(&mut findings.report, &mut findings.views, &names);
     if let Some(name) = &query.name {
         let found = ui::diagnosis::drawing(&findings.report, &findings.views, name);
         return query.answer(&found.map_err(|known| query.unknown(&known))?, &format!("{rig}-diagnosis"));
     }
+    let heading = diagnoses::heading(&http, &diagnosis, &findings.report).await?;
     let draw = move || ui::diagnosis::framed(&visitor.shown, &heading, &findings.report, &findings.views);
     html(http.off_thread(Class::Predict, draw).await?)
 }
