@@ -97,7 +97,7 @@ fn coverage_on_service_loads_of_the_virtual_rig() {
             println!("  {group}: {:.1} % in the band, {:.3} wide", 100.0 * share / n, width / n);
         }
         let settings = DamageSettings::default();
-        let of_cycles = predictor.half_width_of_cycles();
+        let of_cycles = predictor.cycle_factors();
         println!("  factor of cycles {of_cycles:.2?}");
         // Of each output where the true damage lies, below the band, in it or above it, and how wide the band is.
         let holds = |load: &Pair| -> Vec<(i32, f64)> {

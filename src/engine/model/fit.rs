@@ -6,7 +6,7 @@ use super::fit_record::{self, FitRecord, Residual, ResidualOf, ResidualSums};
 use super::fit_report::{Comparison, FitReport, SeedReport};
 use super::score::{self, PredictedSection, SectionScore};
 use super::split::{Section, Sections};
-use super::{Band, FitSettings, JointRange, ModelKind, Preprocess, RigModel, WindowRange};
+use super::{Band, FitSettings, ModelKind, Preprocess, RigModel, trust};
 use crate::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::frf::{self, RunPart};
 use crate::lstm::{LstmSettings, Recombine};
@@ -236,9 +236,7 @@ impl Fit<'_> {
             band: None,
             effects: Vec::new(),
         };
-        let inputs = data.inputs(training);
-        model.window_range = WindowRange::of_training(&model, &inputs);
-        model.joint_range = JointRange::of_training(&model, &inputs);
+        (model.window_range, model.joint_range) = trust::of_training(&model, &data.inputs(training));
         Ok((model, warnings))
     }
 

@@ -177,7 +177,7 @@ impl Predictor {
     }
 
     /// Factor on each output's half width for the damage that follows: cycles are wrong by more, or by less, than samples.
-    pub fn half_width_of_cycles(&self) -> Vec<f64> {
+    pub fn cycle_factors(&self) -> Vec<f64> {
         self.model.band.as_ref().map(super::Band::of_cycles).unwrap_or_default()
     }
 

@@ -5,6 +5,7 @@ use std::ops::Range;
 use realfft::num_complex::Complex64;
 
 use super::InputRange;
+use super::beyond::join;
 use super::short_time::{ShortTime, WindowOfInputs};
 use crate::model::RigModel;
 
@@ -69,9 +70,9 @@ pub(super) fn of_model(model: &RigModel) -> Vec<[f64; 2]> {
 
 impl Bands {
     /// Those on the lines of some windows.
-    pub fn new(bands: &[[f64; 2]], fft: &ShortTime, sample_rate_hz: f64) -> Self {
+    pub fn new(bands: Vec<[f64; 2]>, fft: &ShortTime, sample_rate_hz: f64) -> Self {
         let outside = bands.iter().map(|band| Outside::new(*band, fft, sample_rate_hz)).collect();
-        Self { bands: bands.to_vec(), outside, window_s: fft.len() as f64 / sample_rate_hz }
+        Self { bands, outside, window_s: fft.len() as f64 / sample_rate_hz }
     }
 
     /// Whether any line can be told to be outside.
@@ -79,9 +80,17 @@ impl Bands {
         self.outside.iter().any(Outside::any)
     }
 
-    /// The power of each input.
+    /// The same bands on the lines of other windows.
+    pub fn on(&self, fft: &ShortTime, sample_rate_hz: f64) -> Self {
+        Self::new(self.bands.clone(), fft, sample_rate_hz)
+    }
+
+    /// The power of each input; none where no line can be told to be outside.
     pub fn of(&self, window: &WindowOfInputs<'_>) -> Vec<Power> {
         let power = |(outside, lines): (&Outside, &Vec<Complex64>)| {
+            if !outside.any() {
+                return [0.0; 2];
+            }
             let sum = |lines: &[Complex64]| lines.iter().map(Complex64::norm_sqr).sum::<f64>();
             let out = sum(&lines[outside.below.clone()]) + sum(&lines[outside.above.clone()]);
             [out, sum(&lines[1..])].map(|squares| window.mean_square(squares))
@@ -94,24 +103,30 @@ impl Bands {
         let mut found = Vec::new();
         for (input, range) in range.iter().enumerate().filter(|(input, _)| self.outside[*input].any()) {
             let least = (LEVEL * (range.max - range.min) / 2.0).powi(2);
-            let mut stretches: Vec<(Range<usize>, f64, f64)> = Vec::new();
-            for (samples, power) in windows {
-                let [out, all] = power[input];
+            let mut stretches = Vec::new();
+            for (samples, powers) in windows {
+                let [out, all] = powers[input];
                 // Not a comparison of shares: a drive at rest has no power.
-                if !(out > least && out > SHARE * all) {
-                    continue;
-                }
-                match stretches.last_mut() {
-                    Some((last, last_out, last_all)) if last.end >= samples.start => {
-                        last.end = samples.end;
-                        *last_out += out;
-                        *last_all += all;
-                    }
-                    _ => stretches.push((samples.clone(), out, all)),
+                if out > least && out > SHARE * all {
+                    join(
+                        &mut stretches,
+                        samples,
+                        [out, all],
+                        |[sum_out, sum_all]: &mut Power, [out, all]| {
+                            *sum_out += out;
+                            *sum_all += all;
+                        },
+                    );
                 }
             }
             let (band_hz, window_s) = (self.bands[input], self.window_s);
-            let of = |(samples, out, all)| OutOfBand { samples, input, share: out / all, band_hz, window_s };
+            let of = |(samples, [out, all]): (Range<usize>, Power)| OutOfBand {
+                samples,
+                input,
+                share: out / all,
+                band_hz,
+                window_s,
+            };
             found.extend(stretches.into_iter().map(of));
         }
         found
@@ -170,8 +185,9 @@ mod tests {
         if channels[0].len() < WINDOW_LEN.start {
             return vec![Vec::new(); bands.len()];
         }
-        let fft = ShortTime::new(window_len(bands, RATE)).no_longer_than(channels[0].len());
-        let on_lines = Bands::new(bands, &fft, RATE);
+        let fft = ShortTime::new(window_len(bands, RATE));
+        let fft = fft.shortened(channels[0].len()).unwrap_or(fft);
+        let on_lines = Bands::new(bands.to_vec(), &fft, RATE);
         let inputs: Vec<&[f64]> = channels.iter().map(Vec::as_slice).collect();
         let found = on_lines.find(&range, &fft.each(&inputs, |window| on_lines.of(window)));
         (0..bands.len()).map(|i| found.iter().filter(|out| out.input == i).cloned().collect()).collect()

@@ -6,10 +6,9 @@ use faer::Mat;
 use rigcast_numerics::decompose::Cholesky;
 use serde::{Deserialize, Serialize};
 
-use super::band::{self, window_len};
-use super::short_time::ShortTime;
+use super::InputRange;
+use super::beyond::join;
 use crate::EngineError;
-use crate::model::RigModel;
 
 /// Means that leave the middle of the training by this share of half an input's range are as near as the middle itself.
 const SLACK: f64 = 0.05;
@@ -43,20 +42,13 @@ pub(super) struct Distance {
 }
 
 impl JointRange {
-    /// That of the parts of runs that a model was trained on, `[part][input]`; `None` for one input, and where no part is as
-    /// long as a window.
-    pub(in crate::model) fn of_training(model: &RigModel, parts: &[Vec<&[f64]>]) -> Option<Self> {
-        let n = model.range.len();
-        if n < 2 {
+    /// That of the windows of the training, `[window][input]`, of so many samples; `None` for one input, and without windows.
+    pub(super) fn of_windows(window: usize, ranges: &[InputRange], means: &[Vec<f64>]) -> Option<Self> {
+        let n = ranges.len();
+        if n < 2 || means.is_empty() {
             return None;
         }
-        let fft = ShortTime::new(window_len(&band::of_model(model), model.sample_rate_hz));
-        let of_part = |part: &Vec<&[f64]>| fft.each(part, |window| window.means.to_vec());
-        let means: Vec<Vec<f64>> = parts.iter().flat_map(of_part).map(|(_, means)| means).collect();
         let count = means.len() as f64;
-        if means.is_empty() {
-            return None;
-        }
         let mean = |i: usize| means.iter().map(|of| of[i]).sum::<f64>() / count;
         let middle: Vec<f64> = (0..n).map(mean).collect();
         // Of many inputs and few stretches the correlations are chance: they shrink (Ledoit, Wolf 2004) the more, the fewer
@@ -65,11 +57,11 @@ impl JointRange {
         let of = |i: usize, j: usize| {
             let product = |of: &Vec<f64>| (of[i] - middle[i]) * (of[j] - middle[j]);
             let found = means.iter().map(product).sum::<f64>() / count;
-            let half = (model.range[i].max - model.range[i].min) / 2.0;
+            let half = (ranges[i].max - ranges[i].min) / 2.0;
             if i == j { found + (SLACK * half).powi(2) } else { kept * found }
         };
         let covariance = (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect();
-        let mut joint = Self { window: fft.len(), middle, covariance, max_distance: 0.0 };
+        let mut joint = Self { window, middle, covariance, max_distance: 0.0 };
         // Squares may exceed the range of numbers: then nothing is known.
         if !joint.covariance.iter().flatten().all(|v| v.is_finite()) {
             return None;
@@ -130,17 +122,13 @@ impl Distance {
 
 /// Stretches of windows beyond the limit, with the farthest of each.
 pub(super) fn find(limit: f64, windows: &[(Range<usize>, Apart)]) -> Vec<(Range<usize>, Apart)> {
-    let mut found: Vec<(Range<usize>, Apart)> = Vec::new();
+    let mut found = Vec::new();
     for (samples, apart) in windows.iter().filter(|(_, apart)| apart.distance > limit) {
-        match found.last_mut() {
-            Some((last, farthest)) if last.end >= samples.start => {
-                last.end = samples.end;
-                if apart.distance > farthest.distance {
-                    *farthest = *apart;
-                }
+        join(&mut found, samples, *apart, |farthest: &mut Apart, apart| {
+            if apart.distance > farthest.distance {
+                *farthest = apart;
             }
-            _ => found.push((samples.clone(), *apart)),
-        }
+        });
     }
     found
 }
@@ -152,7 +140,9 @@ mod tests {
 
     use super::*;
     use crate::model::tests::made_up;
-    use crate::model::{InputRange, ModelKind};
+    use crate::model::trust::short_time::ShortTime;
+    use crate::model::trust::watch::of_training;
+    use crate::model::{ModelKind, RigModel};
 
     /// Stretches of a second at 100 Hz, with means from -1 to 1 that two inputs share and a third one has of its own.
     fn drive(stretches: usize, seed: u64) -> Vec<Vec<f64>> {
@@ -173,7 +163,7 @@ mod tests {
         let model =
             RigModel { range: vec![range; 3], frf: None, sample_rate_hz: 100.0, ..made_up(ModelKind::Lstm) };
         let parts = [inputs.iter().map(Vec::as_slice).collect()];
-        let joint = JointRange::of_training(&model, &parts).unwrap();
+        let joint = of_training(&model, &parts).1.unwrap();
         (model, joint)
     }
 
@@ -208,7 +198,7 @@ mod tests {
     fn one_input_has_none_and_a_file_cannot_have_half_of_one() {
         let (of_three, joint) = model(5);
         let of_one = RigModel { range: of_three.range[..1].to_vec(), ..of_three };
-        assert_eq!(JointRange::of_training(&of_one, &[vec![&[0.0; 9000]]]), None);
+        assert_eq!(of_training(&of_one, &[vec![&[0.0; 9000]]]).1, None);
         assert!(joint.check(2).is_err());
         let flat = JointRange { covariance: vec![vec![0.0; 3]; 3], ..joint.clone() };
         let without_middle = JointRange { middle: Vec::new(), ..joint };

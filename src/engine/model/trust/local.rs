@@ -6,6 +6,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::band::window_len;
+use super::beyond::{Beyond, Way, join};
 
 /// Means may leave those of the training by this share of half the range of its values.
 const MEAN_SLACK: f64 = 0.05;
@@ -28,25 +29,6 @@ pub struct LocalRange {
     pub max_rms: f64,
 }
 
-/// A stretch of one input outside, over windows.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Dwelling {
-    /// Samples.
-    pub samples: Range<usize>,
-    /// In which way.
-    pub way: Way,
-    /// The limit that it passed, channel unit.
-    pub limit: f64,
-}
-
-/// A way to be outside over windows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Way {
-    High,
-    Low,
-    Strong,
-}
-
 impl LocalRange {
     /// That of stretches of one input that excited `band_hz`; `None` where no stretch is as long as a window.
     pub(super) fn of<'a>(
@@ -67,29 +49,25 @@ impl LocalRange {
 
     /// Stretches of an input outside; `values` are the smallest and the largest value of the training. An input
     /// shorter than a window is not judged.
-    pub(super) fn find(&self, values: [f64; 2], samples: &[f64]) -> Vec<Dwelling> {
+    pub(super) fn find(&self, values: [f64; 2], samples: &[f64]) -> Vec<Beyond> {
         let slack = MEAN_SLACK * (values[1] - values[0]) / 2.0;
         let limits = [
             (Way::High, self.mean[1] + slack),
             (Way::Low, self.mean[0] - slack),
             (Way::Strong, RMS_SLACK * self.max_rms + slack),
         ];
-        let mut found: [Vec<Dwelling>; 3] = Default::default();
+        let mut found: [Vec<(Range<usize>, ())>; 3] = Default::default();
         each_window(samples, self.window, |part, mean, rms| {
             for ((way, limit), found) in limits.into_iter().zip(&mut found) {
-                let out = match way {
-                    Way::High => mean > limit,
-                    Way::Low => mean < limit,
-                    Way::Strong => rms > limit,
-                };
-                match found.last_mut() {
-                    _ if !out => {}
-                    Some(last) if last.samples.end >= part.start => last.samples.end = part.end,
-                    _ => found.push(Dwelling { samples: part.clone(), way, limit }),
+                if way.beyond(&[mean, rms], limit) {
+                    join(found, &part, (), |(), ()| ());
                 }
             }
         });
-        found.into_iter().flatten().collect()
+        let of_way = |((way, limit), found): ((Way, f64), Vec<(Range<usize>, ())>)| {
+            found.into_iter().map(move |(samples, ())| Beyond { samples, way, limit })
+        };
+        limits.into_iter().zip(found).flat_map(of_way).collect()
     }
 }
 

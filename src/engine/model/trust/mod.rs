@@ -2,6 +2,7 @@
 //! frequency, means and levels over short times, and those of the linear response to all channels together.
 
 mod band;
+mod beyond;
 mod joint;
 mod local;
 mod range;
@@ -18,14 +19,11 @@ use serde::Serialize;
 use super::RigModel;
 use crate::{Signal, rounded};
 
-use local::{Dwelling, Way};
-use response::Driven;
-
 pub use joint::JointRange;
 pub use local::LocalRange;
 pub use range::InputRange;
 pub use response::WindowRange;
-pub(super) use watch::SpectrumWatch;
+pub(super) use watch::{SpectrumWatch, of_training};
 
 /// A span in which one channel is outside in one way.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -82,29 +80,33 @@ pub(super) fn trust(model: &RigModel, watch: Option<&SpectrumWatch>, x: &Signal)
         let fast = outside.leaving(&rates, 1, |rate| rate > rate_limit);
         add(fast, "rate above the training maximum", max_rate, " per second");
     }
+    let mut add = |samples: Range<usize>, channel: usize, reason: String| {
+        outside.samples[samples.clone()].fill(true);
+        found.push((samples, channel, reason));
+    };
     if let Some(watch) = watch {
         let seen = watch.find(model, x);
         for part in seen.out_of_band {
-            outside.samples[part.samples.clone()].fill(true);
-            found.push((part.samples.clone(), part.input, out_of_band(&part)));
+            let reason = out_of_band(&part);
+            add(part.samples, part.input, reason);
         }
-        for driven in seen.driven {
-            outside.samples[driven.samples.clone()].fill(true);
-            let reason = driven_beyond(model, &driven);
-            let first = if model.frf.is_some() { model.inputs.len() } else { 0 };
-            found.push((driven.samples, first + driven.channel, reason));
+        let (of, first) =
+            if model.frf.is_some() { ("linear response: ", model.inputs.len()) } else { ("", 0) };
+        for (place, beyond) in seen.driven {
+            let reason = beyond.reason(model.window_range[place].window as f64 / fs);
+            add(beyond.samples, first + place, format!("{of}{reason}"));
         }
-        for ((samples, apart), joint) in seen.apart.into_iter().zip(model.joint_range.iter().cycle()) {
-            outside.samples[samples.clone()].fill(true);
-            found.push((samples, apart.input, far_apart(joint, apart.distance, fs)));
+        if let Some(joint) = &model.joint_range {
+            for (samples, apart) in seen.apart {
+                add(samples, apart.input, far_apart(joint, apart.distance, fs));
+            }
         }
     }
     for (channel, range) in range.iter().enumerate() {
         let Some(local) = &range.local else { continue };
-        for dwelling in local.find([range.min, range.max], x.channel(channel)) {
-            outside.samples[dwelling.samples.clone()].fill(true);
-            let reason = over_windows(&dwelling, local.window as f64 / fs);
-            found.push((dwelling.samples, channel, reason));
+        for beyond in local.find([range.min, range.max], x.channel(channel)) {
+            let reason = beyond.reason(local.window as f64 / fs);
+            add(beyond.samples, channel, reason);
         }
     }
     found.sort_by_key(|(samples, channel, _)| (samples.start, *channel));
@@ -119,29 +121,6 @@ pub(super) fn trust(model: &RigModel, watch: Option<&SpectrumWatch>, x: &Signal)
         inside: if n == 0 { 1.0 } else { inside as f64 / n as f64 },
         spans: found.into_iter().map(span).collect(),
     }
-}
-
-fn over_windows(dwelling: &Dwelling, window_s: f64) -> String {
-    let what = match dwelling.way {
-        Way::High => "mean over windows above that of the training",
-        Way::Low => "mean over windows below that of the training",
-        Way::Strong => "RMS over windows above that of the training",
-    };
-    format!("{what} (windows of {} s; limit {})", rounded(window_s, 3), rounded(dwelling.limit, 6))
-}
-
-fn driven_beyond(model: &RigModel, driven: &Driven) -> String {
-    let (what, unit) = match driven.way {
-        response::Way::High => ("mean over windows above", ""),
-        response::Way::Low => ("mean over windows below", ""),
-        response::Way::Strong => ("RMS over windows above", ""),
-        response::Way::Fast => ("RMS of the rate over windows above", " per second"),
-        response::Way::Tonal => ("RMS of a single tone over windows above", ""),
-    };
-    let of = if model.frf.is_some() { "linear response: " } else { "" };
-    let window_s = model.window_range[driven.channel].window as f64 / model.sample_rate_hz;
-    let (window_s, limit) = (rounded(window_s, 3), rounded(driven.limit, 6));
-    format!("{of}{what} that of the training (windows of {window_s} s; limit {limit}{unit})")
 }
 
 fn far_apart(joint: &JointRange, distance: f64, sample_rate_hz: f64) -> String {

@@ -6,8 +6,8 @@ use std::ops::Range;
 use realfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
-use super::band::{self, window_len};
-use super::short_time::{ShortTime, WindowOfInputs};
+use super::beyond::{Beyond, Way, join};
+use super::short_time::WindowOfInputs;
 use crate::frf::Frf;
 use crate::model::RigModel;
 
@@ -43,29 +43,8 @@ pub struct WindowRange {
     pub max_tone: f64,
 }
 
-/// A way to be outside.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Way {
-    High,
-    Low,
-    Strong,
-    Fast,
-    Tonal,
-}
-
-/// A stretch in which an output is outside.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Driven {
-    pub samples: Range<usize>,
-    /// Place among the ranges.
-    pub channel: usize,
-    pub way: Way,
-    /// The limit that it passed, channel unit, of rates per second.
-    pub limit: f64,
-}
-
 /// Mean, RMS about it, RMS of the rate and largest RMS of a tone, of an output.
-type Level = [f64; 4];
+pub(super) type Level = [f64; 4];
 
 /// Sums of the squares of an output's lines.
 #[derive(Debug, Clone, Default)]
@@ -184,22 +163,18 @@ impl LinearLevels {
 }
 
 impl WindowRange {
-    /// Those of a model over the parts of runs that it was trained on, `[part][input]`; none where no part is as long as a
-    /// window.
-    pub(in crate::model) fn of_training(model: &RigModel, parts: &[Vec<&[f64]>]) -> Vec<Self> {
-        let fft = ShortTime::new(window_len(&band::of_model(model), model.sample_rate_hz));
-        let levels = LinearLevels::new(model, fft.len());
-        let windows = parts.iter().flat_map(|part| fft.each(part, |window| levels.of(window)));
-        let mut found: Vec<Self> = Vec::new();
-        for (_, of_channels) in windows {
-            let none = [f64::INFINITY, f64::NEG_INFINITY];
-            let empty = Self { window: fft.len(), mean: none, max_rms: 0.0, max_rate: 0.0, max_tone: 0.0 };
-            found.resize(of_channels.len(), empty);
+    /// Those of all channels over the windows of the training, `[window][channel]`, of so many samples; none without windows.
+    pub(super) fn of_windows(window: usize, windows: &[Vec<Level>]) -> Vec<Self> {
+        let channels = windows.first().map_or(0, Vec::len);
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        let mut found =
+            vec![Self { window, mean: none, max_rms: 0.0, max_rate: 0.0, max_tone: 0.0 }; channels];
+        for of_channels in windows {
             for (range, [mean, rms, rate, tone]) in found.iter_mut().zip(of_channels) {
-                range.mean = [range.mean[0].min(mean), range.mean[1].max(mean)];
-                range.max_rms = range.max_rms.max(rms);
-                range.max_rate = range.max_rate.max(rate);
-                range.max_tone = range.max_tone.max(tone);
+                range.mean = [range.mean[0].min(*mean), range.mean[1].max(*mean)];
+                range.max_rms = range.max_rms.max(*rms);
+                range.max_rate = range.max_rate.max(*rate);
+                range.max_tone = range.max_tone.max(*tone);
             }
         }
         // Squares may exceed the range of numbers: then nothing is known.
@@ -220,28 +195,17 @@ impl WindowRange {
     }
 }
 
-/// The stretches of windows outside.
-pub(super) fn find(ranges: &[WindowRange], windows: &[(Range<usize>, Vec<Level>)]) -> Vec<Driven> {
+/// The stretches of windows outside, with the place of their channel among the ranges.
+pub(super) fn find(ranges: &[WindowRange], windows: &[(Range<usize>, Vec<Level>)]) -> Vec<(usize, Beyond)> {
     let mut found = Vec::new();
     for (channel, range) in ranges.iter().enumerate() {
         for (way, limit) in range.limits() {
-            let mut last: Option<Driven> = None;
-            for (samples, levels) in windows {
-                let [mean, rms, rate, tone] = levels[channel];
-                let out = match way {
-                    Way::High => mean > limit,
-                    Way::Low => mean < limit,
-                    Way::Strong => rms > limit,
-                    Way::Fast => rate > limit,
-                    Way::Tonal => tone > limit,
-                };
-                match &mut last {
-                    _ if !out => {}
-                    Some(last) if last.samples.end >= samples.start => last.samples.end = samples.end,
-                    _ => found.extend(last.replace(Driven { samples: samples.clone(), channel, way, limit })),
-                }
+            let mut stretches = Vec::new();
+            for (samples, _) in windows.iter().filter(|(_, levels)| way.beyond(&levels[channel], limit)) {
+                join(&mut stretches, samples, (), |(), ()| ());
             }
-            found.extend(last);
+            found
+                .extend(stretches.into_iter().map(|(samples, ())| (channel, Beyond { samples, way, limit })));
         }
     }
     found
@@ -252,6 +216,8 @@ mod tests {
     use super::*;
     use crate::frf::Frf;
     use crate::model::tests::made_up;
+    use crate::model::trust::short_time::ShortTime;
+    use crate::model::trust::watch::of_training;
     use crate::model::{InputRange, ModelKind};
 
     const RATE: f64 = 1000.0;
@@ -281,7 +247,7 @@ mod tests {
     }
 
     fn ranges(model: &RigModel, inputs: [&[f64]; 2]) -> Vec<WindowRange> {
-        WindowRange::of_training(model, &[inputs.to_vec()])
+        of_training(model, &[inputs.to_vec()]).0
     }
 
     /// The ways in which two inputs are outside.
@@ -289,7 +255,7 @@ mod tests {
         let fft = ShortTime::new(ranges[0].window);
         let levels = LinearLevels::new(model, fft.len());
         let found = find(ranges, &fft.each(&inputs, |window| levels.of(window)));
-        found.iter().map(|driven| driven.way).collect()
+        found.iter().map(|(_, beyond)| beyond.way).collect()
     }
 
     #[test]
@@ -335,7 +301,7 @@ mod tests {
         let model = adder();
         let huge = tone(20.0, 1e160, 0.0);
         assert_eq!(ranges(&model, [&huge, &huge]), []);
-        assert_eq!(super::super::JointRange::of_training(&model, &[vec![&huge, &huge]]), None);
+        assert_eq!(of_training(&model, &[vec![&huge, &huge]]).1, None);
     }
 
     #[test]

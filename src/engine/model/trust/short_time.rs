@@ -42,9 +42,9 @@ impl ShortTime {
         Self { window, fft: RealFftPlanner::new().plan_fft_forward(len), scale }
     }
 
-    /// These, or windows that fit into so many samples, at least two.
-    pub fn no_longer_than(&self, n: usize) -> Self {
-        if n < self.len() { Self::new(1 << n.ilog2()) } else { self.clone() }
+    /// Windows that fit into so many samples, at least two, where these do not.
+    pub fn shortened(&self, n: usize) -> Option<Self> {
+        (n < self.len()).then(|| Self::new(1 << n.ilog2()))
     }
 
     /// Samples of a window.

@@ -3,8 +3,9 @@
 use std::ops::Range;
 
 use super::band::{self, Bands, OutOfBand, WINDOW_LEN, window_len};
+use super::beyond::Beyond;
 use super::joint::{self, Apart, Distance, JointRange};
-use super::response::{self, Driven, LinearLevels};
+use super::response::{self, LinearLevels, WindowRange};
 use super::short_time::ShortTime;
 use crate::Signal;
 use crate::model::RigModel;
@@ -12,8 +13,8 @@ use crate::model::RigModel;
 /// What is watched of a model's drives.
 #[derive(Clone)]
 pub(in crate::model) struct SpectrumWatch {
-    bands: Vec<[f64; 2]>,
     fft: ShortTime,
+    bands: Bands,
     /// Of models that know their response in the training.
     levels: Option<LinearLevels>,
     /// Of models that know the means of all inputs together.
@@ -24,7 +25,8 @@ pub(in crate::model) struct SpectrumWatch {
 #[derive(Debug, Default)]
 pub(super) struct SeenOutside {
     pub out_of_band: Vec<OutOfBand>,
-    pub driven: Vec<Driven>,
+    /// Stretches of the linear response, with the place of the output; without an FRF of the inputs.
+    pub driven: Vec<(usize, Beyond)>,
     /// Stretches of means far from those of the training.
     pub apart: Vec<(Range<usize>, Apart)>,
 }
@@ -38,16 +40,14 @@ impl std::fmt::Debug for SpectrumWatch {
 impl SpectrumWatch {
     /// None when nothing can be told to be outside.
     pub fn new(model: &RigModel) -> Option<Self> {
-        let bands = band::of_model(model);
-        let fft = ShortTime::new(window_len(&bands, model.sample_rate_hz));
+        let (fft, bands) = windows(model);
         // Ranges of other windows, from a file, say nothing about these.
         let known = model.window_range.first().is_some_and(|range| range.window == fft.len());
         let levels = known.then(|| LinearLevels::new(model, fft.len()));
         let joint = model.joint_range.as_ref().filter(|joint| joint.window == fft.len());
         let distance = joint.and_then(JointRange::distance);
-        let over_windows = levels.is_some() || distance.is_some();
-        let tells = over_windows || Bands::new(&bands, &fft, model.sample_rate_hz).tell();
-        tells.then_some(Self { bands, fft, levels, distance })
+        let tells = levels.is_some() || distance.is_some() || bands.tell();
+        tells.then_some(Self { fft, bands, levels, distance })
     }
 
     /// Where the inputs of the model are outside.
@@ -57,11 +57,11 @@ impl SpectrumWatch {
             return SeenOutside::default();
         }
         // The spectrum of a drive shorter than the window is looked at through a shorter one; the rest is not judged.
-        let fft = self.fft.no_longer_than(n);
-        let whole = fft.len() == self.fft.len();
-        let (levels, distance) =
-            (self.levels.as_ref().filter(|_| whole), self.distance.as_ref().filter(|_| whole));
-        let bands = Bands::new(&self.bands, &fft, x.sample_rate_hz());
+        let shorter = self.fft.shortened(n).map(|fft| (self.bands.on(&fft, x.sample_rate_hz()), fft));
+        let (fft, bands, levels, distance) = match &shorter {
+            Some((bands, fft)) => (fft, bands, None, None),
+            None => (&self.fft, &self.bands, self.levels.as_ref(), self.distance.as_ref()),
+        };
         let inputs: Vec<&[f64]> = x.channels().iter().map(Vec::as_slice).collect();
         let (mut powers, mut of_levels, mut distances) = (Vec::new(), Vec::new(), Vec::new());
         for (samples, (power, level, distance)) in fft.each(&inputs, |window| {
@@ -79,4 +79,24 @@ impl SpectrumWatch {
             apart: joint::find(limit, &distances),
         }
     }
+}
+
+/// The windows over which a model's drives are watched, and its bands on their lines.
+fn windows(model: &RigModel) -> (ShortTime, Bands) {
+    let bands = band::of_model(model);
+    let fft = ShortTime::new(window_len(&bands, model.sample_rate_hz));
+    let bands = Bands::new(bands, &fft, model.sample_rate_hz);
+    (fft, bands)
+}
+
+/// The ranges of a model over windows of the parts of runs that it was trained on, `[part][input]`.
+pub(in crate::model) fn of_training(
+    model: &RigModel,
+    parts: &[Vec<&[f64]>],
+) -> (Vec<WindowRange>, Option<JointRange>) {
+    let (fft, _) = windows(model);
+    let linear = LinearLevels::new(model, fft.len());
+    let of_part = |part: &Vec<&[f64]>| fft.each(part, |window| (linear.of(window), window.means.to_vec()));
+    let (levels, means): (Vec<_>, Vec<_>) = parts.iter().flat_map(of_part).map(|(_, found)| found).unzip();
+    (WindowRange::of_windows(fft.len(), &levels), JointRange::of_windows(fft.len(), &model.range, &means))
 }

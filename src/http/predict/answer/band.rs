@@ -65,7 +65,7 @@ impl Setting<'_> {
         };
         let mut band =
             BandAnswer { coverage: BAND_COVERAGE, channels: BTreeMap::new(), damage: BTreeMap::new() };
-        let of_cycles = self.loaded.predictor.half_width_of_cycles();
+        let of_cycles = self.loaded.predictor.cycle_factors();
         for (k, name) in model.outputs.iter().enumerate() {
             let (y, h) = (response.channel(k), half_width.channel(k));
             let wider: Vec<f64> = h.iter().map(|h| of_cycles[k] * h).collect();
