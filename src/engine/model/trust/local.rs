@@ -56,18 +56,18 @@ impl LocalRange {
             (Way::Low, self.mean[0] - slack),
             (Way::Strong, RMS_SLACK * self.max_rms + slack),
         ];
-        let mut found: [Vec<(Range<usize>, ())>; 3] = Default::default();
+        let mut found = limits.map(|limit| (limit, Vec::new()));
         each_window(samples, self.window, |part, mean, rms| {
-            for ((way, limit), found) in limits.into_iter().zip(&mut found) {
-                if way.beyond(&[mean, rms], limit) {
-                    join(found, &part, (), |(), ()| ());
+            for ((way, limit), stretches) in &mut found {
+                if way.beyond(&[mean, rms], *limit) {
+                    join(stretches, &part, (), |(), ()| ());
                 }
             }
         });
-        let of_way = |((way, limit), found): ((Way, f64), Vec<(Range<usize>, ())>)| {
-            found.into_iter().map(move |(samples, ())| Beyond { samples, way, limit })
-        };
-        limits.into_iter().zip(found).flat_map(of_way).collect()
+        let beyond = found.into_iter().flat_map(|((way, limit), stretches)| {
+            stretches.into_iter().map(move |(samples, ())| Beyond { samples, way, limit })
+        });
+        beyond.collect()
     }
 }
 
