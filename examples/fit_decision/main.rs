@@ -7,6 +7,7 @@
 //! named is of rigs that the weights were not fitted to. The check of the diagnosis, `blind_check`, draws its rigs from
 //! other equations; none of them is used here.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Parser;
@@ -141,12 +142,16 @@ fn print(rigs: &[Rig], probabilities: &[Vec<f64>]) {
     let mut bins = [(0.0, 0.0, 0usize); 10];
     let (mut loss, mut named, mut right, mut blamed, mut none, mut sure_wrong) =
         (0.0, 0usize, 0usize, 0usize, 0usize, 0usize);
-    let mut by_family: std::collections::BTreeMap<String, [usize; 4]> = std::collections::BTreeMap::new();
+    let mut by_family: BTreeMap<String, [usize; 4]> = BTreeMap::new();
+    let mut taken: BTreeMap<(String, String), usize> = BTreeMap::new();
     for (rig, p) in rigs.iter().zip(probabilities) {
         loss -= rig.row.of_truth(p).max(1e-12).ln();
         let best = (0..p.len()).max_by(|&a, &b| p[a].total_cmp(&p[b]));
         let any: f64 = p.iter().sum();
         let name = rig.truth.first().map_or("none".into(), |f| format!("{f:?}"));
+        if let Some(best) = best.filter(|&best| any >= 0.5 && !rig.row.right[best]) {
+            *taken.entry((name.clone(), format!("{:?}", rig.families[best]))).or_default() += 1;
+        }
         let counts = by_family.entry(name).or_default();
         counts[0] += 1;
         counts[3] += usize::from(rig.row.right.contains(&true));
@@ -184,5 +189,11 @@ fn print(rigs: &[Rig], probabilities: &[Vec<f64>]) {
         println!(
             "  {family:20} {all:4} rigs, {present:4} among the alternatives, {named:4} named, {right:4} right"
         );
+    }
+    println!("taken for another:");
+    let mut wrong: Vec<((String, String), usize)> = taken.into_iter().collect();
+    wrong.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    for ((truth, stated), count) in wrong {
+        println!("  {truth:20} as {stated:20} {count:4}");
     }
 }

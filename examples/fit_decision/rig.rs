@@ -55,7 +55,17 @@ struct Beyond {
     command: Command,
     sensor: Sensor,
     /// A static law between two filters.
-    block: Option<f64>,
+    block: Option<Block>,
+    /// Supply of a valve whose flow falls with the load's root, in deviations of the elastic force.
+    supply: Option<f64>,
+}
+
+/// A bend of the command behind two lags, or a pair of poles, of so many cycles a sample.
+#[derive(Clone, Copy)]
+struct Block {
+    bend: f64,
+    corner: f64,
+    damping: Option<f64>,
 }
 
 /// Where a force acts: the motion of a mass against ground or against the one before it.
@@ -93,11 +103,12 @@ struct Rig {
 /// Draws the rig of a seed and runs it.
 pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     let rng = &mut ChaCha8Rng::seed_from_u64(seed);
-    let kind = rng.random_range(0..20);
+    let kind = rng.random_range(0..22);
     let control = match rng.random_range(0..20) {
-        _ if (4..=8).contains(&kind) || kind == 10 => Control::Force,
+        _ if (4..=8).contains(&kind) || kind == 10 || kind == 20 => Control::Force,
         0..=9 => Control::Force,
         10..=13 => Control::Loop { gain: rng.random_range(0.02..0.2), reset: rng.random_range(0.0..0.001) },
+        _ if kind == 21 => Control::Force,
         _ => Control::Specimen,
     };
     // A second axis says nothing of what the first has.
@@ -150,6 +161,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         command: Command::Plain,
         sensor: Sensor::Plain,
         block: None,
+        supply: None,
     };
     let levels = levels(rng);
     let repeated = levels.len() > 1 && rng.random_bool(0.2);
@@ -174,7 +186,15 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         6 => Beyond { command: Command::deadband(rng), background: None, ..plain },
         7 => Beyond { sensor: Sensor::some(rng), background: None, ..plain },
         8 => Beyond { force: Some(Force::cross_axis(rng)), background: None, ..plain },
-        10 => Beyond { block: Some(rng.random_range(0.1..0.6)), background: None, ..plain },
+        10 | 20 => {
+            let block = Block {
+                bend: rng.random_range(0.1..0.8),
+                corner: rig.high * log_uniform(0.15, 1.2, rng),
+                damping: rng.random_bool(0.5).then(|| rng.random_range(0.1..0.7)),
+            };
+            Beyond { block: Some(block), background: None, ..plain }
+        }
+        21 => Beyond { supply: Some(rng.random_range(1.3..5.0)), background: None, ..plain },
         11 => Beyond { force: Some(Force::drift(rng)), background: None, ..plain },
         12 | 14 => Beyond { force: Some(Force::damping(rng)), background: None, ..plain },
         13 => Beyond { force: Some(Force::outside(rng)), background: None, ..plain },
@@ -187,6 +207,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         command: Command::Plain,
         sensor: Sensor::Plain,
         block: None,
+        supply: None,
         ..plain
     };
     let level =
@@ -223,7 +244,8 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     let truth = [beyond.force.and_then(Force::family), beyond.command.family(), beyond.sensor.family()];
     // A static law behind a filter of the command is both a block structure and an actuator's map.
     let block = [Family::BlockStructure, Family::Actuator].map(|f| beyond.block.map(|_| f));
-    let truth = truth.into_iter().chain(block).flatten().filter(|_| seen).collect();
+    let valve = beyond.supply.map(|_| Family::Actuator);
+    let truth = truth.into_iter().chain(block).chain([valve]).flatten().filter(|_| seen).collect();
     Ok(Case { recording, truth })
 }
 
@@ -266,7 +288,7 @@ impl Rig {
         let mut commands: Vec<Vec<f64>> = drives.to_vec();
         commands[0] = beyond.command.apply(&commands[0]);
         if let Some(bend) = beyond.block {
-            commands[0] = block(&commands[0], bend, self.lag);
+            commands[0] = block(&commands[0], bend);
         }
         for command in &mut commands {
             let disturbance = drives::coloured(n, self.high, rng);
@@ -403,6 +425,13 @@ impl Rig {
             law += strength * level.force * force.at(&now, &x[own.clone()], &mut rates[own]);
         }
         let (mut elastic, mut needed) = (0.0, 0.0);
+        // The root of the pressure that the load leaves.
+        let valve = |axis: usize, opening: f64, load: f64| match beyond.supply {
+            Some(supply) if axis == 0 => {
+                (1.0 - opening.signum() * load / (supply * level.force)).clamp(0.0, 2.0).sqrt()
+            }
+            _ => 1.0,
+        };
         for (axis, chain) in self.chains.iter().enumerate() {
             let at = axis * width;
             for mass in 0..masses {
@@ -427,13 +456,15 @@ impl Rig {
                     let actuator = at + 2 * masses;
                     match self.control {
                         Control::Force => {
-                            rates[actuator] = TAU * self.lag * (u[axis] - x[actuator]);
+                            let flow = u[axis] * valve(axis, u[axis], x[actuator]);
+                            rates[actuator] = TAU * self.lag * (flow - x[actuator]);
                             force += x[actuator];
                         }
                         Control::Loop { gain, reset } => {
                             let error = u[axis] - x[own];
                             rates[actuator] = reset * error;
                             let wanted = gain * error + x[actuator];
+                            let wanted = wanted * valve(axis, wanted, x[actuator + 1]);
                             rates[actuator + 1] = TAU * self.lag * (wanted - x[actuator + 1]);
                             force += x[actuator + 1];
                         }
@@ -455,14 +486,24 @@ impl Rig {
 }
 
 /// Bends a command between a filter and the rig's dynamics.
-fn block(u: &[f64], bend: f64, corner: f64) -> Vec<f64> {
-    let share = 1.0 - (-TAU * 0.3 * corner).exp();
+fn block(u: &[f64], Block { bend, corner, damping }: Block) -> Vec<f64> {
+    let pace = TAU * corner / STEPS as f64;
     let mut states = [0.0; 2];
     let filtered: Vec<f64> = u
         .iter()
         .map(|u| {
-            states[0] += share * (u - states[0]);
-            states[1] += share * (states[0] - states[1]);
+            for _ in 0..STEPS {
+                match damping {
+                    Some(damping) => {
+                        states[0] += pace * (u - states[1] - 2.0 * damping * states[0]);
+                        states[1] += pace * states[0];
+                    }
+                    None => {
+                        states[0] += pace * (u - states[0]);
+                        states[1] += pace * (states[0] - states[1]);
+                    }
+                }
+            }
             states[1]
         })
         .collect();

@@ -26,6 +26,7 @@ const MOST_WEIGHT: f64 = 30.0;
 /// The recording at the rate of the analysis.
 pub(super) struct Desk<'a> {
     pub recording: &'a Recording,
+    grouping: &'a Grouping,
     pub band: Band,
     /// Limits of what is integrated and differentiated.
     pub limits: Limits,
@@ -40,8 +41,17 @@ pub(super) struct Desk<'a> {
 }
 
 impl<'a> Desk<'a> {
-    pub fn new(recording: &'a Recording, grouping: &Grouping) -> Self {
-        let band = Band::of(recording);
+    pub fn new(recording: &'a Recording, grouping: &'a Grouping) -> Self {
+        Self::in_band(recording, grouping, Band::of(recording))
+    }
+
+    /// The same at the recording's own rate; `None` where it is.
+    pub fn unthinned(&self) -> Option<Self> {
+        let band = Band { step: 1, ..self.band };
+        (self.band.step > 1).then(|| Self::in_band(self.recording, self.grouping, band))
+    }
+
+    fn in_band(recording: &'a Recording, grouping: &'a Grouping, band: Band) -> Self {
         let step = band.step;
         let limits = limits(recording, band);
         let thinner = Thinner::new(step);
@@ -75,6 +85,7 @@ impl<'a> Desk<'a> {
         responses.iter_mut().for_each(still);
         let mut desk = Self {
             recording,
+            grouping,
             band,
             limits,
             thinner,
@@ -91,6 +102,11 @@ impl<'a> Desk<'a> {
 
     pub fn rate_hz(&self) -> f64 {
         self.recording.sample_rate_hz() / self.band.step as f64
+    }
+
+    /// Longest memory of a linear part that the records can carry, samples.
+    pub fn longest(&self) -> usize {
+        longest(&self.segments, &self.lengths(), self.drives.len())
     }
 
     pub fn lengths(&self) -> Vec<usize> {
@@ -141,8 +157,7 @@ impl<'a> Desk<'a> {
     /// Linear parts: modes, and a finite impulse response where it predicts better or no modes can be had. A law
     /// that is strong disturbs both, each in its way.
     pub fn bases(&self) -> Vec<Base<'_>> {
-        let lengths = self.lengths();
-        let memory = longest(&self.segments, &lengths, self.drives.len());
+        let memory = self.longest();
         let all = Lags { lead: LEAD, span: memory + LEAD };
         let moments = Moments::of(&self.drives, &self.responses, &self.segments, all);
         let (error, setting) = choose(&moments, &self.segments, all);

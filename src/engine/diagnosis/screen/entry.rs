@@ -6,6 +6,8 @@ use std::ops::Range;
 use super::correlate::Filter;
 use super::forward::Kernel;
 use super::judge::Base;
+use super::law::Way;
+use super::linear_part::Setting;
 use super::place::Place;
 use super::track::{Segment, Track, delayed};
 
@@ -15,12 +17,18 @@ const DIRECT: [usize; 2] = [8, 4];
 const BEHIND: usize = 2;
 /// Drives at most whose impulse responses let a response's signal in.
 const THROUGH: usize = 3;
+/// Lags of a signal behind an impulse response that has the filter ahead of the signal in it: they take it away.
+const BEYOND: usize = 5;
 /// Lags of a static law's output behind the linear part.
 const AFTER: usize = 12;
 
 /// The ways into one response.
 pub(super) struct Entry {
     lead: usize,
+    /// How the filter behind a bend is set.
+    back: Setting,
+    /// Samples of the longest record.
+    longest: usize,
     /// Impulse responses from the lead on, by drive.
     impulses: Vec<Vec<f64>>,
     /// Impulse responses from the lead on, `[drive][record]`.
@@ -36,13 +44,13 @@ pub(super) struct Entry {
 
 impl Entry {
     pub fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
-        let longest = drives[0].iter().map(Vec::len).max().unwrap_or(1);
-        let impulses = (0..drives.len()).map(|d| base.impulse(response, d, longest)).collect();
-        Self::of(impulses, base.setting().lags.lead, drives)
+        let impulses = (0..drives.len()).map(|d| base.impulse(response, d, longest(drives))).collect();
+        Self::of(impulses, base.setting(), drives)
     }
 
-    /// By impulse responses of the drives, from the lag `-lead` on.
-    pub fn of(impulses: Vec<Vec<f64>>, lead: usize, drives: &[Track]) -> Self {
+    /// By impulse responses of the drives, from the lead of the linear part on.
+    pub fn of(impulses: Vec<Vec<f64>>, setting: &Setting, drives: &[Track]) -> Self {
+        let lead = setting.lags.lead;
         let filters = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<Vec<Filter>> {
             let one = |(d, h): (&Track, &Vec<f64>)| {
                 let impulse = of(h);
@@ -76,7 +84,17 @@ impl Entry {
             })
             .collect();
         let (causal, delayed) = (filters(&|h| h[lead..].to_vec()), filters(&|h| late(&h[lead..])));
-        Self { lead, impulses, whole, causal, delayed, order, output }
+        Self {
+            lead,
+            back: setting.clone(),
+            longest: longest(drives),
+            impulses,
+            whole,
+            causal,
+            delayed,
+            order,
+            output,
+        }
     }
 
     /// What the columns of `signals` signals at a place do together, with these coefficients: of each signal the
@@ -85,7 +103,7 @@ impl Entry {
         &self,
         place: Place,
         own: bool,
-        load: bool,
+        way: Way,
         signals: usize,
         coefficients: &[f64],
     ) -> Vec<Kernel> {
@@ -94,13 +112,23 @@ impl Entry {
         let mut kernels = Vec::with_capacity(signals);
         for _ in 0..signals {
             let mut kernel = Kernel::default();
+            if way == Way::Free {
+                let theta: Vec<f64> = rest.by_ref().take(self.back.width()).collect();
+                kernel.add(&self.back.impulse(&theta, self.longest), -(self.lead as isize), 1.0);
+                kernels.push(kernel);
+                continue;
+            }
             let mut add = |impulse: &[f64], lags: Range<isize>| {
                 for lag in lags {
                     kernel.add(impulse, lag, rest.next().unwrap_or(0.0));
                 }
             };
             match place {
-                Place::Drive(d) if load => add(&late(&self.impulses[d][self.lead..]), behind()),
+                Place::Drive(d) if way == Way::Loaded => add(&late(&self.impulses[d][self.lead..]), behind()),
+                Place::Drive(d) if way == Way::Behind => {
+                    let lead = self.lead as isize;
+                    add(&self.impulses[d], -lead..BEYOND as isize - lead);
+                }
                 Place::Drive(d) => {
                     let before = -(self.lead.min(direct / 2) as isize);
                     add(&[1.0], before..before + direct as isize);
@@ -121,9 +149,11 @@ impl Entry {
     }
 
     /// Number of columns of so many signals at a place.
-    pub fn width(&self, place: Place, load: bool, signals: usize) -> usize {
+    pub fn width(&self, place: Place, way: Way, signals: usize) -> usize {
         let of_one = match place {
-            Place::Drive(_) if load => BEHIND,
+            _ if way == Way::Free => self.back.width(),
+            Place::Drive(_) if way == Way::Loaded => BEHIND,
+            Place::Drive(_) if way == Way::Behind => BEYOND,
             Place::Drive(_) => DIRECT[usize::from(signals > 2)] + BEHIND,
             Place::Output(_) => {
                 if signals > 2 {
@@ -143,12 +173,12 @@ impl Entry {
     }
 
     /// Columns of signals at a place, `[segment][column][row]`. `own`: the place is this response itself.
-    /// `load`: the signals hold a response too, which enters through a drive's dynamics only.
+    /// `way`: how signals over a drive enter.
     pub fn columns(
         &self,
         place: Place,
         own: bool,
-        load: bool,
+        way: Way,
         signals: &[Track],
         segments: &[Segment],
     ) -> Vec<Vec<Vec<f64>>> {
@@ -156,9 +186,18 @@ impl Entry {
         let mut tracks: Vec<(Track, Range<isize>)> = Vec::new();
         for signal in signals {
             match place {
-                Place::Drive(d) if load => {
+                _ if way == Way::Free => {
+                    let lead = self.lead as isize;
+                    tracks.push((signal.clone(), -lead..self.back.lags.span as isize - lead));
+                    let states = self.back.poles.as_ref().map(|poles| poles.filter(signal));
+                    tracks.extend(states.into_iter().flatten().map(|state| (state, 0..1)));
+                }
+                Place::Drive(d) if way == Way::Loaded => {
                     let through = signal.iter().zip(&self.delayed[d]).map(|(x, h)| h.apply(x)).collect();
                     tracks.push((through, behind()));
+                }
+                Place::Drive(d) if way == Way::Behind => {
+                    tracks.push((ahead(signal, &self.whole[d], self.lead), 0..BEYOND as isize));
                 }
                 Place::Drive(d) => {
                     let before = -(self.lead.min(direct / 2) as isize);
@@ -188,6 +227,10 @@ impl Entry {
             })
             .collect()
     }
+}
+
+fn longest(drives: &[Track]) -> usize {
+    drives[0].iter().map(Vec::len).max().unwrap_or(1)
 }
 
 fn behind() -> Range<isize> {

@@ -73,7 +73,7 @@ impl Kernel {
     }
 
     /// What it makes of a drive that was at its first sample for ever, about `mean`.
-    fn apply_held(&self, x: &[f64], mean: f64) -> Vec<f64> {
+    pub fn apply_held(&self, x: &[f64], mean: f64) -> Vec<f64> {
         let first = x.first().copied().unwrap_or(mean);
         let moved: Vec<f64> = x.iter().map(|x| x - first).collect();
         let level = (first - mean) * self.sum();
@@ -197,9 +197,34 @@ pub struct AsDrive {
     factors: Vec<f64>,
 }
 
+/// What a number of a law counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NumberOf {
+    /// Its argument.
+    Argument,
+    /// The rate of its argument.
+    Rate,
+    /// Cycles a second.
+    Frequency,
+    /// A ratio.
+    Ratio,
+}
+
+/// A number of a law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Number {
+    /// Its name.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// What it counts.
+    pub of: NumberOf,
+}
+
 /// Bounds on what is read from a file.
 const MOST_TAPS: usize = 1 << 20;
 const LARGEST: f64 = 1e15;
+const MOST_KINKS: usize = 64;
 /// How far a law's curve reaches, in deviations of its argument.
 const REACH: f64 = 3.0;
 
@@ -458,19 +483,22 @@ impl Forward {
         Some((over_rate, x, y))
     }
 
-    /// The law's numbers in the unit of its argument, and whether they are rates.
-    pub fn numbers(&self) -> Vec<(&'static str, f64, bool)> {
+    /// The law's numbers.
+    pub fn numbers(&self) -> Vec<Number> {
         let Scale { centre, d, v } = self.argument.1;
+        let length = |name, value| Number { name, value, of: NumberOf::Argument };
+        let rate = |name, value| Number { name, value, of: NumberOf::Rate };
         match self.law {
-            Law::Kink { at } => vec![("kink", at * d, false)],
-            Law::OneSided { at } => vec![("kink", centre + at * d, false)],
-            Law::Coulomb { smooth } => vec![("sliding_velocity", smooth * v, true)],
+            Law::Kink { at } => vec![length("kink", at * d)],
+            Law::OneSided { at } => vec![length("kink", centre + at * d)],
+            Law::Coulomb { smooth } => vec![rate("sliding_velocity", smooth * v)],
             Law::Stribeck { smooth, decay } => {
-                vec![("sliding_velocity", smooth * v, true), ("stribeck_velocity", decay * v, true)]
+                vec![rate("sliding_velocity", smooth * v), rate("stribeck_velocity", decay * v)]
             }
-            Law::Slider { limit } | Law::BoucWen { limit } => vec![("yield_displacement", limit * d, false)],
-            Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![("kink", at * v, true)],
-            Law::RateLimit { limit } => vec![("rate", limit * v, true)],
+            Law::Slider { limit } | Law::BoucWen { limit } => vec![length("yield_displacement", limit * d)],
+            Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![rate("kink", at * v)],
+            Law::RateLimit { limit } => vec![rate("rate", limit * v)],
+            Law::Block { front, .. } | Law::Bent { front, .. } => front.numbers(self.rate_hz),
             _ => Vec::new(),
         }
     }
@@ -534,6 +562,16 @@ impl Forward {
         }
         finite(&self.drive_mean)?;
         finite([&self.limits.low_hz, &self.limits.high_hz])?;
+        if let Law::Block { front, .. } | Law::Bent { front, .. } = self.law
+            && !front.is_stable()
+        {
+            return Err("law: a filter that does not come to rest".into());
+        }
+        if let Law::Block { kinks, .. } = self.law
+            && !(2..=MOST_KINKS).contains(&kinks)
+        {
+            return Err(format!("law: {kinks} kinks, 2 to {MOST_KINKS}"));
+        }
         finite(&self.law.values())
     }
 }

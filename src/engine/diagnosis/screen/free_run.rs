@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::entry::Entry;
 use super::forward::{Course, Forward, Kernel, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
+use super::law::{Law, Way};
 use super::linear_part::Setting;
 use super::place::{Argument, Place};
 use super::report::Standing;
@@ -44,7 +45,7 @@ pub struct FreeRun {
 /// Columns that enter together, `[signals]` of them at one place.
 struct Part {
     place: Place,
-    load: bool,
+    way: Way,
     signals: std::ops::Range<usize>,
 }
 
@@ -58,7 +59,7 @@ struct Round {
 }
 
 /// A law with its arguments, before anything is fitted.
-struct Aim {
+pub(super) struct Aim {
     bare: Forward,
     parts: Vec<Part>,
     /// Its signals over the measured arguments, then the unbent arguments.
@@ -84,6 +85,11 @@ impl Bench<'_> {
     pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<FreeRun> {
         let aim = self.aim(arguments, standing)?;
         let mut best = self.beside(&aim, None);
+        if let Law::Block { front, .. } = standing.law {
+            let bent = self.bent(arguments, standing, front);
+            let left = |run: &Option<FreeRun>| run.as_ref().map_or(f64::INFINITY, |run| run.ratio);
+            return if left(&bent) < left(&best) { bent } else { best };
+        }
         if !aim.bare.feeds_back() || mean_square(&self.linear[standing.response].errors).sqrt() < DISTORTED {
             return best;
         }
@@ -105,7 +111,7 @@ impl Bench<'_> {
     }
 
     /// What is simulated: the law with its arguments.
-    fn aim(&self, arguments: &[Argument], standing: &Standing) -> Option<Aim> {
+    pub(super) fn aim(&self, arguments: &[Argument], standing: &Standing) -> Option<Aim> {
         let argument = &*self.argument(arguments, standing.place)?;
         let other = match standing.other {
             Some(place) => Some(arguments.iter().find(|a| a.place == place)?),
@@ -128,11 +134,11 @@ impl Bench<'_> {
         let law = standing.law;
         let count = law.count();
         let mut parts = vec![
-            Part { place: argument.place, load: law.loaded(), signals: 0..count },
-            Part { place: argument.place, load: false, signals: count..count + 1 },
+            Part { place: argument.place, way: law.way(), signals: 0..count },
+            Part { place: argument.place, way: Way::Plain, signals: count..count + 1 },
         ];
         if let Some(other) = other {
-            parts.push(Part { place: other.place, load: false, signals: count + 1..count + 2 });
+            parts.push(Part { place: other.place, way: Way::Plain, signals: count + 1..count + 2 });
         }
         let desk = self.desk;
         let bare = Forward {
@@ -158,7 +164,7 @@ impl Bench<'_> {
     }
 
     /// The free run of a law on the screen's linear part, or on one that is set otherwise.
-    fn beside(&self, aim: &Aim, setting: Option<&Setting>) -> Option<FreeRun> {
+    pub(super) fn beside(&self, aim: &Aim, setting: Option<&Setting>) -> Option<FreeRun> {
         self.with_fit(aim, setting, |fit| fit.found())?
     }
 
@@ -272,7 +278,11 @@ impl Fit<'_, '_> {
                 taps.resize(taps.len().max(lead + 2), 0.0);
                 taps
             };
-            Entry::of(output.linear.iter().map(impulse).collect(), lead, &self.bench.desk.drives)
+            Entry::of(
+                output.linear.iter().map(impulse).collect(),
+                self.base.setting(),
+                &self.bench.desk.drives,
+            )
         };
         forward.outputs.iter().map(of).collect()
     }
@@ -285,7 +295,7 @@ impl Fit<'_, '_> {
                     let own = self.own(part.place, output);
                     let tracks = &signals[part.signals.clone()];
                     let segments = &self.bench.desk.segments;
-                    let columns = entries[output].columns(part.place, own, part.load, tracks, segments);
+                    let columns = entries[output].columns(part.place, own, part.way, tracks, segments);
                     self.base.block(columns, output)
                 };
                 let first = of(&self.aim.parts[0]);
@@ -312,9 +322,9 @@ impl Fit<'_, '_> {
                 let own = self.own(part.place, output);
                 let entry = &entries[output];
                 let count = part.signals.len();
-                let width = entry.width(part.place, part.load, count);
+                let width = entry.width(part.place, part.way, count);
                 let scaled: Vec<f64> = columns[at..at + width].iter().map(|c| share * c).collect();
-                kernels.extend(entry.kernels(part.place, own, part.load, count, &scaled));
+                kernels.extend(entry.kernels(part.place, own, part.way, count, &scaled));
                 at += width;
             }
             let held = |h: &Vec<f64>| Kernel::new(-lead, h);

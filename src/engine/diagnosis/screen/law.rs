@@ -6,8 +6,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::front::Front;
 use super::memory::{Memory, slide, yielding};
 use super::motion::Motion;
+use super::place::Argument;
 
 /// A law with its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -84,6 +86,36 @@ pub enum Law {
     /// The linear part's output bent by a kink at either side or squared, and filtered again
     /// (linear, static, linear).
     Sandwich,
+    /// A drive that is filtered, bent and filtered again (Wiener and Hammerstein).
+    Block {
+        /// The filter ahead of the bend.
+        front: Front,
+        /// Number of kinks of the bend.
+        kinks: usize,
+    },
+    /// The same with a bend that is known, as far as a straight line can be added.
+    Bent {
+        /// The filter ahead of the bend.
+        front: Front,
+        /// What the slope changes by at each kink.
+        bend: [f64; KINKS_OF_BEND],
+    },
+}
+
+/// Kinks of a bend that is known.
+pub(super) const KINKS_OF_BEND: usize = 25;
+
+/// How signals over a drive reach a response; elsewhere there is one way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Way {
+    /// Directly, and through the drive's impulse response.
+    Plain,
+    /// The signals hold a response too, and enter through the drive's dynamics only.
+    Loaded,
+    /// The signals are behind a filter, and leave through what the drive's impulse response has beyond it.
+    Behind,
+    /// The signal is all of the law, and leaves through a filter of its own that is set as the linear part is.
+    Free,
 }
 
 /// What a law sees at one instant.
@@ -109,6 +141,10 @@ pub(super) struct Scale {
 
 /// Where free shapes have their kinks, in deviations.
 const KINKS: [f64; 5] = [-1.5, -0.6, 0.0, 0.6, 1.5];
+/// Outermost kinks of a bend behind a filter, in deviations: of one of few, and of one of more.
+const OUTERMOST: [f64; 2] = [2.2, 3.2];
+/// Its kinks while filters are tried.
+const FEW_KINKS: usize = 5;
 /// Where several sliders slip.
 const LIMITS: [f64; 4] = [0.1, 0.35, 1.0, 2.5];
 
@@ -119,6 +155,7 @@ impl Law {
             Self::FreeStiffness | Self::FreeDamping => KINKS.len(),
             Self::FreeHysteresis => LIMITS.len(),
             Self::Sandwich => 3,
+            Self::Block { kinks, .. } => kinks,
             Self::Polynomial | Self::Stribeck { .. } | Self::ValveFlow | Self::CrossAxisKinematic => 2,
             _ => 1,
         }
@@ -155,6 +192,17 @@ impl Law {
             Self::CrossAxisKinematic => out.copy_from_slice(&[x * x, d * x]),
             Self::StiffnessDrift => out[0] = t * d,
             Self::Sandwich => out.copy_from_slice(&[d * d, d.max(0.0), d.clamp(-1.0, 1.0)]),
+            Self::Block { front, kinks } => {
+                let x = memory.filtered(front, d);
+                for (k, out) in out.iter_mut().enumerate() {
+                    *out = (x - kink(k, kinks)).max(0.0);
+                }
+            }
+            Self::Bent { front, bend } => {
+                let x = memory.filtered(front, d);
+                let part = |(k, change): (usize, &f64)| change * (x - kink(k, bend.len())).max(0.0);
+                out[0] = bend.iter().enumerate().map(part).sum();
+            }
         }
     }
 
@@ -186,8 +234,20 @@ impl Law {
         out
     }
 
-    /// The law with its number `factor` times as large; `None` of a law without one.
-    pub(super) fn scaled(self, factor: f64) -> Option<Self> {
+    /// Laws whose numbers are larger or smaller by a factor; none of a law without numbers. Filters stay below `high`
+    /// cycles a sample.
+    pub(super) fn nearby(self, factor: f64, high: f64) -> Vec<Self> {
+        match self {
+            Self::Block { front, kinks } => {
+                let inside = front.nearby(factor).into_iter().filter(|front| front.filters_below(high));
+                inside.map(|front| Self::Block { front, kinks }).collect()
+            }
+            _ => [factor, 1.0 / factor].iter().filter_map(|f| self.scaled(*f)).collect(),
+        }
+    }
+
+    /// The law with its number `factor` times as large; `None` of a law without one, or with more.
+    fn scaled(self, factor: f64) -> Option<Self> {
         Some(match self {
             Self::Kink { at } => Self::Kink { at: at * factor },
             Self::OneSided { at } => Self::OneSided { at: at * factor },
@@ -202,6 +262,13 @@ impl Law {
         })
     }
 
+    /// The law over an argument: a filter's output is counted in its own deviations there.
+    pub(super) fn over(self, argument: &Argument) -> Self {
+        let Self::Block { front, kinks } = self else { return self };
+        let drive = argument.motion.iter().map(|m| m.d.as_slice());
+        Self::Block { front: front.levelled(drive, argument.scale.centre, argument.scale.d), kinks }
+    }
+
     /// Its numbers, in deviations.
     pub(super) fn values(self) -> Vec<f64> {
         match self {
@@ -210,13 +277,20 @@ impl Law {
             Self::Coulomb { smooth } => vec![smooth],
             Self::Stribeck { smooth, decay } => vec![smooth, decay],
             Self::Slider { limit } | Self::BoucWen { limit } | Self::RateLimit { limit } => vec![limit],
+            Self::Block { front, .. } => front.values(),
+            Self::Bent { front, bend } => front.values().into_iter().chain(bend).collect(),
             _ => Vec::new(),
         }
     }
 
-    /// Whether its signals hold a response beside the drive that it acts on.
-    pub(super) fn loaded(self) -> bool {
-        self == Self::ValveFlow
+    /// How its signals reach a response.
+    pub(super) fn way(self) -> Way {
+        match self {
+            Self::ValveFlow => Way::Loaded,
+            Self::Block { .. } => Way::Behind,
+            Self::Bent { .. } => Way::Free,
+            _ => Way::Plain,
+        }
     }
 
     /// Laws of a displacement that are forces.
@@ -251,10 +325,21 @@ impl Law {
         laws
     }
 
+    /// Bends behind filters with corners inside a band, Hz, of signals at a rate.
+    pub(super) fn blocks(low_hz: f64, high_hz: f64, rate_hz: f64) -> Vec<Self> {
+        let of = |front| Self::Block { front, kinks: FEW_KINKS };
+        Front::grid(low_hz, high_hz, rate_hz).into_iter().map(of).collect()
+    }
+
     /// Limits of rate.
     pub(super) fn rate_limits() -> Vec<Self> {
         [0.4, 0.7, 1.0, 1.4, 1.9, 2.6].map(|limit| Self::RateLimit { limit }).to_vec()
     }
+}
+
+/// Place of a kink of a bend behind a filter, in deviations.
+fn kink(k: usize, of: usize) -> f64 {
+    OUTERMOST[usize::from(of > FEW_KINKS)] * (2.0 * k as f64 / (of.max(2) - 1) as f64 - 1.0)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! What a law remembers: a spring and dry friction in series, a smooth hysteresis, a rate limit.
 
+use super::front::Front;
 use super::law::Scale;
 
 /// The hidden states of a law over one record.
@@ -11,6 +12,9 @@ pub(super) struct Memory {
     last: Option<f64>,
     /// What follows at a limited rate.
     followed: f64,
+    /// The outputs before of the filter ahead of a bend: of its pair of poles, two, and of its lag; `None` at the
+    /// first sample.
+    front: Option<[f64; 3]>,
     /// A deviation of the rate as a change a sample, in deviations of the displacement.
     rate: f64,
 }
@@ -18,7 +22,7 @@ pub(super) struct Memory {
 impl Memory {
     /// Of a law over an argument of this scale at so many samples a second.
     pub fn new(scale: Scale, rate_hz: f64) -> Self {
-        Self { z: [0.0; 4], last: None, followed: 0.0, rate: scale.v / (scale.d * rate_hz) }
+        Self { z: [0.0; 4], last: None, followed: 0.0, front: None, rate: scale.v / (scale.d * rate_hz) }
     }
 
     /// The change since the sample before; 0 at the first.
@@ -27,6 +31,14 @@ impl Memory {
             self.followed = d;
         }
         d - self.last.replace(d).unwrap_or(d)
+    }
+
+    /// The output of a filter that has rested at the first sample, in its own deviations.
+    pub fn filtered(&mut self, front: Front, d: f64) -> f64 {
+        let before = self.front.unwrap_or([d; 3]);
+        let (next, x) = front.next(before, d);
+        self.front = Some(next);
+        x
     }
 
     /// Follows `d` at `limit` deviations of the rate at most.

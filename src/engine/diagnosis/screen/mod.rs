@@ -8,17 +8,22 @@
 //! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
 //! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.
 //!
+//! A bend between two filters is a law over a drive behind a filter, whose numbers are searched; its signals leave
+//! through what the linear part has beyond that filter.
+//!
 //! What a regression beside a free linear part cannot carry is not here: linear changes, delays and offsets are
 //! part of it; an offset that drifts is lost with the means, which are taken off stretch by stretch; noise and
 //! lines follow from no drive; valve flow stands as its second-order series.
 
 mod band;
+mod bend;
 mod candidates;
 mod correlate;
 mod desk;
 mod entry;
 mod forward;
 mod free_run;
+mod front;
 mod groups;
 mod input;
 mod judge;
@@ -38,7 +43,7 @@ mod run;
 mod tests;
 mod track;
 
-pub use forward::{AsDrive, Forward, Simulated};
+pub use forward::{AsDrive, Forward, Number, NumberOf, Simulated};
 pub use free_run::FreeRun;
 pub use groups::{Grouping, Stretch, Transfer, group};
 pub use input::{Channel, Record, Recording};

@@ -59,6 +59,7 @@ fn of_force(law: Law, gain: f64) -> Effect {
         Law::ValveFlow => Effect::ValveFlow,
         Law::CrossAxisKinematic => Effect::CrossAxisKinematic,
         Law::StiffnessDrift => Effect::StiffnessDrift,
+        Law::Block { .. } | Law::Bent { .. } => Effect::Sandwich,
     }
 }
 

@@ -12,7 +12,7 @@ use super::free_run::FreeRun;
 use super::groups::Grouping;
 use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
-use super::law::Law;
+use super::law::{Law, Way};
 use super::modes::Poles;
 use super::motion::Motion;
 use super::naming;
@@ -36,6 +36,17 @@ const FREE_STAGE: &str = "free runs";
 const SCREENED: f64 = 0.6;
 /// Factors by which the numbers of laws are moved between the grid's.
 const FINER: [f64; 3] = [1.18, 1.09, 1.04];
+/// A bend behind a filter that leaves more than this is not searched further: the best of many filters leaves a little
+/// less than the linear part by chance.
+const WORTH_A_SEARCH: f64 = 0.9;
+/// Highest corner of a filter ahead of a bend, as a multiple of the band's: one beyond filters nothing, and the bend is
+/// the drive's own.
+const HIGHEST_FRONT: f64 = 2.0;
+/// Share of what a free map of the drive leaves, below which a filter ahead of the bend has gained something.
+const FILTER_GAINS: f64 = 0.85;
+/// The same of filters ahead of a bend, and how often each is tried in turn.
+const FINER_FILTERS: [f64; 6] = [1.5, 1.25, 1.12, 1.06, 1.03, 1.015];
+const PASSES: usize = 8;
 
 /// Ranks the laws of the catalogue over all places by what they leave in groups that they were not fitted to.
 ///
@@ -139,6 +150,7 @@ impl Bench<'_> {
         }
         standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
         self.refine(arguments, &mut standings);
+        leave_out_bends_of_the_drive(&mut standings);
         self.confirm(arguments, &mut standings);
         let setting = self.base.setting();
         let rate = self.desk.rate_hz();
@@ -194,9 +206,10 @@ impl Bench<'_> {
         let unbent = [self.unbent(argument)];
         let responses: Vec<usize> = (0..self.entries.len()).collect();
         let companions = self.companions(argument.place, &unbent, &responses);
-        candidates::laws(arguments, at)
+        self.laws(arguments, at)
             .into_par_iter()
             .map(|(law, other)| {
+                let law = law.over(argument);
                 let other = other.map(|o| &arguments[o]);
                 let signals = self.signals(law, argument, other);
                 let Some(other) = other else {
@@ -206,6 +219,17 @@ impl Bench<'_> {
                 self.standing(law, argument, Some(other.place), &signals, &both)
             })
             .collect()
+    }
+
+    /// Laws over an argument, bends behind filters of the band among them.
+    fn laws(&self, arguments: &[Argument], at: usize) -> Vec<(Law, Option<usize>)> {
+        let mut laws = candidates::laws(arguments, at);
+        if matches!(arguments[at].place, Place::Drive(_)) {
+            let band = self.desk.band;
+            let blocks = Law::blocks(band.low_hz, band.high_hz, self.desk.recording.sample_rate_hz());
+            laws.extend(blocks.into_iter().map(|law| (law, None)));
+        }
+        laws
     }
 
     /// Standings of the laws of one response's sensor.
@@ -270,7 +294,7 @@ impl Bench<'_> {
         responses
             .par_iter()
             .map(|&response| {
-                let block = self.block(place, false, unbent, response);
+                let block = self.block(place, Way::Plain, unbent, response);
                 let errors = self.base.judge(&block, response);
                 (response, block, errors)
             })
@@ -287,7 +311,7 @@ impl Bench<'_> {
         companions
             .iter()
             .map(|(response, block, _)| {
-                let further = self.block(other.place, false, &unbent, *response);
+                let further = self.block(other.place, Way::Plain, &unbent, *response);
                 let both = block.beside(&further, self.base.segments);
                 let errors = self.base.judge(&both, *response);
                 (*response, both, errors)
@@ -295,9 +319,9 @@ impl Bench<'_> {
             .collect()
     }
 
-    fn block(&self, place: Place, load: bool, signals: &[Track], response: usize) -> Block {
+    pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {
         let own = place == Place::Response(response);
-        let columns = self.entries[response].columns(place, own, load, signals, &self.desk.segments);
+        let columns = self.entries[response].columns(place, own, way, signals, &self.desk.segments);
         self.base.block(columns, response)
     }
 
@@ -319,7 +343,7 @@ impl Bench<'_> {
                 error += mean_square(&linear.errors);
                 continue;
             };
-            let law = self.block(argument.place, law.loaded(), signals, response);
+            let law = self.block(argument.place, law.way(), signals, response);
             let width = law.width();
             let block = law.beside(companion, self.base.segments);
             let found = self.base.judge(&block, response);
@@ -372,7 +396,11 @@ impl Bench<'_> {
         let mut seen = Vec::new();
         let mut foremost: Vec<usize> = Vec::new();
         for (at, standing) in standings.iter().enumerate() {
-            if standing.law.scaled(1.0).is_some() && !seen.contains(&standing.family) {
+            let bend = standing.law.way() == Way::Behind;
+            if bend && standing.ratio > WORTH_A_SEARCH {
+                continue;
+            }
+            if !standing.law.nearby(1.0, 1.0).is_empty() && !seen.contains(&standing.family) {
                 seen.push(standing.family);
                 foremost.push(at);
             }
@@ -395,17 +423,26 @@ impl Bench<'_> {
             _ => (0..self.entries.len()).collect(),
         };
         let companions = self.companions(argument.place, &[self.unbent(argument)], &responses);
+        let high = HIGHEST_FRONT * self.desk.band.high_hz / self.desk.recording.sample_rate_hz();
         let mut best: Option<Standing> = None;
-        for step in FINER {
-            let so_far = best.as_ref().unwrap_or(standing);
-            let (law, ratio) = (so_far.law, so_far.ratio);
-            for factor in [step, 1.0 / step] {
-                let law = law.scaled(factor)?;
-                let signals = self.signals(law, argument, None);
-                let found = self.standing(law, argument, None, &signals, &companions);
-                if found.ratio < best.as_ref().map_or(ratio, |b| b.ratio) {
-                    best = Some(found);
+        let (steps, times): (&[f64], usize) =
+            if standing.law.way() == Way::Behind { (&FINER_FILTERS, PASSES) } else { (&FINER, 1) };
+        for step in steps {
+            for _ in 0..times {
+                let so_far = best.as_ref().unwrap_or(standing);
+                let nearby = so_far.law.nearby(*step, high).into_par_iter().map(|law| {
+                    let law = law.over(argument);
+                    let signals = self.signals(law, argument, None);
+                    self.standing(law, argument, None, &signals, &companions)
+                });
+                let nearby: Vec<Standing> = nearby.collect();
+                let Some(found) = nearby.into_iter().min_by(|a, b| a.ratio.total_cmp(&b.ratio)) else {
+                    break;
+                };
+                if found.ratio >= so_far.ratio {
+                    break;
                 }
+                best = Some(found);
             }
         }
         best
@@ -428,8 +465,9 @@ impl Bench<'_> {
             let Some(argument) = self.argument(arguments, standing.place) else { continue };
             let other = standing.other.and_then(|o| arguments.iter().find(|a| a.place == o));
             let signals = self.signals(standing.law, &argument, other);
-            let law = self.block(argument.place, standing.law.loaded(), &signals, standing.response);
-            let companion = self.block(argument.place, false, &[self.unbent(&argument)], standing.response);
+            let law = self.block(argument.place, standing.law.way(), &signals, standing.response);
+            let companion =
+                self.block(argument.place, Way::Plain, &[self.unbent(&argument)], standing.response);
             let companion = match other {
                 Some(other) => {
                     let errors = HeldOut { errors: Vec::new() };
@@ -442,6 +480,17 @@ impl Bench<'_> {
             standing.gains = self.base.gains(&block, law.width(), standing.response);
         }
     }
+}
+
+/// Leaves out bends behind filters where a free map of the same drive does nearly as well: the bend is the drive's own.
+fn leave_out_bends_of_the_drive(standings: &mut Vec<Standing>) {
+    let maps: Vec<(Place, f64)> = standings
+        .iter()
+        .filter(|s| s.law == Law::FreeStiffness && matches!(s.place, Place::Drive(_)))
+        .map(|s| (s.place, s.ratio))
+        .collect();
+    let by_map = |place| maps.iter().filter(|m| m.0 == place).map(|m| m.1).fold(1.0, f64::min);
+    standings.retain(|s| s.law.way() != Way::Behind || s.ratio < FILTER_GAINS * by_map(s.place));
 }
 
 pub(super) fn mean_square(errors: &[f64]) -> f64 {

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use crate::diagnosis::effect::Family;
+use crate::diagnosis::effect::{Effect, Family};
 use crate::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
 
 use super::evidence::root_mean_square;
@@ -25,7 +25,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 19] = [
+pub const FEATURES: [&str; 21] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -45,6 +45,8 @@ pub const FEATURES: [&str; 19] = [
     "time_variance",
     "sensor",
     "block_structure",
+    "valve_flow",
+    "friction_that_drives",
 ];
 
 /// Families with a weight of their own; the others share that of `one`.
@@ -96,7 +98,7 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
     let yes = |is: bool| f64::from(u8::from(is));
     let error = root_mean_square(&screening.linear.errors[standing.response]);
     let one_level = matches!(screening.transfer, Transfer::Runs | Transfer::Stretches);
-    let mut features = [
+    let general = [
         1.0,
         kept(standing.ratio),
         kept(free.ratio),
@@ -108,19 +110,17 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
         yes(matches!(standing.place, Place::Output(_))),
         yes(matches!(standing.place, Place::Between(..))),
         yes(one_level) * kept(free.ratio),
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
     ];
-    for (feature, family) in features[FEATURES.len() - FAMILIES.len()..].iter_mut().zip(FAMILIES) {
-        *feature = yes(standing.family == family);
-    }
-    Some(Alternative { standing, free, features })
+    let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
+    let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];
+    let all: Vec<f64> = general.into_iter().chain(families).chain(physics).collect();
+    Some(Alternative { standing, free, features: all.try_into().ok()? })
+}
+
+/// Whether a law of dry friction or hysteresis goes with the motion instead of against it.
+fn drives(standing: &Standing) -> bool {
+    let of_structure = matches!(standing.place, Place::Response(_) | Place::Between(..));
+    of_structure && standing.family == Family::FrictionHysteresis && standing.gain > 0.0
 }
 
 /// Factor of the odds that no law is right where repeats tell the noise, `noise` being its share of what the linear

@@ -13,7 +13,7 @@ use crate::diagnosis::overview::Overview;
 use crate::diagnosis::report::{
     ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };
-use crate::diagnosis::screen::{FreeRun, Grouping, Place, Recording, Screening};
+use crate::diagnosis::screen::{FreeRun, Grouping, Number, NumberOf, Place, Recording, Screening};
 
 /// Normal deviation that 90 % of all lie within.
 const WITHIN: f64 = 1.645;
@@ -187,17 +187,21 @@ impl Of<'_> {
         })
     }
 
-    /// The law's number in the unit of its argument.
+    /// The law's numbers.
     fn parameters(&self) -> Vec<Parameter> {
         let (unit, rate) = self.unit();
-        let named = self.free.forward.numbers();
-        let parameter = |(name, value, of_rate): (&str, f64, bool)| Parameter {
-            name: name.into(),
-            value,
+        let parameter = |number: Number| Parameter {
+            name: number.name.into(),
+            value: number.value,
             se: None,
-            unit: if of_rate { rate.clone() } else { unit.clone() },
+            unit: match number.of {
+                NumberOf::Argument => unit.clone(),
+                NumberOf::Rate => rate.clone(),
+                NumberOf::Frequency => "Hz".into(),
+                NumberOf::Ratio => "1".into(),
+            },
         };
-        named.into_iter().map(parameter).collect()
+        self.free.forward.numbers().into_iter().map(parameter).collect()
     }
 
     /// Units of the law's displacement and of its rate.

@@ -14,7 +14,12 @@ fn screened(recording: &Recording) -> Screening {
 fn leader(screening: &Screening, lead: f64) -> &Standing {
     let foremost = screening.foremost();
     let told = || foremost.iter().map(|s| (s.ratio, s.law, s.place)).collect::<Vec<_>>();
-    assert!(foremost[0].ratio < lead * foremost[1].ratio, "{:?}", told());
+    // A bend behind a filter that is the rig itself does nearly as well by regression; its free run tells.
+    let (blocks, others): (Vec<&Standing>, Vec<&Standing>) =
+        foremost[1..].iter().copied().partition(|s| s.family == Family::BlockStructure);
+    assert!(foremost[0].ratio < lead * others[0].ratio, "{:?}", told());
+    let left = |s: &Standing| s.free.as_ref().map_or(f64::INFINITY, |free| free.ratio);
+    assert!(blocks.iter().all(|block| left(foremost[0]) < left(block)), "{:?}", told());
     foremost[0]
 }
 
@@ -45,7 +50,7 @@ fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
 #[test]
 fn on_a_linear_rig_nothing_gains() {
     let screening = screened(&run(N, 1.0, |_, _| 0.0));
-    assert!(screening.standings[0].ratio > 0.97, "{:?}", screening.standings[0]);
+    assert!(screening.standings[0].ratio > 0.95, "{:?}", screening.standings[0].law);
     assert!(screening.linear.errors[0].iter().all(|e| *e < 0.01), "{:?}", screening.linear);
 }
 
@@ -111,6 +116,37 @@ fn a_clipped_drive_and_play_of_a_drive_are_told_by_their_sign() {
         let named = screening.standings.iter().find(|s| s.effect == effect).unwrap();
         assert!(named.ratio < 1.2 * first.ratio, "{named:?} {first:?}");
     }
+}
+
+#[test]
+fn a_bend_between_two_filters_is_told_with_its_filters() {
+    let u = noise(4 * N, 7);
+    // A pair of poles at 5 Hz ahead of a bend of one side, the oscillator behind it.
+    let (omega, damping) = (std::f64::consts::TAU * 5.0, 0.4);
+    let fine = 20;
+    let h = 1.0 / (RATE_HZ * f64::from(fine));
+    let (mut x, mut v) = (0.0, 0.0);
+    let bent: Vec<f64> = u
+        .iter()
+        .map(|u| {
+            for _ in 0..fine {
+                v += h * (omega * omega * (u - x) - 2.0 * damping * omega * v);
+                x += h * v;
+            }
+            x + 0.6 * f64::max(x - 0.3, 0.0)
+        })
+        .collect();
+    let y = oscillator(&bent, |_, _| 0.0);
+    let recording = recording(&[Quantity::Force], &[Quantity::Displacement], vec![(vec![u], vec![y])]);
+    let screening = screened(&recording);
+    let first = leader(&screening, 0.8);
+    assert_eq!((first.effect, first.place), (Effect::Sandwich, Place::Drive(0)), "{first:?}");
+    let free = first.free.as_ref().unwrap();
+    assert!(free.ratio < 0.15 && free.worst < 0.3, "{} {} {:?}", free.ratio, free.worst, first.law);
+    let numbers = free.forward.numbers();
+    let number = |name| numbers.iter().find(|n| n.name == name).unwrap().value;
+    assert!((number("front_frequency") - 5.0).abs() < 0.5, "{numbers:?}");
+    assert!((number("front_damping") - damping).abs() < 0.1, "{numbers:?}");
 }
 
 #[test]

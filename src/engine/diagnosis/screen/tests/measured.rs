@@ -43,12 +43,13 @@ fn silverbox_stiffens_with_the_cube_of_its_response() {
 }
 
 #[test]
-fn a_diode_between_two_filters_is_a_law_of_one_side_over_the_drive() {
+fn a_diode_between_two_filters_is_a_bend_behind_a_filter() {
     let Some(folder) = shared_data("wiener_hammerstein") else { return };
     let screening = one(&folder, "train.csv", 51_200.0, 60_000);
     let first = &screening.standings[0];
-    assert_eq!((first.family, first.place), (Family::Actuator, Place::Drive(0)), "{first:?}");
-    assert!(first.ratio < 0.62, "{first:?}");
+    assert_eq!((first.effect, first.place), (Effect::Sandwich, Place::Drive(0)), "{first:?}");
+    let free = first.free.as_ref().unwrap();
+    assert!(free.ratio < 0.03 && free.worst < 0.04, "{} {}", free.ratio, free.worst);
 }
 
 #[test]
