@@ -78,6 +78,9 @@ pub(super) fn term(name: &str) -> &'static str {
         "trust" => {
             "Outside the range that a model was fitted on its prediction is a guess: those spans are shaded."
         }
+        "band" => {
+            "The band holds the measured response at nine samples in ten, as it did on the data that compared the model."
+        }
         "from_to" => {
             "A cell counts the rainflow cycles that begin in the class of its row and turn in the class of its column."
         }

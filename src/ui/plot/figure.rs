@@ -37,6 +37,8 @@ pub enum Mark {
     Line { x: Vec<f64>, y: Vec<f64>, style: Style, name: String },
     /// The smallest and the largest value in each of the equal stretches of `from..to`, as a filled line.
     Envelope { from: f64, to: f64, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
+    /// The area from the smallest to the largest value in each of the equal stretches of `from..to`.
+    Corridor { from: f64, to: f64, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
     /// The area between two lines over the same points.
     Band { x: Vec<f64>, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
     /// Points of a cloud.
@@ -124,6 +126,7 @@ impl Figure {
             Mark::Line { name, .. }
             | Mark::Dots { name, .. }
             | Mark::Envelope { name, .. }
+            | Mark::Corridor { name, .. }
             | Mark::Band { name, .. }
                 if !name.is_empty() =>
             {
@@ -184,6 +187,11 @@ impl Figure {
                 let columns =
                     low.iter().zip(high).map(|(low, high)| (self.at_y(frame, *high), self.at_y(frame, *low)));
                 html! { path class=(format!("line {}", style.class())) d=(envelope(ends, low.len(), columns)) {} }
+            }
+            Mark::Corridor { from, to, low, high, style, .. } => {
+                let step = (to - from) / low.len().max(1) as f64;
+                let x: Vec<f64> = (0..low.len()).map(|k| from + step * (k as f64 + 0.5)).collect();
+                html! { path class=(format!("band {}", style.class())) d=(self.band(&x, low, high, frame)) {} }
             }
             Mark::Band { x, low, high, style, .. } => html! {
                 path class=(format!("band {}", style.class())) d=(self.band(x, low, high, frame)) {}
@@ -296,7 +304,7 @@ impl Figure {
                         path class=(format!("dots {}", style.class())) stroke-width="5"
                             d=(format!("M{} {}h0m8 0h0m7 -3h0", px(x + 4.0), px(y))) {}
                     }
-                    Mark::Band { style, .. } => {
+                    Mark::Band { style, .. } | Mark::Corridor { style, .. } => {
                         rect class=(format!("band {}", style.class())) x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {}
                     }
                     _ => { rect.span x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {} }

@@ -52,7 +52,7 @@ pub(super) fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
 pub(super) fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup) -> Markup {
     let (title_id, description_id) = (format!("{id}-title"), format!("{id}-desc"));
     html! {
-        svg role="img" aria-labelledby=(format!("{title_id} {description_id}"))
+        svg xmlns="http://www.w3.org/2000/svg" role="img" aria-labelledby=(format!("{title_id} {description_id}"))
             viewBox=(format!("0 0 {} {}", px(WIDTH), px(height))) width=(px(WIDTH)) height=(px(height)) {
             title id=(title_id) { (title) }
             desc id=(description_id) { (description) }
