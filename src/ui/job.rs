@@ -6,7 +6,7 @@ use super::figures::{Drawing, address, saves};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::rig::jobs;
-use super::words::{self, count, duration};
+use super::words::{self, clamped, count, duration};
 use crate::domain::{Job, JobKind, JobLosses, JobState, Problem, TokenRole};
 
 /// The page of the newest jobs, of one rig or of all.
@@ -148,7 +148,7 @@ fn failure(problem: Option<&Problem>) -> Markup {
                     p { (problem.detail) }
                     @for error in &problem.errors {
                         @if let Some(limit) = error.limit.as_ref().filter(|limit| !problem.detail.contains(limit.as_str())) {
-                            p { @if let Some(channel) = &error.channel { bdi { (channel) } ": " } (limit) }
+                            p { @if let Some(channel) = &error.channel { (clamped(&channel)) ": " } (limit) }
                         }
                     }
                     p.soft { (problem.title) " (" (problem.code) ")" }
@@ -167,4 +167,36 @@ pub(super) fn page_of(href: &str) -> String {
 fn capital(word: &str) -> String {
     let mut chars = word.chars();
     chars.next().map(|first| first.to_uppercase().chain(chars).collect()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::{JobId, LossCurve};
+
+    fn drawn(curves: Vec<LossCurve>) -> Drawing {
+        losses(&JobLosses { job: JobId::from_u128(1), curves }, 900.0)
+    }
+
+    #[test]
+    fn each_training_has_its_lines_and_before_the_first_epoch_there_are_none() {
+        let curve = |seed, stopping: Option<Vec<f64>>| LossCurve {
+            seed,
+            epochs: vec![1, 2],
+            training: vec![0.5, 0.25],
+            stopping,
+        };
+        let curves = vec![curve(1, Some(vec![0.6, 0.0])), curve(7, None)];
+        let csv = drawn(curves.clone()).csv();
+        assert_eq!(
+            csv,
+            "Epoch,seed 1 training,seed 1 stopping,\"seed 7, all runs\"\r\n1,0.5,0.6,0.5\r\n2,0.25,0,0.25\r\n"
+        );
+        let svg = drawn(curves).svg();
+        assert!(
+            svg.contains(">Epoch<") && svg.contains(">Mean squared error<") && !svg.contains("NaN"),
+            "{svg}"
+        );
+        assert!(matches!(drawn(Vec::new()), Drawing::Nothing(_)));
+    }
 }

@@ -8,8 +8,8 @@ use super::frame::{self, Frame, Section, Visitor};
 use super::model::loss;
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::spectrum::{Density, densities};
-use super::text::{number, percent};
-use super::words::{duration, minute, term, word};
+use super::text::{cut, number, percent};
+use super::words::{clamped, duration, minute, sentence, term, word};
 use crate::domain::model_report::{ChosenBy, NoPart};
 use crate::domain::{Model, ModelReport, Rig};
 use crate::engine::model::{Autocorrelation, Residual, ResidualOf};
@@ -86,13 +86,13 @@ fn content(of: Reported<'_>, at: Option<&str>) -> Markup {
     html! {
         header {
             p.over { "Fit report" }
-            h1 { "Version " (model.version) " of " (rig.name) }
+            h1 { "Version " (model.version) " of " (clamped(&rig.name)) }
             p.soft {
                 (model.kind_in_words()) " · by " (model.origin.as_str()) " · " (minute(&model.created_at)) " UTC · "
-                (model.inputs.join(", ")) " → " (model.outputs.join(", "))
+                (clamped(&model.inputs.join(", "))) " → " (clamped(&model.outputs.join(", ")))
             }
         }
-        @if !report.warnings.is_empty() { ul { @for warning in report.warnings { li { (warning) } } } }
+        @if !report.warnings.is_empty() { ul { @for warning in report.warnings { li { (sentence(warning)) } } } }
         h2 #errors { "Errors" }
         (errors(report))
         h2 #loss { "Loss curves" }
@@ -130,7 +130,7 @@ fn errors(report: &ModelReport<'_>) -> Markup {
         div.scroll { table.figures {
             thead { tr { th.text { "Output" } th { "RMS error" } } }
             tbody { @for error in errors { tr {
-                td.text { bdi { (error.channel) } }
+                td.text { (clamped(&error.channel)) }
                 td { @match error.rms { Some(rms) => (percent(rms)), None => "measured zero" } }
             } } }
         } }
@@ -182,7 +182,7 @@ fn frf(report: &ModelReport<'_>) -> Markup {
                 div.scroll { table.figures {
                     thead { tr { th.text { "Output" } th { "Coherence, median" } th { "Coherence, smallest" } th { "at Hz" } th { "Random error" } } }
                     tbody { @for output in &measured.outputs { tr {
-                        td.text { bdi { (output.channel) } }
+                        td.text { (clamped(&output.channel)) }
                         td { (number(output.coherence_median)) }
                         td { (number(output.coherence_min)) }
                         td { (number(output.coherence_min_hz)) }
@@ -273,7 +273,7 @@ fn coverage(report: &ModelReport<'_>) -> Markup {
             tbody { @for input in coverage {
                 @let of = input.coverage;
                 tr {
-                    td.text { bdi { (input.channel) } }
+                    td.text { (clamped(&input.channel)) }
                     td { (number(of.min)) } td { (number(of.max)) } td { (number(of.rms)) }
                     td { (number(of.rate[0])) " to " (number(of.rate[1])) }
                     td { @match of.band_hz { Some([from, to]) => { (number(from)) " to " (number(to)) }, None => "does not move" } }
@@ -296,7 +296,7 @@ fn data(report: &ModelReport<'_>) -> Markup {
                 td.text { (word(used.used_for)) }
                 td.text {
                     a href={ "/rigs/" (report.rig) "/runs/" (used.span.run) } {
-                        @match used.name { Some(name) if !name.is_empty() => bdi { (name) }, _ => code { (&used.span.run.to_string()[24..]) } }
+                        @match used.name { Some(name) if !name.is_empty() => (clamped(name)), _ => code { (&used.span.run.to_string()[24..]) } }
                     }
                     @if used.kind.is_none() { " (gone)" }
                 }
@@ -304,7 +304,7 @@ fn data(report: &ModelReport<'_>) -> Markup {
                 td { (duration(used.duration_s)) }
                 td { (percent(used.share)) }
                 td { @if let Some(rms) = &used.rms {
-                    (rms.iter().map(|(name, rms)| format!("{name} {}", rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", "))
+                    (rms.iter().map(|(name, rms)| format!("{} {}", cut(name), rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", "))
                 } }
             } } }
         } }

@@ -9,8 +9,8 @@ use super::frame::{Frame, Section, Visitor};
 use super::plot::{Axis, Figure, Hemisphere, Key, Mark, Ratios, Scale, Style};
 use super::rig::name_of;
 use super::run::with_unit;
-use super::text::{exponents, number, percent};
-use super::words::{duration, term};
+use super::text::{cut, exponents, number, percent};
+use super::words::{clamped, duration, term};
 use crate::domain::{Model, Rig, Run};
 use crate::engine::envelope::Envelope;
 use crate::engine::fatigue::{DamageReport, direction as spread};
@@ -100,7 +100,7 @@ fn choices(choice: &Choice<'_>) -> Markup {
                 option value="" { (none) }
                 @for run in choice.runs {
                     @let id = run.id.to_string();
-                    option value=(id) selected[chosen == Some(id.as_str())] { (name_of(run)) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
+                    option value=(id) selected[chosen == Some(id.as_str())] { (cut(&name_of(run))) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
                 }
             }
         }
@@ -138,7 +138,7 @@ fn shown(choice: &Choice<'_>, of: &Result<'_>) -> Markup {
         form.tools method="get" action={ "/rigs/" (choice.rig.id) "/predict#overlay" } {
             (hidden(choice))
             label.check { "Response" select name="output" data-go {
-                @for (place, name) in of.channels[0].iter().enumerate() { option value=(place) selected[place == of.output] { (name) } }
+                @for (place, name) in of.channels[0].iter().enumerate() { option value=(place) selected[place == of.output] { (cut(name)) } }
             } }
             noscript { button type="submit" { "Show" } }
         }
@@ -176,8 +176,8 @@ fn damage(at: &str, of: &Result<'_>) -> Markup {
                 }
                 @for (place, (name, _)) in of.damage.groups.iter().enumerate() {
                     (late(&address(&format!("{at}&group={place}"), "multi_rain"), &html! {
-                        "Damage of " bdi { (name) } " in each of " (of.damage.settings.directions) " directions in space, on a map of the half sphere that keeps areas. "
-                        "Squares are directions whose damage is predicted too small, round dots those where it is too large."
+                        "Damage of " (clamped(name)) " in each of " (of.damage.settings.directions) " directions in space, on a map of the half sphere that keeps areas. "
+                        @if of.has_target { "Squares are directions whose damage is predicted too small, round dots those where it is too large." }
                     }))
                 }
             }
@@ -189,7 +189,7 @@ fn axis_of(name: &str, label: &str, of: &Result<'_>, chosen: usize) -> Markup {
     html! {
         label.check { (label) select name=(name) data-go {
             @for (place, channel) in of.channels[0].iter().chain(of.channels[1]).enumerate() {
-                option value=(place) selected[place == chosen] { (channel) }
+                option value=(place) selected[place == chosen] { (cut(channel)) }
             }
         } }
     }
@@ -215,7 +215,7 @@ fn figures_in_words(rig: &Rig, of: &Result<'_>) -> Markup {
                 @for (name, damage) in &of.damage.channels {
                     @let error = of.errors.get(name);
                     tr {
-                        td { bdi { (with_unit(name, rig.channel(name).map_or("", |channel| &channel.unit))) } }
+                        td { (clamped(&with_unit(name, rig.channel(name).map_or("", |channel| &channel.unit)))) }
                         td.number { (share(error.and_then(|e| e.rms))) }
                         td.number { (share(error.and_then(|e| e.psd_rms))) }
                         td.number { (number(damage.predicted)) }
@@ -227,7 +227,7 @@ fn figures_in_words(rig: &Rig, of: &Result<'_>) -> Markup {
                 }
                 @for (name, damage) in &of.damage.groups {
                     tr {
-                        td { "Multi-Rain of " bdi { (name) } br; span.soft { "largest along " (direction(damage.direction_predicted)) } }
+                        td { "Multi-Rain of " (clamped(name)) br; span.soft { "largest along " (direction(damage.direction_predicted)) } }
                         td.number { "–" } td.number { "–" }
                         td.number { (number(damage.predicted)) }
                         @if of.has_target {
@@ -254,7 +254,7 @@ fn trust(of: &Result<'_>) -> Markup {
                 p { (percent(inside)) " of the samples are inside what the model was fitted on. Outside:" }
                 ul {
                     @for span in of.spans.iter().take(LISTED) {
-                        li { (number(span.from_s)) " to " (number(span.to_s)) " s, " bdi { (span.channel) } ": " (span.reason) }
+                        li { (number(span.from_s)) " to " (number(span.to_s)) " s, " (clamped(&span.channel)) ": " (span.reason) }
                     }
                     @if of.spans.len() > LISTED { li { "and " (of.spans.len() - LISTED) " more spans" } }
                 }

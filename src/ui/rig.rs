@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::{number, percent};
-use super::words::{self, count, duration};
+use super::words::{self, clamped, count, duration};
 use crate::domain::evaluation::EvaluationSummary;
 use crate::domain::study::StudySummary;
 use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
@@ -43,7 +43,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
     let main = html! {
         div.head {
             div {
-                h1 { bdi { (rig.name) } }
+                h1 { (clamped(&rig.name)) }
                 p.soft { (rig.id) " · " (number(rig.sample_rate_hz)) " Hz · "
                     (count(rig.drives().count(), "drive", "drives")) ", " (count(rig.responses().count(), "response", "responses")) }
             }
@@ -148,7 +148,7 @@ fn runs(of: &RigView, at: &str) -> Markup {
             thead { tr { th { "Run" } th { "Kind" } th { "Split" } th.number { "Length" } th { "Channels" } th { "Quality" } th { "Accepted" } } }
             tbody { @for run in &of.runs {
                 tr {
-                    td { a href={ (at) "/runs/" (run.id) } { bdi { (name_of(run)) } } @for tag in &run.tags { " " span.tag { bdi { (tag) } } } }
+                    td { a href={ (at) "/runs/" (run.id) } { (clamped(&name_of(run))) } @for tag in &run.tags { " " span.tag { (clamped(tag)) } } }
                     td { (run.kind.as_str()) }
                     td { (run.split.as_str()) }
                     td.number { (duration(run.duration_s)) }
@@ -245,13 +245,13 @@ fn channels(rig: &Rig) -> Markup {
         div.wide { table.full {
             thead { tr { th { "Name" } th { "Role" } th { "Unit" } th { "Quantity" } th { "Axis" } th { "Group" } th { "Names in files" } } }
             tbody { @for channel in &rig.channels { tr {
-                td { bdi { (channel.name) } }
+                td { (clamped(&channel.name)) }
                 td { (match channel.role { Role::Drive => "drive", Role::Response => "response" }) }
-                td { bdi { (channel.unit) } }
+                td { (clamped(&channel.unit)) }
                 td { (words::word(channel.quantity)) }
-                td { bdi { (channel.axis.as_deref().unwrap_or("–")) } }
-                td { bdi { (channel.group.as_deref().unwrap_or("–")) } }
-                td { bdi { (channel.aliases.join(", ")) } }
+                td { (clamped(channel.axis.as_deref().unwrap_or("–"))) }
+                td { (clamped(channel.group.as_deref().unwrap_or("–"))) }
+                td { (clamped(&channel.aliases.join(", "))) }
             } } }
         } }
     }

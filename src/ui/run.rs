@@ -6,8 +6,8 @@ use super::figures::{Drawing, Zoom, address, late, thinned};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Matrix, Scale, Style};
 use super::rig::name_of;
-use super::text::{exponents, number, percent};
-use super::words::{duration, minute, term};
+use super::text::{cut, exponents, number, percent};
+use super::words::{clamped, duration, minute, term};
 use crate::domain::{Rig, Run, RunKind, Split, TokenRole};
 use crate::engine::envelope::Envelope;
 use crate::engine::fatigue::Counts;
@@ -270,12 +270,12 @@ fn head(visitor: &Visitor, of: &RunView<'_>, at: &str, name: &str) -> Markup {
     html! {
         div.head {
             div {
-                h1 { bdi { (name) } }
+                h1 { (clamped(name)) }
                 p.soft {
                     (run.kind.as_str()) " · " (run.split.as_str()) " · " (duration(run.duration_s)) " at " (number(run.sample_rate_hz)) " Hz · "
                     (run.samples) " samples of " (run.channels.len()) " channels · accepted " (minute(&run.created_at)) " UTC"
                 }
-                @for tag in &run.tags { span.tag { bdi { (tag) } } " " }
+                @for tag in &run.tags { span.tag { (clamped(tag)) } " " }
             }
             div.actions {
                 @if of.can_predict { a.button.main href={ "/rigs/" (of.rig.id) "/predict?drive=" (run.id) "&target=" (run.id) } { "Predict this run" } }
@@ -302,7 +302,7 @@ fn counts(of: &RunView<'_>, at: &str, shown: &str) -> Markup {
             @if of.overlay { input type="hidden" name="overlay" value="true"; }
             label.check { "Channel" select name="channel" data-go {
                 @for (place, name) in of.run.channels.iter().enumerate() {
-                    option value=(place) selected[place == of.channel] { (name) }
+                    option value=(place) selected[place == of.channel] { (cut(name)) }
                 }
             } }
             noscript { button type="submit" { "Show" } }
@@ -322,12 +322,12 @@ fn quality(run: &Run) -> Markup {
         @else { ul.notes { @for warning in &run.quality.warnings { li { (warning) } } } }
         @if let Some(repeats) = &run.quality.repeats {
             p { "The drives repeat " (repeats.count) " times, each " (duration(repeats.period_s)) ". "
-                @for noise in &repeats.responses { bdi { (noise.channel) } ": noise " (percent(noise.noise_share)) " of the signal. " } }
+                @for noise in &repeats.responses { (clamped(&noise.channel)) ": noise " (percent(noise.noise_share)) " of the signal. " } }
         }
         div.wide { table.full {
             thead { tr { th { "Channel" } th.number { "Smallest" } th.number { "Largest" } th.number { "Mean" } th.number { "Std" } th.number { "RMS" } th.number { "Peak / RMS" } th.number { "Clipped" } } }
             tbody { @for (channel, unit) in run.quality.channels.iter().zip(&run.units) { tr {
-                td { bdi { (with_unit(&channel.channel, unit)) } @if channel.dead { " " span.tag.bad { "constant" } } }
+                td { (clamped(&with_unit(&channel.channel, unit))) @if channel.dead { " " span.tag.bad { "constant" } } }
                 @for value in [channel.min, channel.max, channel.mean, channel.std, channel.rms] { td.number { (number(value)) } }
                 td.number { @match channel.peak_to_rms { Some(peak) => (number(peak)), None => "–" } }
                 td.number { (percent(channel.clipped_share)) }

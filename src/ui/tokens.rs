@@ -3,7 +3,7 @@
 use maud::html;
 
 use super::frame::{Frame, Section, Visitor, csrf};
-use super::words::{self, minute};
+use super::words::{self, clamped, minute};
 use crate::domain::{Token, TokenRole};
 
 /// The page.
@@ -20,7 +20,7 @@ pub fn page(visitor: &Visitor, tokens: &[Token], more: bool) -> String {
             div.wide { table.full {
                 thead { tr { th { "Name" } th { "Role" } th { "Rigs" } th { "Made" } th { "Expires" } th { "" } } }
                 tbody { @for token in tokens { tr {
-                    td { bdi { (if token.name.is_empty() { "without a name" } else { &token.name }) } }
+                    td { (clamped(if token.name.is_empty() { "without a name" } else { &token.name })) }
                     td { (token.role.as_str()) }
                     td { @match &token.rigs { Some(rigs) => (rigs.iter().map(|rig| rig.as_str()).collect::<Vec<_>>().join(", ")), None => "all" } }
                     td.soft { (minute(&token.created_at)) }

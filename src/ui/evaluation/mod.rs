@@ -12,6 +12,7 @@ use maud::{Markup, html};
 use super::figures::Drawing;
 use super::frame::{self, Frame, Section, Visitor};
 use super::text::{listed, percent};
+use super::words::{clamped, sentence};
 use crate::domain::evaluation::{ClassRow, EvaluatedModel, EvaluationReport};
 use crate::domain::{EvaluationRequest, StoredEvaluation};
 
@@ -94,7 +95,7 @@ fn header(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> M
     html! {
         header {
             p.over { "Models on runs" }
-            h1 { (rig_name) }
+            h1 { (clamped(rig_name)) }
             p.soft {
                 (summary.rig.as_str()) " · " (listed(&names, "and")) " on " (report.runs.len())
                 @if report.runs.len() == 1 { " run" } @else { " runs" }
@@ -108,7 +109,7 @@ fn header(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> M
             }
         }
         @if !report.warnings.is_empty() {
-            ul { @for warning in &report.warnings { li { (warning) } } }
+            ul { @for warning in &report.warnings { li { (sentence(warning)) } } }
         }
     }
 }

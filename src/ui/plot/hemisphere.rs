@@ -5,9 +5,8 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
-use super::rows::cut;
 use super::{file, px};
-use crate::ui::text::number;
+use crate::ui::text::cut;
 
 /// Radius of the map, pixels.
 const RADIUS: f64 = 170.0;

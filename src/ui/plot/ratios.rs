@@ -2,9 +2,9 @@
 
 use maud::{Markup, html};
 
-use super::rows::{ROW, WIDTH, cut, frame, names_width};
+use super::rows::{ROW, WIDTH, frame, names_width};
 use super::{Axis, Scale, Style, file, px};
-use crate::ui::text::number;
+use crate::ui::text::{cut, number};
 
 /// Space right of the axis for the value as a number.
 const RIGHT: f64 = 70.0;

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::scale::Tick;
 use super::{Axis, Scale, Style, px, text_width};
-use crate::ui::text::percent;
+use crate::ui::text::{cut, percent};
 
 /// Width of these plots.
 pub(super) const WIDTH: f64 = 720.0;
@@ -12,8 +12,6 @@ pub(super) const WIDTH: f64 = 720.0;
 pub(super) const ROW: f64 = 26.0;
 /// Least distance of ticks.
 const TICK: f64 = 42.0;
-/// Longest name that is written out.
-const NAME: usize = 40;
 
 /// A name with a share.
 #[derive(Debug, Clone)]
@@ -35,13 +33,6 @@ pub struct WhiskerRow {
     pub probability: Option<f64>,
     /// Whether the row is among the answers.
     pub chosen: bool,
-}
-
-pub(super) fn cut(name: &str) -> String {
-    if name.chars().count() <= NAME {
-        return name.to_owned();
-    }
-    name.chars().take(NAME - 1).chain(['…']).collect()
 }
 
 pub(super) fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
