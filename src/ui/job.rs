@@ -6,7 +6,7 @@ use super::figures::{Drawing, address, saves};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::rig::jobs;
-use super::words::{self, clamped, count, duration};
+use super::words::{self, clamped, count, duration, sentence};
 use crate::domain::{Job, JobKind, JobLosses, JobState, Problem, TokenRole};
 
 /// The page of the newest jobs, of one rig or of all.
@@ -16,7 +16,10 @@ pub fn list(visitor: &Visitor, of: &[Job], rig: Option<&str>, next: Option<&str>
         h1 { (title) }
         @if of.is_empty() {
             div.empty { p { "No job yet: a fit, a diagnosis or an iteration makes one." } p { a href="/" { "To the rigs" } } }
-        } @else { (jobs(of)) }
+        } @else {
+            p.soft { "Fits, evaluations, diagnoses, iterations and studies, the newest first." }
+            (jobs(of, true))
+        }
         @if let Some(next) = next { p { a href=(next) { "Further jobs" } } }
     };
     Frame::new(&title, Section::Jobs, visitor).page(&main)
@@ -127,7 +130,7 @@ pub fn losses(of: &JobLosses, width: f64) -> Drawing {
 
 fn outcome(job: &Job) -> Markup {
     html! {
-        @if let Some(stage) = &job.stage { p { (stage) } }
+        @if let Some(stage) = &job.stage { p { (sentence(stage)) } }
         @match job.state {
             JobState::Succeeded => {
                 @if let Some(result) = &job.result {
@@ -145,7 +148,7 @@ fn failure(problem: Option<&Problem>) -> Markup {
         div.refused role="alert" {
             @match problem {
                 Some(problem) => {
-                    p { (problem.detail) }
+                    p { (sentence(&problem.detail)) }
                     @for error in &problem.errors {
                         @if let Some(limit) = error.limit.as_ref().filter(|limit| !problem.detail.contains(limit.as_str())) {
                             p { @if let Some(channel) = &error.channel { (clamped(&channel)) ": " } (limit) }

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::{number, percent};
-use super::words::{self, clamped, count, duration};
+use super::words::{self, clamped, count, duration, sentence};
 use crate::domain::evaluation::EvaluationSummary;
 use crate::domain::study::StudySummary;
 use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
@@ -73,7 +73,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
             }
             section.card aria-labelledby="work" {
                 h2 #work { "Work" }
-                (jobs(&of.jobs))
+                (jobs(&of.jobs, false))
                 @if !of.jobs.is_empty() { p { a href={ "/jobs?rig=" (rig.id) } { "All jobs of this rig" } } }
             }
         }
@@ -119,23 +119,33 @@ fn active_model(model: &Model, at: &str) -> Markup {
     }
 }
 
-/// Jobs as a short table.
-pub(super) fn jobs(jobs: &[Job]) -> Markup {
+/// Jobs as a short table; `of_all` for those of all rigs.
+pub(super) fn jobs(jobs: &[Job], of_all: bool) -> Markup {
     html! {
         @if jobs.is_empty() { p.soft { "Nothing waits or runs." } }
         @else {
             div.wide { table.full {
-                thead { tr { th { "Job" } th { "State" } th { "Stage" } th { "Queued" } } }
+                thead { tr { th { "Job" } @if of_all { th { "Rig" } } th { "State" } th { "Stage" } th { "Queued" } @if of_all { th.number { "Took" } } } }
                 tbody { @for job in jobs {
                     tr {
                         td { a href={ "/jobs/" (job.id) } { (job.kind.as_str()) } }
+                        @if of_all { td { a href={ "/rigs/" (job.rig) } { (job.rig) } } }
                         td { (words::state(job.state)) }
-                        td { (job.stage.as_deref().unwrap_or_default()) @if !job.state.is_terminal() && job.progress > 0.0 { " " span.soft { (percent(job.progress)) } } }
+                        td { (sentence(job.stage.as_deref().unwrap_or_default())) @if !job.state.is_terminal() && job.progress > 0.0 { " " span.soft { (percent(job.progress)) } } }
                         td.soft { (words::minute(&job.created_at)) }
+                        @if of_all { td.number { (took(job)) } }
                     }
                 } }
             } }
         }
+    }
+}
+
+/// How long the last attempt of a job took.
+fn took(job: &Job) -> String {
+    match (&job.started_at, &job.finished_at) {
+        (Some(from), Some(to)) => duration(to.duration_since(*from).as_secs_f64()),
+        _ => "–".into(),
     }
 }
 

@@ -7,7 +7,7 @@ use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Matrix, Scale, Style};
 use super::rig::name_of;
 use super::text::{cut, exponents, number, percent};
-use super::words::{clamped, duration, minute, term};
+use super::words::{clamped, duration, minute, sentence, term};
 use crate::domain::{Rig, Run, RunKind, Split, TokenRole};
 use crate::engine::envelope::Envelope;
 use crate::engine::fatigue::Counts;
@@ -196,7 +196,9 @@ fn counts_plot(
     width: f64,
 ) -> Drawing {
     let most = lines.iter().flat_map(|(_, x, _)| x.iter().copied()).fold(1.0, f64::max);
-    let styles = [Style::Series(0), Style::Series(1)];
+    // One signal has the first style; of two the measured one comes first, in the style that it has in every plot.
+    let styles =
+        if lines.len() > 1 { vec![Style::Series(1), Style::Series(0)] } else { vec![Style::Series(0)] };
     let y = Axis::around(Scale::Linear, lines.iter().flat_map(|(_, _, y)| y.iter().copied()));
     let marks = lines.into_iter().zip(styles).map(|((name, x, y), style)| {
         let x = x.into_iter().map(|n| if n > 0.0 { n } else { f64::NAN }).collect();
@@ -319,7 +321,7 @@ fn quality(run: &Run) -> Markup {
     html! {
         h2 #quality { "Quality" }
         @if run.quality.warnings.is_empty() { p { "No warning: no spikes, drop-outs, clipping, hum or constant channels were found." } }
-        @else { ul.notes { @for warning in &run.quality.warnings { li { (warning) } } } }
+        @else { ul.notes { @for warning in &run.quality.warnings { li { (sentence(warning)) } } } }
         @if let Some(repeats) = &run.quality.repeats {
             p { "The drives repeat " (repeats.count) " times, each " (duration(repeats.period_s)) ". "
                 @for noise in &repeats.responses { (clamped(&noise.channel)) ": noise " (percent(noise.noise_share)) " of the signal. " } }
