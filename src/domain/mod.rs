@@ -11,6 +11,7 @@ pub mod fits;
 pub mod ids;
 pub mod iteration;
 pub mod job;
+mod losses;
 pub mod model;
 mod model_ref;
 pub mod model_report;
@@ -33,6 +34,7 @@ pub use fit_check::{FitChannels, task};
 pub use ids::{DiagnosisId, EvaluationId, IterationId, JobId, RigId, RunId, StudyId, new_id};
 pub use iteration::{IterationRequest, IterationSummary, StoredIteration};
 pub use job::{Job, JobKind, JobResult, JobState};
+pub use losses::{JobLosses, LossCurve};
 pub use model::{
     ActiveModel, Adopted, AdoptedEffect, Adoption, Base, Lineage, Model, ModelFrf, Origin, Span, StartedFrom,
     UsedCore, UsedModel,

@@ -35,7 +35,7 @@ pub mod windowing;
 pub mod wording;
 
 pub use error::EngineError;
-pub use progress::{Progress, Watch};
+pub use progress::{Loss, Progress, Watch};
 pub use quantity::Quantity;
 pub use rounding::rounded;
 pub use run_kind::{RunKind, Split};

@@ -2,6 +2,8 @@
 
 use std::ops::{ControlFlow, Range};
 
+use serde::{Deserialize, Serialize};
+
 use super::EngineError;
 
 /// Progress of a long computation.
@@ -11,9 +13,29 @@ pub struct Progress<'a> {
     pub stage: &'a str,
     /// Share of this computation that is done, 0..=1, never falling.
     pub fraction: f64,
+    /// The errors of the epoch that has just ended, if one was scored.
+    pub loss: Option<Loss>,
 }
 
-impl Progress<'_> {
+/// Mean squared errors of a network, standardised, at the end of an epoch of its training.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Loss {
+    /// Seed of the training.
+    pub seed: u64,
+    /// From 1.
+    pub epoch: usize,
+    /// On the training data, as the mean over the mini-batches of the epoch.
+    pub training: f64,
+    /// On the data that stop the training; `None` in a training that nothing stops.
+    pub stopping: Option<f64>,
+}
+
+impl<'a> Progress<'a> {
+    /// Progress without the errors of an epoch.
+    pub fn new(stage: &'a str, fraction: f64) -> Self {
+        Self { stage, fraction, loss: None }
+    }
+
     /// The same as a part of longer work, which it takes from the first of these shares to the second.
     pub(crate) fn within(self, share: &Range<f64>) -> Self {
         Self { fraction: within(self.fraction, share), ..self }
@@ -35,7 +57,7 @@ pub type Watch<'a> = &'a (dyn Fn(Progress<'_>) -> ControlFlow<()> + Sync);
 /// # Errors
 /// [`EngineError::Cancelled`] when the callback breaks.
 pub fn report(watch: Watch<'_>, stage: &str, fraction: f64) -> Result<(), EngineError> {
-    match watch(Progress { stage, fraction }) {
+    match watch(Progress::new(stage, fraction)) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(EngineError::Cancelled),
     }

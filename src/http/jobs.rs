@@ -1,4 +1,4 @@
-//! Jobs: lists, states, events, cancellation.
+//! Jobs: lists, states, errors of trainings, events, cancellation.
 
 use std::convert::Infallible;
 
@@ -16,7 +16,7 @@ use super::params::{NoParams, Params, invalid, page};
 use super::paths::{OfJob, no_job};
 use super::problem::Answer;
 use super::{Shared, json, negotiate};
-use crate::domain::{Job, JobId};
+use crate::domain::{Job, JobId, JobLosses};
 use crate::storage::{CancelOutcome, JobQuery};
 
 /// `GET /v1/jobs`
@@ -35,6 +35,17 @@ pub async fn list(State(http): State<Shared>, caller: Caller, mut params: Params
 /// `GET /v1/jobs/{job}`
 pub async fn show(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, _: NoParams) -> Answer {
     json::answer(&find(&http, &caller, id).await?)
+}
+
+/// `GET /v1/jobs/{job}/losses`
+pub async fn losses(State(http): State<Shared>, caller: Caller, OfJob(id): OfJob, _: NoParams) -> Answer {
+    find(&http, &caller, id).await?;
+    json::answer(&losses_of(&http, id).await?)
+}
+
+/// The errors of a job's training so far.
+pub(super) async fn losses_of(http: &Shared, id: JobId) -> Answer<JobLosses> {
+    Ok(JobLosses::of(id, &http.store.losses(id).await?))
 }
 
 /// The job of this id; to a caller that may not see its rig, there is none.

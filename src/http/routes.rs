@@ -100,6 +100,7 @@ pub static ROUTES: &[Route] = &[
     }),
     route(Method::GET, "/v1/jobs", Role(Reader), Registry, || get(jobs::list)),
     route(Method::GET, "/v1/jobs/{job}", Role(Reader), Registry, || get(jobs::show)),
+    route(Method::GET, "/v1/jobs/{job}/losses", Role(Reader), Registry, || get(jobs::losses)),
     route(Method::GET, "/v1/jobs/{job}/events", Role(Reader), Registry, || get(jobs::events)),
     route(Method::POST, "/v1/jobs/{job}/cancel", Role(Operator), Control, || post(jobs::cancel)),
     route(Method::GET, "/v1/rigs/{rig}/models", Role(Reader), Registry, || get(models::list)),

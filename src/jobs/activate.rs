@@ -311,7 +311,7 @@ impl Work {
             return Ok(noted);
         }
         let segment = &self.measured;
-        let progress = Progress { stage: "comparing with the active model", fraction: 1.0 };
+        let progress = Progress::new("comparing with the active model", 1.0);
         if control.watch(progress).is_break() {
             return Err(EngineError::Cancelled);
         }

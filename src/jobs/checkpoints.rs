@@ -10,7 +10,7 @@ use crate::domain::JobId;
 use crate::engine::checkpoint::CheckpointStore;
 use crate::storage::{Checkpoint, Store, StoreError};
 
-use super::control::Control;
+use super::control::{Control, NewLosses};
 
 /// Time from the start of an attempt to its first checkpoint, unless the setting is shorter.
 const FIRST: Duration = Duration::from_millis(500);
@@ -40,7 +40,9 @@ impl JobCheckpoints {
     ) -> Result<Self, StoreError> {
         let found: HashMap<String, Bytes> =
             store.checkpoints(job, &fits).await?.into_iter().map(|one| (one.part, one.state)).collect();
-        if !found.is_empty() {
+        if found.is_empty() {
+            control.add_losses(NewLosses { anew: true, losses: Vec::new() });
+        } else {
             tracing::info!(job.id = %job, parts = found.len(), "work goes on from its checkpoints");
         }
         let control = Arc::clone(control);

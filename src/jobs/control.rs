@@ -6,7 +6,9 @@ use std::ops::{ControlFlow, Range};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use crate::engine::Progress;
+use serde::{Deserialize, Serialize};
+
+use crate::engine::{Loss, Progress};
 use crate::storage::Checkpoint;
 
 /// Why work must stop before its end.
@@ -23,6 +25,29 @@ pub(super) enum Stop {
     Yield = 4,
 }
 
+/// Errors of epochs that were not stored yet.
+#[derive(Debug, Default, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct NewLosses {
+    /// Whether a training began anew, so that what is stored is of another one.
+    pub anew: bool,
+    pub losses: Vec<Loss>,
+}
+
+impl NewLosses {
+    pub fn is_empty(&self) -> bool {
+        !self.anew && self.losses.is_empty()
+    }
+
+    /// Adds later ones.
+    pub fn add(&mut self, later: Self) {
+        if later.anew {
+            *self = later;
+        } else {
+            self.losses.extend(later.losses);
+        }
+    }
+}
+
 /// Shared by the worker, its work, and the request that cancels.
 #[derive(Debug)]
 pub(super) struct Control {
@@ -33,6 +58,7 @@ pub(super) struct Control {
     scope: Mutex<(String, Range<f64>)>,
     /// Checkpoints that were not stored yet, the latest of each part.
     kept: Mutex<BTreeMap<String, Checkpoint>>,
+    losses: Mutex<NewLosses>,
 }
 
 impl Default for Control {
@@ -42,6 +68,7 @@ impl Default for Control {
             progress: Mutex::default(),
             scope: Mutex::new((String::new(), 0.0..1.0)),
             kept: Mutex::default(),
+            losses: Mutex::default(),
         }
     }
 }
@@ -63,6 +90,9 @@ impl Control {
     /// The engine's callback: records the progress, and breaks when the work is to stop.
     pub(super) fn watch(&self, progress: Progress<'_>) -> ControlFlow<()> {
         self.report(progress.stage, progress.fraction);
+        if let Some(loss) = progress.loss {
+            self.add_losses(NewLosses { anew: false, losses: vec![loss] });
+        }
         if self.stopped().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
@@ -93,6 +123,16 @@ impl Control {
         std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner)).into_values().collect()
     }
 
+    /// Hands over errors of epochs to be stored.
+    pub(super) fn add_losses(&self, new: NewLosses) {
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).add(new);
+    }
+
+    /// Errors of epochs since the last call.
+    pub(super) fn take_losses(&self) -> NewLosses {
+        std::mem::take(&mut *self.losses.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// Stage and fraction as last reported.
     pub(super) fn progress(&self) -> (String, f64) {
         self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -106,11 +146,11 @@ mod tests {
     #[test]
     fn the_first_reason_to_stop_stays_and_breaks_the_work() {
         let control = Control::default();
-        assert!(control.watch(Progress { stage: "FRF", fraction: 0.5 }).is_continue());
+        assert!(control.watch(Progress::new("FRF", 0.5)).is_continue());
         control.stop(Stop::Shutdown);
         control.stop(Stop::Cancelled);
         assert_eq!(control.stopped(), Some(Stop::Shutdown));
-        assert!(control.watch(Progress { stage: "LSTM", fraction: 0.6 }).is_break());
+        assert!(control.watch(Progress::new("LSTM", 0.6)).is_break());
         assert_eq!(control.progress(), ("LSTM".into(), 0.6));
     }
 
@@ -122,5 +162,18 @@ mod tests {
         assert_eq!(control.progress(), ("trial 2: LSTM".into(), 0.5));
         control.report("done", 1.0);
         assert_eq!(control.progress(), ("trial 2: done".into(), 0.75));
+    }
+
+    #[test]
+    fn losses_are_handed_over_once_and_a_new_training_drops_those_of_another() {
+        let control = Control::default();
+        let loss = |epoch| Loss { seed: 1, epoch, training: 0.5, stopping: None };
+        let told = |epoch| Progress { loss: Some(loss(epoch)), ..Progress::new("LSTM", 0.1) };
+        let _ = control.watch(told(1));
+        control.add_losses(NewLosses { anew: true, losses: Vec::new() });
+        let _ = control.watch(told(2));
+        let _ = control.watch(Progress::new("LSTM", 0.2));
+        assert_eq!(control.take_losses(), NewLosses { anew: true, losses: vec![loss(2)] });
+        assert!(control.take_losses().is_empty());
     }
 }

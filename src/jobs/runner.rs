@@ -185,6 +185,8 @@ impl Runner {
             return Err(JobError::Stopped);
         }
         control.report("publishing", 1.0);
+        // Publishing ends the job, and with it the right to write about it.
+        self.store_losses(&claim, &control).await;
         publish(&self, &claim, made).await
     }
 
@@ -218,6 +220,7 @@ impl Runner {
                 biased;
                 end = &mut work => {
                     self.store_checkpoints(claim, control).await;
+                    self.store_losses(claim, control).await;
                     return match end {
                         Ok(end) => end,
                         Err(error) => Err(panicked(&error.to_string())),
@@ -225,6 +228,7 @@ impl Runner {
                 }
                 _ = ticks.tick() => {
                     self.store_checkpoints(claim, control).await;
+                    self.store_losses(claim, control).await;
                     let progress = control.progress();
                     if progress != written || at.elapsed() >= self.settings.heartbeat {
                         self.beat(claim, control, &progress).await;
@@ -274,6 +278,19 @@ impl Runner {
                     tracing::warn!(%error, "a checkpoint could not be stored");
                 }
             }
+        }
+    }
+
+    /// Stores the errors of the epochs that have ended, for people who watch the job.
+    async fn store_losses(&self, claim: &Claim, control: &Control) {
+        let new = control.take_losses();
+        if new.is_empty() {
+            return;
+        }
+        // Their absence changes nothing about the work.
+        if let Err(error) = self.store.add_losses(&claim.lease, new.anew, &new.losses).await {
+            error.count();
+            tracing::warn!(%error, "the errors of some epochs could not be stored");
         }
     }
 

@@ -19,6 +19,7 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (14, "studies", include_str!("../../migrations/0014_studies.sql")),
     (16, "fit_records", include_str!("../../migrations/0016_fit_records.sql")),
     (17, "drift", include_str!("../../migrations/0017_drift.sql")),
+    (18, "job_losses", include_str!("../../migrations/0018_job_losses.sql")),
 ];
 
 /// Migrations up to this number.

@@ -18,6 +18,7 @@ mod interruptions;
 mod iterations;
 mod jobs;
 mod journal;
+mod losses;
 mod migrations;
 mod models;
 mod npy;

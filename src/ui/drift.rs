@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use super::figures::Drawing;
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
-use super::text::{number, percent};
-use super::words::{count, minute, word};
+use super::text::{cut, number, percent};
+use super::words::{clamped, count, minute, word};
 use crate::domain::drift::{Basis, ControlLimit, Drift, JudgedRun, LEAST_INSIDE, NoLimit};
 use crate::domain::{Rig, TokenRole};
 
@@ -54,7 +54,7 @@ fn verdict(visitor: &Visitor, rig: &Rig, drift: &Drift) -> Markup {
                         (csrf(visitor)) button type="submit" { "Diagnose these " (count(diagnosis.body.runs.len(), "run", "runs")) }
                     }
                 } @else {
-                    p.soft { "Somebody who may operate the rig " (rig.name) " can start it." }
+                    p.soft { "Somebody who may operate the rig " (clamped(&rig.name)) " can start it." }
                 }
             }
         } @else if let Some(ratio) = drift.ratio {
@@ -141,7 +141,7 @@ fn limits(drift: &Drift) -> Markup {
                 tbody { @for limit in &drift.limits { tr {
                     td { (limit.kind.as_str()) }
                     td { (rests_on(limit)) }
-                    td { (limit.channels.iter().map(|(name, limit)| format!("{name} {}", percent(*limit))).collect::<Vec<_>>().join(", ")) }
+                    td { (limit.channels.iter().map(|(name, limit)| format!("{} {}", cut(name), percent(*limit))).collect::<Vec<_>>().join(", ")) }
                 } } }
             } }
         }
@@ -156,11 +156,11 @@ fn runs(rig: &Rig, drift: &Drift) -> Markup {
             thead { tr { th { "Run" } th { "Kind" } th { "Measured" } th { "Error by output" } th.number { "Over the limit" } th { "" } } }
             tbody { @for run in drift.runs.iter().rev().take(MOST_ROWS) { tr {
                 td { a href={ "/rigs/" (rig.id) "/runs/" (run.run) } {
-                    @if run.name.is_empty() { code { (&run.run.to_string()[24..]) } } @else { bdi { (run.name) } }
+                    @if run.name.is_empty() { code { (&run.run.to_string()[24..]) } } @else { (clamped(&run.name)) }
                 } }
                 td { (run.kind.as_str()) }
                 td.soft { (minute(&run.at)) }
-                td { (run.judgement.channels.iter().map(|(name, c)| format!("{name} {}", c.rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", ")) }
+                td { (run.judgement.channels.iter().map(|(name, c)| format!("{} {}", cut(name), c.rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", ")) }
                 td.number { @if let Some(ratio) = run.judgement.ratio { (number(ratio)) } }
                 td {
                     @if run.judgement.past { span.tag.bad { "past the limit" } }

@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::plot::{Figure, Matrix, picture};
+use super::plot::{Figure, Hemisphere, Matrix, Ratios, picture};
 
 /// The content of a figure.
 #[derive(Debug, Clone)]
@@ -11,6 +11,10 @@ pub enum Drawing {
     Plots(Vec<Figure>),
     /// Counts of pairs of classes.
     Matrix(Box<Matrix>),
+    /// Ratios, one row an item.
+    Ratios(Box<Ratios>),
+    /// Damage by direction in space.
+    Hemisphere(Box<Hemisphere>),
     /// Nothing to draw, and why.
     Nothing(String),
 }
@@ -18,6 +22,12 @@ pub enum Drawing {
 impl From<Figure> for Drawing {
     fn from(figure: Figure) -> Self {
         Self::Plots(vec![figure])
+    }
+}
+
+impl From<Ratios> for Drawing {
+    fn from(ratios: Ratios) -> Self {
+        Self::Ratios(Box::new(ratios))
     }
 }
 
@@ -29,6 +39,8 @@ impl Drawing {
                 // Pictures as wide as the page grow with it; narrower ones keep their size.
                 Self::Plots(figures) => div.plot.fill[figures.iter().all(|figure| figure.size.0 > 900.0)] { @for figure in figures { (figure.svg()) } },
                 Self::Matrix(matrix) => div.plot { (matrix.svg()) },
+                Self::Ratios(ratios) => div.plot { (ratios.svg()) },
+                Self::Hemisphere(hemisphere) => div.plot { (hemisphere.svg()) },
                 Self::Nothing(why) => p.soft { (why) },
             }
         }
@@ -42,6 +54,8 @@ impl Drawing {
                 several => picture(stacked(several)),
             },
             Self::Matrix(matrix) => picture(matrix.svg()),
+            Self::Ratios(ratios) => picture(ratios.svg()),
+            Self::Hemisphere(hemisphere) => picture(hemisphere.svg()),
             Self::Nothing(why) => picture(html! {
                 svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 40" width="600" height="40" { text x="4" y="24" { (why) } }
             }),
@@ -60,6 +74,8 @@ impl Drawing {
                 None => String::new(),
             },
             Self::Matrix(matrix) => matrix.csv(),
+            Self::Ratios(ratios) => ratios.csv(),
+            Self::Hemisphere(hemisphere) => hemisphere.csv(),
             Self::Nothing(_) => String::new(),
         }
     }

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::rig::name_of;
-use super::words::{count, duration};
+use super::words::{clamped, count, duration};
 use crate::domain::{Rig, Run, RunKind, Split};
 use crate::engine::model::{LstmOptions, ModelKind, Preset, Task};
 
@@ -137,7 +137,7 @@ fn selection(runs: &[Run]) -> Markup {
     let boxes = |name: &str, split: Split| {
         html! {
             @for run in runs.iter().filter(|run| run.split == split) {
-                label.check { input type="checkbox" name=(name) value=(run.id) data-as="each"; bdi { (name_of(run)) } " " span.soft { (run.kind.as_str()) ", " (duration(run.duration_s)) } }
+                label.check { input type="checkbox" name=(name) value=(run.id) data-as="each"; (clamped(&name_of(run))) " " span.soft { (run.kind.as_str()) ", " (duration(run.duration_s)) } }
             }
         }
     };

@@ -3,6 +3,7 @@
 use maud::{DOCTYPE, Markup, html};
 
 use super::assets;
+use super::words::clamped;
 use crate::domain::TokenRole;
 
 /// The person who looks at a page.
@@ -95,7 +96,7 @@ impl<'a> Frame<'a> {
                         @if !self.way.is_empty() {
                             nav aria-label="The way here" {
                                 p.crumbs {
-                                    @for (address, name) in &self.way { a href=(address) { bdi { (name) } } " › " }
+                                    @for (address, name) in &self.way { a href=(address) { (clamped(name)) } " › " }
                                 }
                             }
                         }
@@ -136,7 +137,7 @@ fn who(visitor: &Visitor) -> Markup {
     html! {
         @match &visitor.token {
             Some(name) => {
-                bdi { (if name.is_empty() { "Token without a name" } else { name }) }
+                (clamped(if name.is_empty() { "Token without a name" } else { name }))
                 span { "(" (visitor.role.as_str()) ")" }
                 @if !visitor.csrf.is_empty() {
                     form method="post" action="/sign-out" {

@@ -6,8 +6,8 @@ use super::figures::{Drawing, address, late};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::rig::name_of;
-use super::text::{number, percent};
-use super::words::{self, duration, minute};
+use super::text::{cut, number, percent};
+use super::words::{self, clamped, duration, minute, sentence};
 use crate::domain::iteration::IterationStep;
 use crate::domain::{Model, Rig, Role, Run, StoredIteration};
 
@@ -31,7 +31,7 @@ pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen
             label { "Wanted response, of the run"
                 select name="target.run" required {
                     @for run in runs { @let id = run.id.to_string();
-                        option value=(id) selected[chosen == Some(id.as_str())] { (name_of(run)) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
+                        option value=(id) selected[chosen == Some(id.as_str())] { (cut(&name_of(run))) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
                     }
                 }
             }
@@ -60,7 +60,7 @@ fn limits(rig: &Rig) -> Markup {
             table {
                 thead { tr { th { "Drive" } @for (_, words) in LIMITS { th { (words) } } } }
                 tbody { @for channel in rig.channels.iter().filter(|channel| channel.role == Role::Drive) { tr {
-                    td { bdi { (channel.name) } " " span.soft { (channel.unit) } }
+                    td { (clamped(&channel.name)) " " span.soft { (clamped(&channel.unit)) } }
                     @for (name, words) in LIMITS { td {
                         input type="number" name={ "limits.*." (name) } data-key=(channel.name) data-as="number" min="0" step="any" aria-label={ (words) " of " (channel.name) };
                     } }
@@ -92,7 +92,7 @@ pub fn page(visitor: &Visitor, rig: &Rig, of: &StoredIteration) -> String {
         }
         p.figure-of { (percent(summary.total_error)) }
         p.soft { "weighted RMS error left by iteration " (report.best) ", the best of " (report.steps.len()) }
-        @if !report.warnings.is_empty() { ul.notes { @for warning in &report.warnings { li { (warning) } } } }
+        @if !report.warnings.is_empty() { ul.notes { @for warning in &report.warnings { li { (sentence(warning)) } } } }
         @if summary.drive.is_none() { p.notes { "The run that held the drive was deleted." } }
         h2 { "Error by iteration" }
         (late(&address(&at, "steps"), &html! { "RMS error of each wanted response, relative to its RMS." }))
@@ -110,9 +110,9 @@ fn table(steps: &[IterationStep]) -> Markup {
             tbody { @for step in steps { tr {
                 td.number { (step.iteration) @if step.better { " ●" } }
                 td.number { (percent(step.total_error)) }
-                td { @for (name, ratio) in &step.damage { bdi { (name) } " " (ratio.ratio.map_or_else(|| "–".to_owned(), number)) " " } }
+                td { @for (name, ratio) in &step.damage { (clamped(name)) " " (ratio.ratio.map_or_else(|| "–".to_owned(), number)) " " } }
                 td.number { (percent(step.inside)) }
-                td { @for (name, peak) in &step.drive_peak { bdi { (name) } " " (number(*peak)) " " } }
+                td { @for (name, peak) in &step.drive_peak { (clamped(name)) " " (number(*peak)) " " } }
             } } }
         } }
         p.soft { "● better than all before. Iteration 0 is the drive that the search began with." }

@@ -2,10 +2,12 @@
 
 use maud::{Markup, html};
 
+use super::figures::{Drawing, address, saves};
 use super::frame::{Frame, Section, Visitor, csrf};
+use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::rig::jobs;
-use super::words::{self, duration};
-use crate::domain::{Job, JobState, Problem, TokenRole};
+use super::words::{self, clamped, count, duration, sentence};
+use crate::domain::{Job, JobKind, JobLosses, JobState, Problem, TokenRole};
 
 /// The page of the newest jobs, of one rig or of all.
 pub fn list(visitor: &Visitor, of: &[Job], rig: Option<&str>, next: Option<&str>) -> String {
@@ -14,14 +16,17 @@ pub fn list(visitor: &Visitor, of: &[Job], rig: Option<&str>, next: Option<&str>
         h1 { (title) }
         @if of.is_empty() {
             div.empty { p { "No job yet: a fit, a diagnosis or an iteration makes one." } p { a href="/" { "To the rigs" } } }
-        } @else { (jobs(of)) }
+        } @else {
+            p.soft { "Fits, evaluations, diagnoses, iterations and studies, the newest first." }
+            (jobs(of, true))
+        }
         @if let Some(next) = next { p { a href=(next) { "Further jobs" } } }
     };
     Frame::new(&title, Section::Jobs, visitor).page(&main)
 }
 
-/// The page of one job.
-pub fn page(visitor: &Visitor, job: &Job) -> String {
+/// The page of one job; `has_losses` tells whether an epoch of its training has ended.
+pub fn page(visitor: &Visitor, job: &Job, has_losses: bool) -> String {
     let title = format!("{} of {}", capital(job.kind.as_str()), job.rig);
     let over = job.state.is_terminal();
     let main = html! {
@@ -43,8 +48,8 @@ pub fn page(visitor: &Visitor, job: &Job) -> String {
                     dt { "Time left" } dd data-live="eta" { (job.eta_s.map_or_else(|| "not known yet".into(), |s| format!("about {}", duration(s)))) }
                 }
                 p.bad data-live="line" role="status" {}
-                figure.hidden data-live="figure" { div.plot { (curve()) } figcaption { "Error on the data that stop the training, standardised, since this page was opened." } }
             } @else { (outcome(job)) }
+            @if has_losses || (!over && trains(job.kind)) { (curve(job, has_losses)) }
             dl {
                 dt { "Rig" } dd { a href={ "/rigs/" (job.rig) } { (job.rig) } }
                 dt { "Queued" } dd { (words::minute(&job.created_at)) " UTC" }
@@ -58,27 +63,74 @@ pub fn page(visitor: &Visitor, job: &Job) -> String {
     let rig = format!("/rigs/{}", job.rig);
     let mut frame = Frame::new(&title, Section::Jobs, visitor)
         .below(&[("/jobs".into(), "Jobs"), (rig, job.rig.as_str())]);
-    frame.scripts = &["forms.js", "job.js"];
+    frame.scripts = &["forms.js", "figures.js", "job.js"];
     frame.page(&main)
 }
 
-/// Axes of the curve that the page's script draws as the job goes on.
-fn curve() -> Markup {
+/// Whether jobs of a kind may train a network.
+fn trains(kind: JobKind) -> bool {
+    matches!(kind, JobKind::Fit | JobKind::Study)
+}
+
+/// The loss curve, which the page's script draws anew as epochs end. It is hidden before the first one.
+fn curve(job: &Job, has_losses: bool) -> Markup {
+    let at = address(&format!("/jobs/{}", job.id), "losses");
     html! {
-        svg role="img" aria-label="Error over the time since this page was opened, logarithmic" viewBox="0 0 700 190" width="700" height="190" {
-            g.grid { line.axis x1="60" x2="690" y1="170" y2="170" {} line x1="60" x2="690" y1="20" y2="20" {} }
-            text x="54" y="24" text-anchor="end" data-live="high" {}
-            text x="54" y="164" text-anchor="end" data-live="low" {}
-            text.name x="2" y="12" { "Error" }
-            text.name x="380" y="186" text-anchor="middle" { "Progress" }
-            path class="line s0" data-live="curve" {}
+        div.hidden[!has_losses] data-live="losses" {
+            h2 { "Loss" }
+            figure {
+                div.loading[has_losses] data-figure=(at) data-late[has_losses] { @if has_losses { "Being drawn …" } }
+                figcaption {
+                    "Mean squared error, standardised, at the end of each epoch: on the training data, and on the data that stop the training."
+                    @if job.kind == JobKind::Study { " The curves are those of the study's latest fit." }
+                }
+                (saves(&at))
+            }
         }
     }
 }
 
+/// The loss curve of a job's training so far.
+pub fn losses(of: &JobLosses, width: f64) -> Drawing {
+    let mut marks = Vec::new();
+    for (place, curve) in of.curves.iter().enumerate() {
+        let line = |values: &[f64], name: String, style| Mark::Line {
+            x: curve.epochs.iter().map(|epoch| *epoch as f64).collect(),
+            y: values.to_vec(),
+            style: Style::Series(style),
+            name,
+        };
+        let seed = curve.seed;
+        match &curve.stopping {
+            Some(stopping) => {
+                marks.push(line(&curve.training, format!("seed {seed} training"), 2 * place));
+                marks.push(line(stopping, format!("seed {seed} stopping"), 2 * place + 1));
+            }
+            None => marks.push(line(&curve.training, format!("seed {seed}, all runs"), 2 * place)),
+        }
+    }
+    if marks.is_empty() {
+        return Drawing::Nothing("No epoch has ended yet.".into());
+    }
+    let last = of.curves.iter().flat_map(|curve| &curve.epochs).max().copied().unwrap_or(1);
+    let values =
+        of.curves.iter().flat_map(|curve| curve.training.iter().chain(curve.stopping.iter().flatten()));
+    Figure {
+        id: "losses".into(),
+        title: "Loss by epoch".into(),
+        description: format!("{} of up to {last} epochs.", count(of.curves.len(), "training", "trainings")),
+        size: (width, 280.0),
+        x: (Axis::exact(Scale::Linear, 0.0, last as f64), "Epoch".into()),
+        y: (Axis::around(Scale::Log, values.copied()), "Mean squared error".into()),
+        key: Key::Above,
+        marks,
+    }
+    .into()
+}
+
 fn outcome(job: &Job) -> Markup {
     html! {
-        @if let Some(stage) = &job.stage { p { (stage) } }
+        @if let Some(stage) = &job.stage { p { (sentence(stage)) } }
         @match job.state {
             JobState::Succeeded => {
                 @if let Some(result) = &job.result {
@@ -96,10 +148,10 @@ fn failure(problem: Option<&Problem>) -> Markup {
         div.refused role="alert" {
             @match problem {
                 Some(problem) => {
-                    p { (problem.detail) }
+                    p { (sentence(&problem.detail)) }
                     @for error in &problem.errors {
                         @if let Some(limit) = error.limit.as_ref().filter(|limit| !problem.detail.contains(limit.as_str())) {
-                            p { @if let Some(channel) = &error.channel { bdi { (channel) } ": " } (limit) }
+                            p { @if let Some(channel) = &error.channel { (clamped(&channel)) ": " } (limit) }
                         }
                     }
                     p.soft { (problem.title) " (" (problem.code) ")" }
@@ -118,4 +170,36 @@ pub(super) fn page_of(href: &str) -> String {
 fn capital(word: &str) -> String {
     let mut chars = word.chars();
     chars.next().map(|first| first.to_uppercase().chain(chars).collect()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::{JobId, LossCurve};
+
+    fn drawn(curves: Vec<LossCurve>) -> Drawing {
+        losses(&JobLosses { job: JobId::from_u128(1), curves }, 900.0)
+    }
+
+    #[test]
+    fn each_training_has_its_lines_and_before_the_first_epoch_there_are_none() {
+        let curve = |seed, stopping: Option<Vec<f64>>| LossCurve {
+            seed,
+            epochs: vec![1, 2],
+            training: vec![0.5, 0.25],
+            stopping,
+        };
+        let curves = vec![curve(1, Some(vec![0.6, 0.0])), curve(7, None)];
+        let csv = drawn(curves.clone()).csv();
+        assert_eq!(
+            csv,
+            "Epoch,seed 1 training,seed 1 stopping,\"seed 7, all runs\"\r\n1,0.5,0.6,0.5\r\n2,0.25,0,0.25\r\n"
+        );
+        let svg = drawn(curves).svg();
+        assert!(
+            svg.contains(">Epoch<") && svg.contains(">Mean squared error<") && !svg.contains("NaN"),
+            "{svg}"
+        );
+        assert!(matches!(drawn(Vec::new()), Drawing::Nothing(_)));
+    }
 }

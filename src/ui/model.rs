@@ -6,8 +6,8 @@ use super::figures::{Drawing, address, late, thinned};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::run::with_unit;
-use super::text::{number, percent};
-use super::words::{bytes, count, duration, minute, term};
+use super::text::{cut, number, percent};
+use super::words::{bytes, clamped, count, duration, minute, sentence, term};
 use crate::domain::{Model, Rig, Span, TokenRole};
 use crate::engine::frf::{Frf, FrfQuality};
 use crate::engine::model::{FitReport, RigModel};
@@ -61,7 +61,7 @@ pub fn page(visitor: &Visitor, of: &ModelView<'_>) -> String {
     let main = html! {
         (head(visitor, of, &at))
         @if let Some(report) = &model.report {
-            @if !report.warnings.is_empty() { ul.notes { @for warning in &report.warnings { li { (warning) } } } }
+            @if !report.warnings.is_empty() { ul.notes { @for warning in &report.warnings { li { (sentence(warning)) } } } }
             h2 #errors { "Errors on validation data" }
             (errors(model, report))
             @if !report.seeds.is_empty() {
@@ -95,7 +95,7 @@ fn head(visitor: &Visitor, of: &ModelView<'_>, at: &str) -> Markup {
             div {
                 h1 { "Version " (model.version) " " @if model.active { span.tag.good { "active" } } }
                 p.soft { (model.kind_in_words()) " · by " (model.origin.as_str()) " · " (minute(&model.created_at)) " UTC · " (bytes(model.size_bytes)) }
-                p { (model.inputs.join(", ")) " → " (model.outputs.join(", ")) }
+                p { (clamped(&model.inputs.join(", "))) " → " (clamped(&model.outputs.join(", "))) }
                 @if !forward { p.soft { "It does not map all drives to all responses: it predicts under its number, and cannot be the active one." } }
             }
             div.actions {
@@ -115,7 +115,7 @@ fn errors(model: &Model, report: &FitReport) -> Markup {
             thead { tr { th { "Output" } th.number { "RMS error" } } }
             tbody {
                 @for (name, rms) in model.outputs.iter().zip(&report.validation_rms) {
-                    tr { td { bdi { (name) } } td.number { @match rms { Some(rms) => (percent(*rms)), None => "measured zero" } } }
+                    tr { td { (clamped(name)) } td.number { @match rms { Some(rms) => (percent(*rms)), None => "measured zero" } } }
                 }
             }
         } }
@@ -133,7 +133,7 @@ fn frf(of: &ModelView<'_>, at: &str) -> Markup {
         h2 #frf { "Frequency response" }
         form.tools method="get" action={ (at) "#frf" } {
             label.check { "Response" select name="output" data-go {
-                @for (place, name) in of.model.outputs.iter().enumerate() { option value=(place) selected[place == of.output] { (name) } }
+                @for (place, name) in of.model.outputs.iter().enumerate() { option value=(place) selected[place == of.output] { (cut(name)) } }
             } }
             noscript { button type="submit" { "Show" } }
         }
@@ -164,7 +164,7 @@ fn lineage(model: &Model) -> Markup {
                 dt { "Consists of" }
                 dd {
                     (adoption.base.kind.as_str()) @if let Some(version) = adoption.base.version { " of version " (version) }
-                    @for effect in &adoption.effects { ", with " (effect.effect.name()) " at " bdi { (effect.channel) } }
+                    @for effect in &adoption.effects { ", with " (effect.effect.name()) " at " (clamped(&effect.channel)) }
                 }
             }
             (spans("Fitted on", &model.lineage.training))
@@ -172,7 +172,7 @@ fn lineage(model: &Model) -> Markup {
             @if let Some(core) = &model.lineage.core {
                 dt { "Core" }
                 dd {
-                    "an FRF" @for effect in &core.effects { ", with " (effect.effect.name()) " at " bdi { (effect.channel) } }
+                    "an FRF" @for effect in &core.effects { ", with " (effect.effect.name()) " at " (clamped(&effect.channel)) }
                     @if let Some(version) = core.version { " (version " (version) ")" }
                 }
             }

@@ -3,15 +3,19 @@
 
 use maud::{Markup, html};
 
+use super::figures::{Drawing, address, saves};
 use super::frame::{self, Frame, Section, Visitor};
 use super::model::loss;
 use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use super::spectrum::{Density, densities};
-use super::text::{number, percent};
-use super::words::{duration, minute, term, word};
+use super::text::{cut, number, percent};
+use super::words::{clamped, duration, minute, sentence, term, word};
 use crate::domain::model_report::{ChosenBy, NoPart};
 use crate::domain::{Model, ModelReport, Rig};
 use crate::engine::model::{Autocorrelation, Residual, ResidualOf};
+
+/// Width of the plot of the loss curves, pixels.
+const WIDTH: f64 = 840.0;
 
 /// Most outputs whose residual is drawn; all are in the report as JSON.
 const MOST_DRAWN: usize = 24;
@@ -32,7 +36,7 @@ pub struct Reported<'a> {
 
 /// The report as a document that is complete in itself: no scripts, no other files.
 pub fn page(of: Reported<'_>) -> String {
-    frame::alone(&title(of), &content(of))
+    frame::alone(&title(of), &content(of, None))
 }
 
 /// The report as a page of the service.
@@ -40,39 +44,64 @@ pub fn framed(visitor: &Visitor, of: Reported<'_>) -> String {
     let title = title(of);
     let rig = format!("/rigs/{}", of.rig.id);
     let version = format!("Version {}", of.model.version);
-    let model = format!("{rig}/models/{}", of.model.version);
-    let way = [("/".into(), "Rigs"), (rig, of.rig.name.as_str()), (model, version.as_str())];
+    let model_path = format!("{rig}/models/{}", of.model.version);
+    let way = [("/".into(), "Rigs"), (rig, of.rig.name.as_str()), (model_path.clone(), version.as_str())];
     let mut frame = Frame::new(&title, Section::Rigs, visitor).below(&way);
     frame.class = "report";
     frame.scripts = &[];
-    frame.page(&content(of))
+    let at = format!("{model_path}/report");
+    frame.page(&content(of, Some(&at)))
+}
+
+/// The plot of this name.
+///
+/// # Errors
+/// The names of all plots, where there is no such one.
+pub fn drawing(of: Reported<'_>, name: &str) -> Result<Drawing, String> {
+    let trained = of.report.training.is_some();
+    let mut all: Vec<(String, Drawing)> = Vec::new();
+    if let Some(fit) = of.model.report.as_ref().filter(|_| trained) {
+        all.push(("loss".into(), loss(fit, WIDTH)));
+    }
+    if let Some(residual) = of.report.residual {
+        for (place, output) in of.model.outputs.iter().enumerate() {
+            let figures =
+                [spectrum(of.rig, residual, place, output), lags(&residual.autocorrelation, place, output)];
+            all.extend(figures.into_iter().flatten().map(|figure| (figure.id.clone(), figure.into())));
+        }
+    }
+    match all.iter().position(|(id, _)| id == name) {
+        Some(place) => Ok(all.swap_remove(place).1),
+        None => Err(all.into_iter().map(|(id, _)| id).collect::<Vec<_>>().join(", ")),
+    }
 }
 
 fn title(of: Reported<'_>) -> String {
     format!("Report of version {} of {}", of.model.version, of.rig.name)
 }
 
-fn content(of: Reported<'_>) -> Markup {
+/// `at` is the address of the page, if it is one of the service, which has each plot as a file.
+fn content(of: Reported<'_>, at: Option<&str>) -> Markup {
     let Reported { rig, model, report } = of;
     html! {
         header {
             p.over { "Fit report" }
-            h1 { "Version " (model.version) " of " (rig.name) }
+            h1 { "Version " (model.version) " of " (clamped(&rig.name)) }
             p.soft {
                 (model.kind_in_words()) " · by " (model.origin.as_str()) " · " (minute(&model.created_at)) " UTC · "
-                (model.inputs.join(", ")) " → " (model.outputs.join(", "))
+                (clamped(&model.inputs.join(", "))) " → " (clamped(&model.outputs.join(", ")))
             }
         }
-        @if !report.warnings.is_empty() { ul { @for warning in report.warnings { li { (warning) } } } }
+        @if !report.warnings.is_empty() { ul { @for warning in report.warnings { li { (sentence(warning)) } } } }
         h2 #errors { "Errors" }
         (errors(report))
         h2 #loss { "Loss curves" }
-        (training(of))
+        (training(of, at))
         h2 #frf { "FRF" }
         (frf(report))
         h2 #residual { "Residual" }
         @match report.residual {
-            Some(residual) => (residual_part(rig, model, residual)),
+            Some(residual) => (residual_part(rig, model, residual, at)),
             None => (absent(report, "residual")),
         }
         h2 #coverage { "Coverage of the training data" }
@@ -101,7 +130,7 @@ fn errors(report: &ModelReport<'_>) -> Markup {
         div.scroll { table.figures {
             thead { tr { th.text { "Output" } th { "RMS error" } } }
             tbody { @for error in errors { tr {
-                td.text { bdi { (error.channel) } }
+                td.text { (clamped(&error.channel)) }
                 td { @match error.rms { Some(rms) => (percent(rms)), None => "measured zero" } }
             } } }
         } }
@@ -109,13 +138,13 @@ fn errors(report: &ModelReport<'_>) -> Markup {
     }
 }
 
-fn training(of: Reported<'_>) -> Markup {
+fn training(of: Reported<'_>, at: Option<&str>) -> Markup {
     let (Some(training), Some(fit)) = (&of.report.training, &of.model.report) else {
         return absent(of.report, "training");
     };
     html! {
         figure {
-            (loss(fit, 840.0).part())
+            (loss(fit, WIDTH).part())
             figcaption {
                 "Mean squared error, standardised, at each epoch: on the training data, and on the data that stop the training. "
                 @if let Some(seed) = training.best_seed {
@@ -127,6 +156,7 @@ fn training(of: Reported<'_>) -> Markup {
                 }
                 @if training.refitted { " Afterwards it was trained once more, on all training runs, up to the same share of its epochs." }
             }
+            (files(at, "loss"))
         }
         div.scroll { table.figures {
             thead { tr { th.text { "Seed" } th { "Best epoch" } th { "Stopping error" } th.text { "" } } }
@@ -152,7 +182,7 @@ fn frf(report: &ModelReport<'_>) -> Markup {
                 div.scroll { table.figures {
                     thead { tr { th.text { "Output" } th { "Coherence, median" } th { "Coherence, smallest" } th { "at Hz" } th { "Random error" } } }
                     tbody { @for output in &measured.outputs { tr {
-                        td.text { bdi { (output.channel) } }
+                        td.text { (clamped(&output.channel)) }
                         td { (number(output.coherence_median)) }
                         td { (number(output.coherence_min)) }
                         td { (number(output.coherence_min_hz)) }
@@ -167,7 +197,7 @@ fn frf(report: &ModelReport<'_>) -> Markup {
     }
 }
 
-fn residual_part(rig: &Rig, model: &Model, residual: &Residual) -> Markup {
+fn residual_part(rig: &Rig, model: &Model, residual: &Residual, at: Option<&str>) -> Markup {
     let whose = match residual.of {
         ResidualOf::Comparison => "data that compare models, which the model has not seen",
         ResidualOf::Stopping => "the data that stopped the training",
@@ -176,16 +206,21 @@ fn residual_part(rig: &Rig, model: &Model, residual: &Residual) -> Markup {
         p { "Measured minus predicted, on " (duration(residual.duration_s)) " of " (whose) "." }
         @for (place, output) in model.outputs.iter().take(MOST_DRAWN).enumerate() {
             @if let Some(figure) = spectrum(rig, residual, place, output) {
-                figure { div.plot { (figure.svg()) } figcaption { (figure.title) "." } }
+                figure { div.plot { (figure.svg()) } figcaption { (figure.title) "." } (files(at, &figure.id)) }
             }
             @if let Some(figure) = lags(&residual.autocorrelation, place, output) {
                 figure { div.plot { (figure.svg()) } figcaption {
                     (figure.title) ". White noise stays between the rules at 95 % of the lags; beyond them the residual has a pattern that the model lacks."
-                } }
+                } (files(at, &figure.id)) }
             }
         }
         @if model.outputs.len() > MOST_DRAWN { p.soft { "The residuals of further outputs are in the report as JSON." } }
     }
+}
+
+/// Links that save a plot, on a page of the service.
+fn files(at: Option<&str>, name: &str) -> Markup {
+    html! { @if let Some(at) = at { (saves(&address(at, name))) } }
 }
 
 fn spectrum(rig: &Rig, residual: &Residual, place: usize, output: &str) -> Option<Figure> {
@@ -238,7 +273,7 @@ fn coverage(report: &ModelReport<'_>) -> Markup {
             tbody { @for input in coverage {
                 @let of = input.coverage;
                 tr {
-                    td.text { bdi { (input.channel) } }
+                    td.text { (clamped(&input.channel)) }
                     td { (number(of.min)) } td { (number(of.max)) } td { (number(of.rms)) }
                     td { (number(of.rate[0])) " to " (number(of.rate[1])) }
                     td { @match of.band_hz { Some([from, to]) => { (number(from)) " to " (number(to)) }, None => "does not move" } }
@@ -261,7 +296,7 @@ fn data(report: &ModelReport<'_>) -> Markup {
                 td.text { (word(used.used_for)) }
                 td.text {
                     a href={ "/rigs/" (report.rig) "/runs/" (used.span.run) } {
-                        @match used.name { Some(name) if !name.is_empty() => bdi { (name) }, _ => code { (&used.span.run.to_string()[24..]) } }
+                        @match used.name { Some(name) if !name.is_empty() => (clamped(name)), _ => code { (&used.span.run.to_string()[24..]) } }
                     }
                     @if used.kind.is_none() { " (gone)" }
                 }
@@ -269,7 +304,7 @@ fn data(report: &ModelReport<'_>) -> Markup {
                 td { (duration(used.duration_s)) }
                 td { (percent(used.share)) }
                 td { @if let Some(rms) = &used.rms {
-                    (rms.iter().map(|(name, rms)| format!("{name} {}", rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", "))
+                    (rms.iter().map(|(name, rms)| format!("{} {}", cut(name), rms.map_or_else(|| "–".into(), percent))).collect::<Vec<_>>().join(", "))
                 } }
             } } }
         } }

@@ -6,17 +6,19 @@ use maud::{Markup, html};
 
 use super::figures::{Drawing, Zoom, address, late, thinned};
 use super::frame::{Frame, Section, Visitor};
-use super::plot::{Axis, Figure, Key, Mark, Scale, Style};
+use super::plot::{Axis, Figure, Hemisphere, Key, Mark, Ratios, Scale, Style};
 use super::rig::name_of;
 use super::run::with_unit;
-use super::text::{exponents, number, percent};
-use super::words::{duration, term};
+use super::text::{cut, exponents, number, percent};
+use super::words::{clamped, duration, term};
 use crate::domain::{Model, Rig, Run};
 use crate::engine::envelope::Envelope;
-use crate::engine::fatigue::DamageReport;
+use crate::engine::fatigue::{DamageReport, direction as spread};
 use crate::engine::metrics::ChannelErrors;
 use crate::engine::model::TrustSpan;
 use crate::engine::spectral::Psd;
+
+pub use super::plot::RatioRow;
 
 /// Height of a plot, pixels.
 const TALL: f64 = 280.0;
@@ -70,6 +72,8 @@ pub struct Result<'a> {
     pub length: [f64; 2],
     /// Whether there is a target.
     pub has_target: bool,
+    /// Why there is no band, if there is none.
+    pub no_band: Option<&'static str>,
 }
 
 /// The page; without a result, only the choices.
@@ -96,7 +100,7 @@ fn choices(choice: &Choice<'_>) -> Markup {
                 option value="" { (none) }
                 @for run in choice.runs {
                     @let id = run.id.to_string();
-                    option value=(id) selected[chosen == Some(id.as_str())] { (name_of(run)) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
+                    option value=(id) selected[chosen == Some(id.as_str())] { (cut(&name_of(run))) " (" (run.kind.as_str()) ", " (duration(run.duration_s)) ")" }
                 }
             }
         }
@@ -128,17 +132,21 @@ fn shown(choice: &Choice<'_>, of: &Result<'_>) -> Markup {
     html! {
         p.soft { (of.model) " · " (duration(of.length[0])) " · slope " (number(of.damage.settings.slope)) ", residue repeated" }
         (figures_in_words(choice.rig, of))
+        (damage(&at, of))
         (trust(of))
         h2 #overlay { "Over time" }
         form.tools method="get" action={ "/rigs/" (choice.rig.id) "/predict#overlay" } {
             (hidden(choice))
             label.check { "Response" select name="output" data-go {
-                @for (place, name) in of.channels[0].iter().enumerate() { option value=(place) selected[place == of.output] { (name) } }
+                @for (place, name) in of.channels[0].iter().enumerate() { option value=(place) selected[place == of.output] { (cut(name)) } }
             } }
             noscript { button type="submit" { "Show" } }
         }
-        (zoom(&at, "overlay", "Predicted and measured over time", html! { (term("trust")) }))
-        @if of.has_target { (zoom(&at, "error", "Error over time", html! { "Predicted minus measured." })) }
+        (zoom(&at, "overlay", "Predicted and measured over time", html! { (term("trust")) " " @match of.no_band {
+            None => (term("band")),
+            Some(why) => { "There is no band: " (why) "." }
+        } }))
+        @if of.has_target { (zoom(&at, "error", "Error over time", html! { "Predicted minus measured." @if of.no_band.is_none() { " The band lies about zero: an error within it is as large as the model leaves to be expected." } })) }
         div.pair {
             (late(&address(&at, "psd"), &html! { (term("psd")) }))
             (late(&address(&at, "range_pair"), &html! { (term("range_pair")) " " (term("residue")) }))
@@ -154,11 +162,34 @@ fn shown(choice: &Choice<'_>, of: &Result<'_>) -> Markup {
     }
 }
 
+/// Damage as pictures: ratios by channel, and each group over the directions.
+fn damage(at: &str, of: &Result<'_>) -> Markup {
+    html! {
+        @if of.has_target || !of.damage.groups.is_empty() {
+            h2 #damage { "Damage" }
+            div.pair {
+                @if of.has_target {
+                    (late(&address(at, "damage_ratio"), &html! {
+                        "Predicted over measured damage, on a logarithmic axis: 1 is perfect."
+                        @if of.no_band.is_none() { " A bar reaches from the least to the largest damage within the 90 % band of the response." }
+                    }))
+                }
+                @for (place, (name, _)) in of.damage.groups.iter().enumerate() {
+                    (late(&address(&format!("{at}&group={place}"), "multi_rain"), &html! {
+                        "Damage of " (clamped(name)) " in each of " (of.damage.settings.directions) " directions in space, on a map of the half sphere that keeps areas. "
+                        @if of.has_target { "Squares are directions whose damage is predicted too small, round dots those where it is too large." }
+                    }))
+                }
+            }
+        }
+    }
+}
+
 fn axis_of(name: &str, label: &str, of: &Result<'_>, chosen: usize) -> Markup {
     html! {
         label.check { (label) select name=(name) data-go {
             @for (place, channel) in of.channels[0].iter().chain(of.channels[1]).enumerate() {
-                option value=(place) selected[place == chosen] { (channel) }
+                option value=(place) selected[place == chosen] { (cut(channel)) }
             }
         } }
     }
@@ -184,7 +215,7 @@ fn figures_in_words(rig: &Rig, of: &Result<'_>) -> Markup {
                 @for (name, damage) in &of.damage.channels {
                     @let error = of.errors.get(name);
                     tr {
-                        td { bdi { (with_unit(name, rig.channel(name).map_or("", |channel| &channel.unit))) } }
+                        td { (clamped(&with_unit(name, rig.channel(name).map_or("", |channel| &channel.unit)))) }
                         td.number { (share(error.and_then(|e| e.rms))) }
                         td.number { (share(error.and_then(|e| e.psd_rms))) }
                         td.number { (number(damage.predicted)) }
@@ -196,7 +227,7 @@ fn figures_in_words(rig: &Rig, of: &Result<'_>) -> Markup {
                 }
                 @for (name, damage) in &of.damage.groups {
                     tr {
-                        td { "Multi-Rain of " bdi { (name) } br; span.soft { "largest along " (direction(damage.direction_predicted)) } }
+                        td { "Multi-Rain of " (clamped(name)) br; span.soft { "largest along " (direction(damage.direction_predicted)) } }
                         td.number { "–" } td.number { "–" }
                         td.number { (number(damage.predicted)) }
                         @if of.has_target {
@@ -223,7 +254,7 @@ fn trust(of: &Result<'_>) -> Markup {
                 p { (percent(inside)) " of the samples are inside what the model was fitted on. Outside:" }
                 ul {
                     @for span in of.spans.iter().take(LISTED) {
-                        li { (number(span.from_s)) " to " (number(span.to_s)) " s, " bdi { (span.channel) } ": " (span.reason) }
+                        li { (number(span.from_s)) " to " (number(span.to_s)) " s, " (clamped(&span.channel)) ": " (span.reason) }
                     }
                     @if of.spans.len() > LISTED { li { "and " (of.spans.len() - LISTED) " more spans" } }
                 }
@@ -236,10 +267,14 @@ fn trust(of: &Result<'_>) -> Markup {
 /// Signals of one output over a range of time.
 #[derive(Debug, Clone)]
 pub struct Overlay<'a> {
+    /// Name of the figure.
+    pub id: &'static str,
     /// Name and unit of the output.
     pub channel: (&'a str, &'a str),
     /// Names and envelopes of the lines.
     pub lines: Vec<(&'static str, Envelope)>,
+    /// The smallest and the largest value of the band in each column, if there is one.
+    pub band: Option<Envelope>,
     /// Spans outside.
     pub spans: &'a [TrustSpan],
     /// Range of time, s.
@@ -252,7 +287,8 @@ impl Overlay<'_> {
     /// The plot.
     pub fn drawing(self) -> Drawing {
         let [from, to] = self.range;
-        let values = self.lines.iter().flat_map(|(_, e)| e.low.iter().chain(&e.high)).copied();
+        let all = self.lines.iter().map(|(_, line)| line).chain(&self.band);
+        let values = all.flat_map(|e| e.low.iter().chain(&e.high)).copied();
         let y = Axis::around(Scale::Linear, values);
         let seen = |span: &&TrustSpan| span.to_s > from && span.from_s < to;
         let mut marks: Vec<Mark> = self
@@ -268,6 +304,10 @@ impl Overlay<'_> {
                 name: if k == 0 { "outside the training range".into() } else { String::new() },
             })
             .collect();
+        if let Some(Envelope { low, high }) = self.band {
+            let (style, name) = (Style::Series(0), "90 % band".into());
+            marks.push(Mark::Corridor { from, to, low, high, style, name });
+        }
         let styles = [Style::Series(1), Style::Series(0)];
         for ((name, envelope), style) in self.lines.into_iter().zip(styles) {
             marks.push(Mark::Envelope {
@@ -280,7 +320,7 @@ impl Overlay<'_> {
             });
         }
         Figure {
-            id: "overlay".into(),
+            id: self.id.into(),
             title: format!("{} over time", self.channel.0),
             description: format!("From {} to {} s.", number(from), number(to)),
             size: (self.width, TALL),
@@ -291,6 +331,41 @@ impl Overlay<'_> {
         }
         .into()
     }
+}
+
+/// Damage ratios of channels and groups.
+pub fn damage_ratios(rows: Vec<RatioRow>) -> Drawing {
+    if rows.is_empty() {
+        return Drawing::Nothing("The run it is compared with has none of the predicted channels.".into());
+    }
+    Ratios {
+        id: "damage-ratio".into(),
+        title: "Damage ratios".into(),
+        description: "One row a channel or group: predicted over measured damage on a logarithmic axis about 1.".into(),
+        label: "Predicted over measured damage".into(),
+        rows,
+    }
+    .into()
+}
+
+/// Damage of a group by direction: of its channels x, y and z, predicted and perhaps measured.
+pub fn multi_rain(
+    (place, group): (usize, &str),
+    axes: [String; 3],
+    damages: (Vec<f64>, Option<Vec<f64>>),
+) -> Drawing {
+    let (predicted, measured) = damages;
+    let n = predicted.len();
+    let what = if measured.is_some() { "Predicted over measured damage" } else { "Damage" };
+    Drawing::Hemisphere(Box::new(Hemisphere {
+        id: format!("multi-rain-{place}"),
+        title: format!("{what} of {group} by direction"),
+        description: format!("{n} directions of the upper half sphere, z in the middle."),
+        axes,
+        directions: (0..n).map(|i| spread(i, n)).collect(),
+        predicted,
+        measured,
+    }))
 }
 
 /// Spectra of an output, predicted and measured.

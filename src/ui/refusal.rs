@@ -32,7 +32,10 @@ pub fn page(of: &Refusal<'_>) -> String {
                 _ => "Go back, change what was refused, and try again.",
             }
         }
-        p.actions { a.button href="/" { "To the rigs" } a.button href="/sign-in" { "Sign in" } }
+        p.actions {
+            a.button href="/" { "To the rigs" }
+            @if matches!(of.status, 401 | 403) { a.button href="/sign-in" { "Sign in" } }
+        }
         p.soft { "Request " code { (of.request_id) } " (" (of.code) ")" }
     };
     let frame = Frame {

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::{number, percent};
-use super::words::{self, count, duration};
+use super::words::{self, clamped, count, duration, sentence};
 use crate::domain::evaluation::EvaluationSummary;
 use crate::domain::study::StudySummary;
 use crate::domain::{DiagnosisSummary, IterationSummary, Job, Model, Rig, Role, Run, TokenRole};
@@ -43,7 +43,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
     let main = html! {
         div.head {
             div {
-                h1 { bdi { (rig.name) } }
+                h1 { (clamped(&rig.name)) }
                 p.soft { (rig.id) " · " (number(rig.sample_rate_hz)) " Hz · "
                     (count(rig.drives().count(), "drive", "drives")) ", " (count(rig.responses().count(), "response", "responses")) }
             }
@@ -73,7 +73,7 @@ pub fn page(visitor: &Visitor, of: &RigView) -> String {
             }
             section.card aria-labelledby="work" {
                 h2 #work { "Work" }
-                (jobs(&of.jobs))
+                (jobs(&of.jobs, false))
                 @if !of.jobs.is_empty() { p { a href={ "/jobs?rig=" (rig.id) } { "All jobs of this rig" } } }
             }
         }
@@ -119,23 +119,33 @@ fn active_model(model: &Model, at: &str) -> Markup {
     }
 }
 
-/// Jobs as a short table.
-pub(super) fn jobs(jobs: &[Job]) -> Markup {
+/// Jobs as a short table; `of_all` for those of all rigs.
+pub(super) fn jobs(jobs: &[Job], of_all: bool) -> Markup {
     html! {
         @if jobs.is_empty() { p.soft { "Nothing waits or runs." } }
         @else {
             div.wide { table.full {
-                thead { tr { th { "Job" } th { "State" } th { "Stage" } th { "Queued" } } }
+                thead { tr { th { "Job" } @if of_all { th { "Rig" } } th { "State" } th { "Stage" } th { "Queued" } @if of_all { th.number { "Took" } } } }
                 tbody { @for job in jobs {
                     tr {
                         td { a href={ "/jobs/" (job.id) } { (job.kind.as_str()) } }
+                        @if of_all { td { a href={ "/rigs/" (job.rig) } { (job.rig) } } }
                         td { (words::state(job.state)) }
-                        td { (job.stage.as_deref().unwrap_or_default()) @if !job.state.is_terminal() && job.progress > 0.0 { " " span.soft { (percent(job.progress)) } } }
+                        td { (sentence(job.stage.as_deref().unwrap_or_default())) @if !job.state.is_terminal() && job.progress > 0.0 { " " span.soft { (percent(job.progress)) } } }
                         td.soft { (words::minute(&job.created_at)) }
+                        @if of_all { td.number { (took(job)) } }
                     }
                 } }
             } }
         }
+    }
+}
+
+/// How long the last attempt of a job took.
+fn took(job: &Job) -> String {
+    match (&job.started_at, &job.finished_at) {
+        (Some(from), Some(to)) => duration(to.duration_since(*from).as_secs_f64()),
+        _ => "–".into(),
     }
 }
 
@@ -148,7 +158,7 @@ fn runs(of: &RigView, at: &str) -> Markup {
             thead { tr { th { "Run" } th { "Kind" } th { "Split" } th.number { "Length" } th { "Channels" } th { "Quality" } th { "Accepted" } } }
             tbody { @for run in &of.runs {
                 tr {
-                    td { a href={ (at) "/runs/" (run.id) } { bdi { (name_of(run)) } } @for tag in &run.tags { " " span.tag { bdi { (tag) } } } }
+                    td { a href={ (at) "/runs/" (run.id) } { (clamped(&name_of(run))) } @for tag in &run.tags { " " span.tag { (clamped(tag)) } } }
                     td { (run.kind.as_str()) }
                     td { (run.split.as_str()) }
                     td.number { (duration(run.duration_s)) }
@@ -245,13 +255,13 @@ fn channels(rig: &Rig) -> Markup {
         div.wide { table.full {
             thead { tr { th { "Name" } th { "Role" } th { "Unit" } th { "Quantity" } th { "Axis" } th { "Group" } th { "Names in files" } } }
             tbody { @for channel in &rig.channels { tr {
-                td { bdi { (channel.name) } }
+                td { (clamped(&channel.name)) }
                 td { (match channel.role { Role::Drive => "drive", Role::Response => "response" }) }
-                td { bdi { (channel.unit) } }
+                td { (clamped(&channel.unit)) }
                 td { (words::word(channel.quantity)) }
-                td { bdi { (channel.axis.as_deref().unwrap_or("–")) } }
-                td { bdi { (channel.group.as_deref().unwrap_or("–")) } }
-                td { bdi { (channel.aliases.join(", ")) } }
+                td { (clamped(channel.axis.as_deref().unwrap_or("–"))) }
+                td { (clamped(channel.group.as_deref().unwrap_or("–"))) }
+                td { (clamped(&channel.aliases.join(", "))) }
             } } }
         } }
     }

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::text::percent;
-use super::words::count;
+use super::words::{clamped, count};
 use crate::domain::{Rig, TokenRole};
 
 /// A rig with what a person wants to know first.
@@ -76,7 +76,7 @@ fn table(rows: &[Row]) -> Markup {
                     @for Row { rig, active, jobs } in rows {
                         tr {
                             td {
-                                a href={ "/rigs/" (rig.id) } { bdi { (rig.name) } }
+                                a href={ "/rigs/" (rig.id) } { (clamped(&rig.name)) }
                                 @if rig.name != rig.id.as_str() { br; span.soft { (rig.id) } }
                             }
                             td { (count(rig.drives().count(), "drive", "drives")) ", " (count(rig.responses().count(), "response", "responses")) }

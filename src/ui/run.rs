@@ -6,8 +6,8 @@ use super::figures::{Drawing, Zoom, address, late, thinned};
 use super::frame::{Frame, Section, Visitor, csrf};
 use super::plot::{Axis, Figure, Key, Mark, Matrix, Scale, Style};
 use super::rig::name_of;
-use super::text::{exponents, number, percent};
-use super::words::{duration, minute, term};
+use super::text::{cut, exponents, number, percent};
+use super::words::{clamped, duration, minute, sentence, term};
 use crate::domain::{Rig, Run, RunKind, Split, TokenRole};
 use crate::engine::envelope::Envelope;
 use crate::engine::fatigue::Counts;
@@ -196,7 +196,9 @@ fn counts_plot(
     width: f64,
 ) -> Drawing {
     let most = lines.iter().flat_map(|(_, x, _)| x.iter().copied()).fold(1.0, f64::max);
-    let styles = [Style::Series(0), Style::Series(1)];
+    // One signal has the first style; of two the measured one comes first, in the style that it has in every plot.
+    let styles =
+        if lines.len() > 1 { vec![Style::Series(1), Style::Series(0)] } else { vec![Style::Series(0)] };
     let y = Axis::around(Scale::Linear, lines.iter().flat_map(|(_, _, y)| y.iter().copied()));
     let marks = lines.into_iter().zip(styles).map(|((name, x, y), style)| {
         let x = x.into_iter().map(|n| if n > 0.0 { n } else { f64::NAN }).collect();
@@ -270,12 +272,12 @@ fn head(visitor: &Visitor, of: &RunView<'_>, at: &str, name: &str) -> Markup {
     html! {
         div.head {
             div {
-                h1 { bdi { (name) } }
+                h1 { (clamped(name)) }
                 p.soft {
                     (run.kind.as_str()) " · " (run.split.as_str()) " · " (duration(run.duration_s)) " at " (number(run.sample_rate_hz)) " Hz · "
                     (run.samples) " samples of " (run.channels.len()) " channels · accepted " (minute(&run.created_at)) " UTC"
                 }
-                @for tag in &run.tags { span.tag { bdi { (tag) } } " " }
+                @for tag in &run.tags { span.tag { (clamped(tag)) } " " }
             }
             div.actions {
                 @if of.can_predict { a.button.main href={ "/rigs/" (of.rig.id) "/predict?drive=" (run.id) "&target=" (run.id) } { "Predict this run" } }
@@ -302,7 +304,7 @@ fn counts(of: &RunView<'_>, at: &str, shown: &str) -> Markup {
             @if of.overlay { input type="hidden" name="overlay" value="true"; }
             label.check { "Channel" select name="channel" data-go {
                 @for (place, name) in of.run.channels.iter().enumerate() {
-                    option value=(place) selected[place == of.channel] { (name) }
+                    option value=(place) selected[place == of.channel] { (cut(name)) }
                 }
             } }
             noscript { button type="submit" { "Show" } }
@@ -319,15 +321,15 @@ fn quality(run: &Run) -> Markup {
     html! {
         h2 #quality { "Quality" }
         @if run.quality.warnings.is_empty() { p { "No warning: no spikes, drop-outs, clipping, hum or constant channels were found." } }
-        @else { ul.notes { @for warning in &run.quality.warnings { li { (warning) } } } }
+        @else { ul.notes { @for warning in &run.quality.warnings { li { (sentence(warning)) } } } }
         @if let Some(repeats) = &run.quality.repeats {
             p { "The drives repeat " (repeats.count) " times, each " (duration(repeats.period_s)) ". "
-                @for noise in &repeats.responses { bdi { (noise.channel) } ": noise " (percent(noise.noise_share)) " of the signal. " } }
+                @for noise in &repeats.responses { (clamped(&noise.channel)) ": noise " (percent(noise.noise_share)) " of the signal. " } }
         }
         div.wide { table.full {
             thead { tr { th { "Channel" } th.number { "Smallest" } th.number { "Largest" } th.number { "Mean" } th.number { "Std" } th.number { "RMS" } th.number { "Peak / RMS" } th.number { "Clipped" } } }
             tbody { @for (channel, unit) in run.quality.channels.iter().zip(&run.units) { tr {
-                td { bdi { (with_unit(&channel.channel, unit)) } @if channel.dead { " " span.tag.bad { "constant" } } }
+                td { (clamped(&with_unit(&channel.channel, unit))) @if channel.dead { " " span.tag.bad { "constant" } } }
                 @for value in [channel.min, channel.max, channel.mean, channel.std, channel.rms] { td.number { (number(value)) } }
                 td.number { @match channel.peak_to_rms { Some(peak) => (number(peak)), None => "–" } }
                 td.number { (percent(channel.clipped_share)) }

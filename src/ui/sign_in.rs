@@ -33,7 +33,7 @@ pub fn page(of: &SignIn) -> String {
             "A session ends when you sign out, after twelve hours without a request, when its token is revoked or expires, "
             "and when the service starts anew."
         }
-        p.soft { "No token? Somebody with the role admin makes one on the page Tokens, or " code { "rigcast token create" } " does." }
+        p.soft { "No token yet? An admin makes one on the page Tokens, or with " code { "rigcast token create" } "." }
     };
     frame("Sign in", &main)
 }

@@ -60,6 +60,22 @@ pub(super) fn with_unit(x: f64, unit: &str) -> String {
     if unit.is_empty() || unit == "1" { number(x) } else { format!("{}\u{a0}{}", number(x), exponents(unit)) }
 }
 
+/// Longest name that a plot or a list of choices writes out.
+const NAME: usize = 40;
+
+/// A name, cut where it is long, for places that no style sheet reaches.
+pub(super) fn cut(name: &str) -> String {
+    cut_to(name, NAME)
+}
+
+/// A text, cut to this many characters.
+pub(super) fn cut_to(text: &str, most: usize) -> String {
+    if text.chars().count() <= most {
+        return text.to_owned();
+    }
+    text.chars().take(most - 1).chain(['…']).collect()
+}
+
 /// `mm^2/Hz` as `mm²/Hz`.
 pub(super) fn exponents(unit: &str) -> String {
     unit.replace("^2", "²").replace("^3", "³")

@@ -3,14 +3,14 @@
 use maud::html;
 
 use super::frame::{Frame, Section, Visitor, csrf};
-use super::words::{self, minute};
+use super::words::{self, clamped, minute};
 use crate::domain::{Token, TokenRole};
 
 /// The page.
 pub fn page(visitor: &Visitor, tokens: &[Token], more: bool) -> String {
     let main = html! {
         h1 { "Tokens" }
-        p { "A token is what a program or a person shows to be let in. A reader sees and predicts; an operator also uploads, fits and activates; an admin also deletes and makes tokens." }
+        p { "Programs and people sign in with a token. A reader sees and predicts. An operator also uploads, fits and activates. An admin also deletes, and makes tokens." }
         @if tokens.is_empty() {
             div.empty {
                 p { b { "There is no token yet: the service is open to everybody on this machine." } }
@@ -20,12 +20,12 @@ pub fn page(visitor: &Visitor, tokens: &[Token], more: bool) -> String {
             div.wide { table.full {
                 thead { tr { th { "Name" } th { "Role" } th { "Rigs" } th { "Made" } th { "Expires" } th { "" } } }
                 tbody { @for token in tokens { tr {
-                    td { bdi { (if token.name.is_empty() { "without a name" } else { &token.name }) } }
+                    td { (clamped(if token.name.is_empty() { "without a name" } else { &token.name })) }
                     td { (token.role.as_str()) }
                     td { @match &token.rigs { Some(rigs) => (rigs.iter().map(|rig| rig.as_str()).collect::<Vec<_>>().join(", ")), None => "all" } }
                     td.soft { (minute(&token.created_at)) }
                     td { @match &token.expires_at { Some(at) => (minute(at)), None => "never" } }
-                    td { form data-api={ "DELETE /v1/tokens/" (token.id) } data-confirm="Revoke this token? Everybody who uses it is shut out within a second." {
+                    td.number { form data-api={ "DELETE /v1/tokens/" (token.id) } data-confirm="Revoke this token? Nobody can use it from then on." {
                         (csrf(visitor)) button.grave type="submit" { "Revoke" }
                     } }
                 } } }
@@ -38,7 +38,7 @@ pub fn page(visitor: &Visitor, tokens: &[Token], more: bool) -> String {
             p { a.button href="/tokens" { "I have kept it" } }
         }
         h2 { "Make a token" }
-        form.fields data-api="POST /v1/tokens" data-then="secret" data-shown="#secret" {
+        form.fields.broad data-api="POST /v1/tokens" data-then="secret" data-shown="#secret" {
             (csrf(visitor))
             div.row {
                 label { "Name" input name="name" required maxlength="1000"; span.soft { "whose, or for what" } }

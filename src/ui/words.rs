@@ -5,8 +5,11 @@ use std::fmt::Display;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::text::number;
+use super::text::{cut_to, number};
 use crate::domain::JobState;
+
+/// Longest word of a sentence; no word of ours is as long.
+const LONGEST_WORD: usize = 60;
 
 /// A length of time.
 pub(super) fn duration(s: f64) -> String {
@@ -59,6 +62,21 @@ pub(super) fn state(state: JobState) -> Markup {
     html! { span class=(class) data-live="state" { (state.as_str()) } }
 }
 
+/// A name that somebody gave, on one line. The style sheet cuts it where it is long; its title has the whole of it.
+pub(super) fn clamped(name: &str) -> Markup {
+    html! { bdi.clamp title=(name) { (name) } }
+}
+
+/// A sentence with names in it: long words are cut, and its title has the whole of it. Characters that would turn the
+/// direction of the rest of the sentence are left out.
+pub(super) fn sentence(text: &str) -> Markup {
+    let turns = |c: char| matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let shown: Vec<String> =
+        text.replace(turns, "").split(' ').map(|word| cut_to(word, LONGEST_WORD)).collect();
+    let shown = shown.join(" ");
+    html! { @if shown == text { (text) } @else { span title=(text) { (shown) } } }
+}
+
 /// A term with its explanation, in one line.
 pub(super) fn term(name: &str) -> &'static str {
     match name {
@@ -77,6 +95,9 @@ pub(super) fn term(name: &str) -> &'static str {
         "psd" => "The power spectral density is the signal's mean square by frequency.",
         "trust" => {
             "Outside the range that a model was fitted on its prediction is a guess: those spans are shaded."
+        }
+        "band" => {
+            "The band holds the measured response at nine samples in ten, as it did on the data that compared the model."
         }
         "from_to" => {
             "A cell counts the rainflow cycles that begin in the class of its row and turn in the class of its column."
@@ -107,5 +128,25 @@ mod tests {
             ("12 bytes".into(), "1.5 kB".into(), "2.5 MB".into())
         );
         assert_eq!((count(1, "run", "runs"), count(0, "run", "runs")), ("1 run".into(), "0 runs".into()));
+    }
+
+    #[test]
+    fn a_long_name_is_whole_in_its_title_and_is_text() {
+        let name = format!("<b>\"{}", "x".repeat(2000));
+        let html = clamped(&name).into_string();
+        assert_eq!(html.matches(&"x".repeat(2000)).count(), 2);
+        assert!(
+            html.starts_with("<bdi class=\"clamp\" title=\"&lt;b&gt;&quot;x") && !html.contains("<b>"),
+            "{html}"
+        );
+    }
+
+    #[test]
+    fn a_sentence_keeps_its_words_and_direction_whatever_name_is_in_it() {
+        assert_eq!(sentence("u & y repeat").into_string(), "u &amp; y repeat");
+        let text = format!("\u{202e}{} repeats", "y".repeat(1000));
+        let html = sentence(&text).into_string();
+        assert!(html.ends_with(&format!("\">{}… repeats</span>", "y".repeat(59))), "{html}");
+        assert_eq!(html.matches('\u{202e}').count(), 1, "only in the title: {html}");
     }
 }

@@ -97,14 +97,18 @@ async fn the_table_has_each_model_on_each_class_with_its_difference_to_the_basel
         assert!(page.contains(part), "{part} in {page}");
     }
     assert!(!page.contains("<script") && !page.contains("NaN") && !page.contains("figure="));
-    // The page of the service has its spectra as files.
+    // The page of the service has its plots as files.
     let at = href.strip_prefix("/v1").expect("a path of the API");
     let framed = app.get(at).await.expect(200);
-    let figure = framed.text().split("figure=").nth(1).and_then(|rest| rest.split('&').next());
-    let figure = figure.expect("a figure that can be saved");
-    let numbers = app.get(&format!("{at}?figure={figure}&as=csv")).await.expect(200);
-    assert!(numbers.text().contains("measured"), "{}", numbers.text());
-    app.get(&format!("{at}?figure={figure}&as=svg")).await.expect(200);
+    for (figure, head) in
+        [("damage-0", "name,ratio,compared with\r\n"), ("spectrum-0-0", "Frequency in Hz,measured,")]
+    {
+        assert!(framed.text().contains(&format!("figure={figure}&amp;as=csv")), "{figure} can be saved");
+        let numbers = app.get(&format!("{at}?figure={figure}&as=csv")).await.expect(200);
+        assert!(numbers.text().starts_with(head), "{}", numbers.text());
+        let picture = app.get(&format!("{at}?figure={figure}&as=svg")).await.expect(200);
+        assert!(picture.text().contains("xmlns=") && !picture.text().contains("var("), "{}", picture.text());
+    }
     app.get(&format!("{at}?figure=none")).await.problem(422, "query.invalid");
 
     let listed = app.get(EVALUATIONS).await.expect(200).json();

@@ -112,3 +112,42 @@ async fn a_job_that_the_stop_interrupted_runs_again_after_the_start() {
     app.post(&format!("{path}/cancel")).await.expect(202);
     assert_eq!(app.finished(&job).await["state"], "cancelled");
 }
+
+#[tokio::test]
+async fn the_loss_curve_of_a_fit_grows_with_its_epochs_and_stays_after_its_end() {
+    let app = with_noise().await;
+    app.run("kind=noise", &noise_csv(3000, 12)).await;
+    let lstm = json!({"blocks": [4], "window_len": 32, "epochs": 4, "seeds": [5, 6]});
+    let job = id(&app.post_json(FITS, &json!({"kind": "lstm", "lstm": lstm})).await.expect(202).json());
+    let ended = app.finished(&job).await;
+    let curves = app.get(&format!("/v1/jobs/{job}/losses")).await.expect(200).json()["curves"].clone();
+    let curves = curves.as_array().expect("curves");
+    let seeds: Vec<&Value> = curves.iter().map(|curve| &curve["seed"]).collect();
+    assert_eq!(seeds[..2], [&json!(5), &json!(6)], "{curves:?}");
+    let href = ended["result"]["href"].as_str().expect("a model");
+    let report = app.get(&format!("{href}/report")).await.expect(200).json();
+    for (curve, seed) in curves.iter().zip(report["training"]["seeds"].as_array().expect("seeds")) {
+        for part in ["epochs", "training", "stopping"] {
+            assert_eq!(curve[part], seed[part], "as in the report: {part}");
+        }
+    }
+    assert_eq!((curves.len(), &curves[2]["stopping"]), (3, &Value::Null), "the winner on all runs");
+
+    let lstm = json!({"blocks": [39], "epochs": 30000, "validate_every": 1, "seeds": [1]});
+    let endless = id(&app.post_json(FITS, &json!({"kind": "lstm", "lstm": lstm})).await.expect(202).json());
+    let path = format!("/v1/jobs/{endless}/losses");
+    while app.get(&path).await.expect(200).json()["curves"] == json!([]) {
+        tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+    }
+    let page = format!("/jobs/{endless}");
+    let html = app.call("GET", &page).header("accept", "text/html").send().await.expect(200);
+    assert!(html.text().contains("figure=losses") && html.text().contains("data-late"), "{}", html.text());
+    let part = app.get(&format!("{page}?figure=losses")).await.expect(200);
+    assert!(part.text().contains("seed 1 training") && part.text().contains("seed 1 stopping"));
+    let csv = app.get(&format!("{page}?figure=losses&as=csv")).await.expect(200);
+    assert!(csv.text().starts_with("Epoch,seed 1 training,seed 1 stopping\r\n"), "{}", csv.text());
+    app.post(&format!("/v1/jobs/{endless}/cancel")).await.expect(202);
+    app.finished(&endless).await;
+    assert_ne!(app.get(&path).await.expect(200).json()["curves"], json!([]), "they stay after the end");
+    app.get("/v1/jobs/0197f1a0-0000-7000-8000-000000000000/losses").await.problem(404, "job.not_found");
+}

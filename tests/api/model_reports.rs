@@ -70,11 +70,49 @@ async fn a_report_shows_what_the_model_leaves_and_which_data_served_for_what() {
         assert!(page.text().contains(part), "{part} in {}", page.text());
     }
     assert!(!page.text().contains("<script") && !page.text().contains("NaN"));
+    the_report_is_a_table(&app, &href, &report).await;
+    every_plot_is_a_file(&app, href.strip_prefix("/v1").expect("a page")).await;
     app.call("GET", &format!("{href}/report"))
-        .header("accept", "text/csv")
+        .header("accept", "image/png")
         .send()
         .await
         .problem(406, "accept.not_acceptable");
+}
+
+/// The same figures as in JSON, one a row.
+async fn the_report_is_a_table(app: &TestApp, href: &str, report: &Value) {
+    let table =
+        app.call("GET", &format!("{href}/report")).header("accept", "text/csv").send().await.expect(200);
+    let rows: Vec<Vec<&str>> = table.text().lines().map(|row| row.split(',').collect()).collect();
+    assert_eq!(rows[0], ["part", "name", "quantity", "at", "value"]);
+    let count = |part: &str| rows.iter().filter(|row| row[0] == part).count();
+    let len = |value: &Value| value.as_array().map_or(0, Vec::len);
+    let epochs: usize =
+        report["training"]["seeds"].as_array().expect("seeds").iter().map(|s| len(&s["epochs"])).sum();
+    assert_eq!((count("errors"), count("training")), (1, 2 * epochs));
+    assert_eq!(count("spectra"), 2 * len(&report["residual"]["spectra"]["freq_hz"]));
+    assert_eq!(count("autocorrelation"), len(&report["residual"]["autocorrelation"]["channels"]["y"]));
+    let error = rows.iter().find(|row| row[0] == "errors").expect("a row");
+    assert_eq!(error[..4], ["errors", "y", "rms", ""]);
+    assert_eq!(error[4].parse::<f64>().ok(), report["errors"][0]["rms"].as_f64());
+    assert!(rows.iter().any(|row| row[..4] == ["coverage", "u", "share", "10"]), "{rows:?}");
+}
+
+/// Each plot of the page as a picture and as numbers.
+async fn every_plot_is_a_file(app: &TestApp, path: &str) {
+    let page =
+        app.call("GET", &format!("{path}/report")).header("accept", "text/html").send().await.expect(200);
+    for figure in ["loss", "residual-0", "autocorrelation-0"] {
+        let at = format!("{path}/report?figure={figure}");
+        let linked = at.replace('&', "&amp;");
+        assert!(page.text().contains(&linked), "{figure} is saved from the page");
+        let svg = app.get(&format!("{at}&as=svg")).await.expect(200);
+        assert!(svg.text().ends_with("</svg>\n") && !svg.text().contains("var("), "{figure}");
+        let csv = app.get(&format!("{at}&as=csv")).await.expect(200);
+        let columns = csv.text().lines().next().map_or(0, |head| head.split(',').count());
+        assert!(columns >= 2 && csv.text().lines().count() > 3, "{figure}: {}", csv.text());
+    }
+    app.get(&format!("{path}/report?figure=residual-9")).await.expect(422);
 }
 
 #[tokio::test]

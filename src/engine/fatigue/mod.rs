@@ -19,7 +19,7 @@ pub use band::damage_band;
 pub use classes::{ClassSettings, Classes, MAX_CLASSES};
 pub use counts::{Counts, FromTo, LevelCrossing, RangePair, counts};
 pub use damage::{DamageRatio, DamageSettings, NoRatio, damage};
-pub use multi_rain::{MultiRain, direction, multi_rain};
+pub use multi_rain::{MultiRain, damage_by_direction, direction, multi_rain};
 pub use rainflow::{Cycle, Rainflow, Residue};
 pub use report::{
     ChannelCounts, ChannelDamage, CountsReport, DamageChannel, DamageGroup, DamageReport, GroupDamage,

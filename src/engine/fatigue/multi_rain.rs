@@ -42,6 +42,21 @@ pub fn direction(i: usize, n: usize) -> [f64; 3] {
 /// Settings outside their limits; unequal lengths; a sample that is not finite; damage, or a
 /// projected sample, beyond `f64`.
 pub fn multi_rain(group: [&[f64]; 3], settings: &DamageSettings) -> Result<MultiRain, EngineError> {
+    check_group(group, settings)?;
+    multi_rain_unchecked(group, settings, "group", 0)
+}
+
+/// Damage of the channels x, y, z of `group` in each of the directions, in the order of [`direction`]; the largest of
+/// them is that of [`multi_rain`], bit for bit.
+///
+/// # Errors
+/// As [`multi_rain`].
+pub fn damage_by_direction(group: [&[f64]; 3], settings: &DamageSettings) -> Result<Vec<f64>, EngineError> {
+    check_group(group, settings)?;
+    by_direction_unchecked(group, settings, "group", 0)
+}
+
+fn check_group(group: [&[f64]; 3], settings: &DamageSettings) -> Result<(), EngineError> {
     settings.check()?;
     for (channel, samples) in group.iter().enumerate() {
         if samples.len() != group[0].len() {
@@ -54,7 +69,7 @@ pub fn multi_rain(group: [&[f64]; 3], settings: &DamageSettings) -> Result<Multi
         }
         check_finite("group", channel, samples)?;
     }
-    multi_rain_unchecked(group, settings, "group", 0)
+    Ok(())
 }
 
 /// [`multi_rain`] for finite samples of equal length and checked settings; `what` and `channel` (of x) name
@@ -65,19 +80,31 @@ pub(super) fn multi_rain_unchecked(
     what: &'static str,
     channel: usize,
 ) -> Result<MultiRain, EngineError> {
-    let largest: f64 = group.iter().map(|s| s.iter().fold(0.0, |m: f64, v| m.max(v.abs()))).sum();
-    if !largest.is_finite() {
-        return Err(EngineError::DamageOverflow { what, channel });
-    }
-    let damages = with_power(settings.slope, Directions { isa: Isa::of_process()?, group, settings });
+    let damages = by_direction_unchecked(group, settings, what, channel)?;
     let mut best = 0;
     for (i, d) in damages.iter().enumerate() {
-        finite(*d, what, channel)?;
         if *d > damages[best] {
             best = i;
         }
     }
     Ok(MultiRain { damage: damages[best], direction: direction(best, settings.directions) })
+}
+
+fn by_direction_unchecked(
+    group: [&[f64]; 3],
+    settings: &DamageSettings,
+    what: &'static str,
+    channel: usize,
+) -> Result<Vec<f64>, EngineError> {
+    let largest: f64 = group.iter().map(|s| s.iter().fold(0.0, |m: f64, v| m.max(v.abs()))).sum();
+    if !largest.is_finite() {
+        return Err(EngineError::DamageOverflow { what, channel });
+    }
+    let damages = with_power(settings.slope, Directions { isa: Isa::of_process()?, group, settings });
+    for damage in &damages {
+        finite(*damage, what, channel)?;
+    }
+    Ok(damages)
 }
 
 /// A group of directions for which the samples are read once.
@@ -198,6 +225,8 @@ mod tests {
             let group = group(n, 7);
             let settings = DamageSettings { slope, directions: 37, ..Default::default() };
             let found = multi_rain(refs(&group), &settings).unwrap();
+            let all = damage_by_direction(refs(&group), &settings).unwrap();
+            assert_eq!((all.len(), all.iter().copied().fold(0.0, f64::max)), (37, found.damage));
             let damages: Vec<f64> =
                 (0..37).map(|i| damage(&project(&group, direction(i, 37)), &settings).unwrap()).collect();
             let mut best = 0;

@@ -149,7 +149,7 @@ pub fn iterate(
     let target = model.preprocess.apply(problem.target)?;
     let scale = Scale::of(&target, problem.weights)?;
     // Parts of the work only ask whether to go on.
-    let first = |_: Progress<'_>| watch(Progress { stage: LINEAR_PART, fraction: 0.0 });
+    let first = |_: Progress<'_>| watch(Progress::new(LINEAR_PART, 0.0));
     let linear = Linear::of(problem.predictor, problem.outputs, &first)?;
     let mut correction = Correction::new(&linear, problem, settings)?;
     let band_hz = correction.band_hz();
@@ -196,7 +196,7 @@ pub fn iterate(
         let stage = format!("iteration {k}, error {:.2} %", 100.0 * best.step.total_error);
         let fraction = k as f64 / (settings.iterations + 1) as f64;
         report(watch, &stage, fraction)?;
-        let go_on = |_: Progress<'_>| watch(Progress { stage: &stage, fraction });
+        let go_on = |_: Progress<'_>| watch(Progress::new(&stage, fraction));
         let gain = correction.mean_factor();
         let drive = search.corrected(&best, &correction)?;
         let mut tried = match search.look(k, drive, gain, &go_on) {

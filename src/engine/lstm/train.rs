@@ -1,5 +1,7 @@
 //! Training: mini-batches of windows, best epoch by validation.
 
+use std::ops::ControlFlow;
+
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,7 +20,7 @@ use crate::checkpoint::CheckpointStore;
 use crate::progress::report;
 use crate::simd::Isa;
 use crate::simd::{LANES, dispatch};
-use crate::{EngineError, Watch};
+use crate::{EngineError, Loss, Progress, Watch};
 
 /// Standardised inputs and outputs of one run, planar `[channel][sample]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,6 +72,9 @@ pub struct EpochRecord {
 /// A fit is validated at least this often, or every epoch if it has fewer, where the settings leave
 /// that open.
 const VALIDATIONS: usize = 100;
+
+/// The errors of about this many epochs are told while a training goes on.
+const TOLD: usize = 300;
 
 /// A hybrid that starts as a copy of its FRF leaves it only for a mean squared error that is lower by this
 /// factor (5 % in RMS). On a short validation segment a smaller difference is chance, and the FRF is the
@@ -164,6 +169,7 @@ pub(super) fn train_on(
         last_epoch,
         leave_start,
         settings,
+        seed,
         checkpoints,
         part,
         watch,
@@ -200,6 +206,7 @@ struct Training<'a> {
     /// The start stays unless an epoch has less than this share of its mean squared error; `None`: it never stays.
     leave_start: Option<f64>,
     settings: &'a LstmSettings,
+    seed: u64,
     checkpoints: &'a dyn CheckpointStore,
     part: &'a str,
     watch: Watch<'a>,
@@ -272,8 +279,17 @@ impl Training<'_> {
                 state.batches = index + 1;
                 self.tell(&state, done)?;
             }
-            self.validate(&mut state, &weights, validate_every, windows.len() as f64 * per_window)?;
+            let values = windows.len() as f64 * per_window;
+            self.validate(&mut state, &weights, validate_every, values)?;
+            let loss = self.loss(&state, validate_every, values);
             (state.epoch, state.batches, state.squared_error) = (state.epoch + 1, 0, 0.0);
+            if let Some(loss) = loss
+                && self.tell_loss(loss).is_break()
+            {
+                state.mark(&rng);
+                self.checkpoints.save(self.part, state.to_bytes());
+                return Err(EngineError::Cancelled);
+            }
         }
         if self.checkpoints.is_due(self.part, true) {
             state.mark(&rng);
@@ -300,6 +316,26 @@ impl Training<'_> {
             self.checkpoints.save(self.part, state.to_bytes());
         }
         told
+    }
+
+    /// The errors of the epoch that has just ended, if it is one that is validated, or would be, and they are to be told.
+    fn loss(&self, state: &State, every: usize, values: f64) -> Option<Loss> {
+        let (epoch, training) = (state.epoch, state.squared_error / values);
+        let step = (self.settings.epochs / TOLD).max(1).next_multiple_of(every);
+        if !epoch.is_multiple_of(step) && epoch != self.last_epoch {
+            return None;
+        }
+        let stopping = match (&self.scored, state.history.last()) {
+            (Some(_), Some(last)) if last.epoch == epoch => Some(last.validation_mse),
+            (Some(_), _) => return None,
+            (None, _) => None,
+        };
+        Some(Loss { seed: self.seed, epoch, training, stopping })
+    }
+
+    fn tell_loss(&self, loss: Loss) -> ControlFlow<()> {
+        let fraction = loss.epoch as f64 / self.settings.epochs as f64;
+        (self.watch)(Progress { stage: "LSTM", fraction, loss: Some(loss) })
     }
 
     /// Scores the epoch that has just ended, if it is one that is validated, and keeps the best.

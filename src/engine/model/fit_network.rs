@@ -175,7 +175,8 @@ impl NetworkData {
                 let tell = |p: Progress<'_>| -> ControlFlow<()> {
                     done[i].store((p.fraction * 1e6) as u64, Ordering::Relaxed);
                     let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
-                    let mean = Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64) };
+                    let mean =
+                        Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64), loss: p.loss };
                     (course.watch)(mean.within(&course.progress))
                 };
                 let start = self.start(kind, settings, seed, course);

@@ -341,7 +341,7 @@ fn piece(
     let done = range.start as f64 / x.n_samples() as f64;
     report(watch, "prediction", done)?;
     // The network counts from the start of the piece.
-    let within = |_: Progress<'_>| watch(Progress { stage: "prediction", fraction: done });
+    let within = |_: Progress<'_>| watch(Progress::new("prediction", done));
     // Windows that reach into the piece, and the network's inputs from the first of them on.
     let warm_up = match &model.lstm {
         Some(part) if stream.is_none() => warm_up(part),
@@ -393,8 +393,7 @@ fn core(
     let Some(filter) = filter else { return Ok(None) };
     report(watch, "prediction", 0.0)?;
     let response = filter.apply(x).map_err(EngineError::of_result)?;
-    effect::apply_all(&model.core, x, response, &|_| watch(Progress { stage: "prediction", fraction: 0.0 }))
-        .map(Some)
+    effect::apply_all(&model.core, x, response, &|_| watch(Progress::new("prediction", 0.0))).map(Some)
 }
 
 /// Samples of a piece; with a network a multiple of its hop, so that windows keep their places.

@@ -2,10 +2,11 @@
 
 use axum::extract::State;
 
+use super::figure::FigureQuery;
 use super::{Visitor, html};
 use crate::http::Shared;
 use crate::http::jobs;
-use crate::http::params::{NoParams, Params, page};
+use crate::http::params::{Params, page};
 use crate::http::paths::OfJob;
 use crate::http::problem::Answer;
 use crate::storage::JobQuery;
@@ -29,8 +30,20 @@ pub async fn list(State(http): State<Shared>, visitor: Visitor, mut params: Para
     html(ui::job::list(&visitor.shown, &found.items, rig, next.as_deref()))
 }
 
-/// `GET /jobs/{job}`
-pub async fn show(State(http): State<Shared>, visitor: Visitor, OfJob(id): OfJob, _: NoParams) -> Answer {
+/// `GET /jobs/{job}`, and its figure.
+pub async fn show(
+    State(http): State<Shared>,
+    visitor: Visitor,
+    OfJob(id): OfJob,
+    mut params: Params,
+) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
     let job = jobs::find(&http, &visitor.caller, id).await?;
-    html(ui::job::page(&visitor.shown, &job))
+    let losses = jobs::losses_of(&http, id).await?;
+    match query.name.as_deref() {
+        None => html(ui::job::page(&visitor.shown, &job, !losses.curves.is_empty())),
+        Some("losses") => query.answer(&ui::job::losses(&losses, query.width), &format!("{}-fit", job.rig)),
+        Some(_) => Err(query.unknown("losses")),
+    }
 }

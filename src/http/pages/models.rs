@@ -9,7 +9,7 @@ use crate::compute::Class;
 use crate::http::Shared;
 use crate::http::frf::frf_of;
 use crate::http::model_report::Sources;
-use crate::http::params::{NoParams, Params, invalid};
+use crate::http::params::{Params, invalid};
 use crate::http::paths::{OfModel, no_model, no_rig};
 use crate::http::problem::{Answer, Problem};
 use crate::ui;
@@ -62,14 +62,22 @@ pub async fn show(
     html(ui::model::page(&visitor.shown, &view))
 }
 
-/// `GET /rigs/{rig}/models/{version}/report`
+/// `GET /rigs/{rig}/models/{version}/report`, and its figures.
 pub async fn report(
     State(http): State<Shared>,
     OfModel(rig, version): OfModel,
     visitor: Visitor,
-    _: NoParams,
+    mut params: Params,
 ) -> Answer {
+    let query = FigureQuery::take(&mut params)?;
+    params.finish()?;
     let sources = Sources::read(&http, &rig, version).await?;
+    if let Some(name) = query.name.clone() {
+        let draw = move || sources.draw(|of| ui::model_report::drawing(of, &name));
+        let drawing = http.off_thread(Class::Predict, draw).await?;
+        let drawing = drawing.map_err(|known| query.unknown(&known))?;
+        return query.answer(&drawing, &format!("{rig}-v{version}-report"));
+    }
     let draw = move || sources.draw(|of| ui::model_report::framed(&visitor.shown, of));
     html(http.off_thread(Class::Predict, draw).await?)
 }

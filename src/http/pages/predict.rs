@@ -23,10 +23,10 @@ use crate::http::{Shared, errors};
 use crate::storage::RunQuery;
 use crate::ui;
 use crate::ui::figures::Drawing;
-use crate::ui::predict::{Choice, Overlay, Result};
+use crate::ui::predict::{Choice, Overlay, RatioRow, Result};
 use crate::ui::run::with_unit;
 
-const FIGURES: &str = "overlay, error, psd, range_pair or loop";
+const FIGURES: &str = "overlay, error, damage_ratio, multi_rain, psd, range_pair or loop";
 
 /// `GET /rigs/{rig}/predict`, and its figures.
 pub async fn show(
@@ -44,6 +44,7 @@ pub async fn show(
     let place = "the place of a channel";
     let output = params.parse::<usize>("output", place)?.unwrap_or_default();
     let axes = [params.parse::<usize>("x", place)?, params.parse::<usize>("y", place)?];
+    let group = params.parse::<usize>("group", "the place of a group")?.unwrap_or_default();
     params.finish()?;
     let rig = find(&http, &id).await?;
     let compared = match drive {
@@ -51,7 +52,7 @@ pub async fn show(
         None => None,
     };
     let view = match &compared {
-        Some(compared) => Some(View::of(compared, output, axes)?),
+        Some(compared) => Some(View::of(compared, output, axes, group)?),
         None => None,
     };
     if query.name.is_some() {
@@ -88,10 +89,11 @@ struct View {
     of: Arc<Comparison>,
     output: usize,
     axes: [usize; 2],
+    group: usize,
 }
 
 impl View {
-    fn of(of: &Arc<Comparison>, output: usize, axes: [Option<usize>; 2]) -> Answer<Self> {
+    fn of(of: &Arc<Comparison>, output: usize, axes: [Option<usize>; 2], group: usize) -> Answer<Self> {
         let model = of.model.model();
         let all = model.outputs.len() + model.inputs.len();
         let axes = [axes[0].unwrap_or(model.outputs.len()), axes[1].unwrap_or(output)];
@@ -102,7 +104,11 @@ impl View {
                 return Err(invalid(name, format!("is {place}"), &format!("below {below}")));
             }
         }
-        Ok(Self { of: Arc::clone(of), output, axes })
+        let groups = of.damage.groups.len();
+        if group > 0 && group >= groups {
+            return Err(invalid("group", format!("is {group}"), &format!("below {groups}")));
+        }
+        Ok(Self { of: Arc::clone(of), output, axes, group })
     }
 
     fn result(&self) -> Result<'_> {
@@ -120,6 +126,7 @@ impl View {
             spans: &of.trust.spans,
             length: [of.response.n_samples() as f64 / rate, rate],
             has_target: of.target.is_some(),
+            no_band: of.band.as_ref().err().copied(),
         }
     }
 
@@ -135,6 +142,8 @@ impl View {
         match query.name.as_deref() {
             Some("overlay") => Ok(self.overlay(channel, query, false)),
             Some("error") => Ok(self.overlay(channel, query, true)),
+            Some("damage_ratio") => Ok(self.damage_ratios()),
+            Some("multi_rain") => self.multi_rain(),
             Some("psd") => self.spectra(channel, query.width).map_err(refuse),
             Some("range_pair") => self.counts(channel, query.width).map_err(refuse),
             Some("loop") => Ok(self.loops(query)),
@@ -156,24 +165,58 @@ impl View {
         let rate = self.of.response.sample_rate_hz();
         let predicted = &self.of.response.channel(self.output)[range.clone()];
         let target = self.of.target_of(self.output).map(|target| &target[range.clone()]);
-        let lines = match (error, target) {
+        let half_width =
+            self.of.band.as_ref().ok().map(|band| &band.half_width.channel(self.output)[range.clone()]);
+        let (centre, lines) = match (error, target) {
             (true, Some(target)) => {
                 let error: Vec<f64> = predicted.iter().zip(target).map(|(p, t)| p - t).collect();
-                vec![("predicted minus measured", Envelope::of(&error, columns))]
+                (None, vec![("predicted minus measured", Envelope::of(&error, columns))])
             }
             (true, None) => {
                 return Drawing::Nothing("The run it is compared with has no such channel.".into());
             }
             (false, Some(target)) => {
-                vec![
-                    ("measured", Envelope::of(target, columns)),
-                    ("predicted", Envelope::of(predicted, columns)),
-                ]
+                let measured = ("measured", Envelope::of(target, columns));
+                (Some(predicted), vec![measured, ("predicted", Envelope::of(predicted, columns))])
             }
-            (false, None) => vec![("predicted", Envelope::of(predicted, columns))],
+            (false, None) => (Some(predicted), vec![("predicted", Envelope::of(predicted, columns))]),
         };
+        let band = half_width.map(|half_width| band(centre, half_width, columns));
         let range = [range.start as f64 / rate, range.end as f64 / rate];
-        Overlay { channel, lines, spans: &self.of.trust.spans, range, width: query.width }.drawing()
+        let (id, spans) = (if error { "error" } else { "overlay" }, &self.of.trust.spans[..]);
+        Overlay { id, channel, lines, band, spans, range, width: query.width }.drawing()
+    }
+
+    fn damage_ratios(&self) -> Drawing {
+        let of = &*self.of;
+        let row = |name: String, ratio: Option<f64>, interval| RatioRow {
+            name,
+            value: ratio,
+            other: None,
+            interval,
+        };
+        let channels = of.damage.channels.iter().enumerate().filter_map(|(output, (name, damage))| {
+            let target = damage.target?;
+            let within =
+                of.band.as_ref().ok().map(|band| band.damage[output].map(|damage| damage / target.target));
+            Some(row(name.clone(), target.ratio.ratio, within.filter(|_| target.ratio.ratio.is_some())))
+        });
+        let groups = of.damage.groups.iter().filter_map(|(name, damage)| {
+            Some(row(format!("Multi-Rain of {name}"), damage.target?.ratio.ratio, None))
+        });
+        ui::predict::damage_ratios(channels.chain(groups).collect())
+    }
+
+    fn multi_rain(&self) -> Answer<Drawing> {
+        let model = self.of.model.model();
+        Ok(match self.of.directions()?.get(self.group) {
+            Some(group) => {
+                let axes = group.outputs.map(|output| model.outputs[output].clone());
+                let damages = (group.predicted.clone(), group.target.clone());
+                ui::predict::multi_rain((self.group, &group.name), axes, damages)
+            }
+            None => Drawing::Nothing("The model predicts no whole group of three channels.".into()),
+        })
     }
 
     fn spectra(&self, channel: (&str, &str), width: f64) -> std::result::Result<Drawing, EngineError> {
@@ -227,6 +270,16 @@ impl View {
         }
         ui::predict::loops(names, lines, query.width)
     }
+}
+
+/// Extremes of a band in each column; without a centre that of the error, about zero.
+fn band(centre: Option<&[f64]>, half_width: &[f64], columns: usize) -> Envelope {
+    let centre = |t: usize| centre.map_or(0.0, |centre| centre[t]);
+    let edge = |sign: f64| {
+        let samples: Vec<f64> = half_width.iter().enumerate().map(|(t, h)| centre(t) + sign * h).collect();
+        Envelope::of(&samples, columns)
+    };
+    Envelope { low: edge(-1.0).low, high: edge(1.0).high }
 }
 
 fn unit<'a>(rig: &'a Rig, channel: &str) -> &'a str {

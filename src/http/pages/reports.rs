@@ -65,7 +65,7 @@ pub async fn evaluation(
     let found = http.store.evaluation(&rig, id).await?.ok_or_else(|| no_evaluation(&id.to_string()))?;
     let report = http.store.evaluation_report(&found).await?;
     if let Some(name) = &query.name {
-        let drawing = ui::evaluation::spectrum(&report, name).map_err(|known| query.unknown(&known))?;
+        let drawing = ui::evaluation::drawing(&report, name).map_err(|known| query.unknown(&known))?;
         return query.answer(&drawing, &format!("{rig}-evaluation"));
     }
     let name = find(&http, &rig).await?.name;

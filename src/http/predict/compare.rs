@@ -1,15 +1,17 @@
 //! A prediction of a stored run and its comparison with another, for pages: the same steps as for a request.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::answer::{check_length, class, damages, distances, filtered, refusal};
+use super::answer::{
+    check_length, class, damages, damages_within, distances, filtered, groups, no_band, refusal,
+};
 use super::conversion::check_rate;
 use super::inputs::{self, Drive, Found, Target};
 use super::stages::Stages;
 use super::{compute, find, needed};
 use crate::domain::{ModelRef, Rig, RigId, RunId};
-use crate::engine::fatigue::{DamageReport, DamageSettings};
+use crate::engine::fatigue::{DamageReport, DamageSettings, damage_by_direction};
 use crate::engine::metrics::ChannelErrors;
 use crate::engine::model::{Predictor, Trust};
 use crate::engine::{Progress, Signal};
@@ -41,6 +43,32 @@ pub struct Comparison {
     pub errors: BTreeMap<String, ChannelErrors>,
     /// Where the drive leaves what the model was fitted on.
     pub trust: Trust,
+    /// The band about the response, or why there is none.
+    pub band: Result<ResponseBand, &'static str>,
+    /// Damage of each group by direction, once somebody has looked at it.
+    by_direction: OnceLock<Vec<GroupDirections>>,
+}
+
+/// The band about a response.
+#[derive(Debug)]
+pub struct ResponseBand {
+    /// Half width, `[output, sample]`.
+    pub half_width: Signal,
+    /// Damage of the least and of the largest swings within it, by output.
+    pub damage: Vec<[f64; 2]>,
+}
+
+/// Damage of a group by direction.
+#[derive(Debug, Clone)]
+pub struct GroupDirections {
+    /// Name of the group.
+    pub name: String,
+    /// Its outputs x, y and z.
+    pub outputs: [usize; 3],
+    /// Damage of the prediction in each direction.
+    pub predicted: Vec<f64>,
+    /// The same of the target, if it has all three channels.
+    pub target: Option<Vec<f64>>,
 }
 
 /// Weights, drive and target.
@@ -69,7 +97,8 @@ impl Comparisons {
 impl Comparison {
     fn bytes(&self) -> usize {
         let target = self.target.as_ref().map_or(0, |target| target.signal.n_channels());
-        let channels = self.drive.n_channels() + self.response.n_channels() + target;
+        let band = self.band.as_ref().map_or(0, |band| band.half_width.n_channels());
+        let channels = self.drive.n_channels() + self.response.n_channels() + target + band;
         channels * self.response.n_samples() * size_of::<f64>()
     }
 }
@@ -99,9 +128,10 @@ pub async fn compare(
         return Ok(kept);
     }
     let samples = usize::try_from(drive.samples).unwrap_or(usize::MAX);
-    // The drive once more, which stays for the figures.
+    // The drive once more, which stays for the figures, and the half width of the band beside a linear response.
+    let more = model.model().inputs.len() + 2 * model.model().outputs.len();
     let bytes = needed(&model, samples, target.is_some())
-        .saturating_add(model.model().inputs.len().saturating_mul(samples).saturating_mul(size_of::<f64>()));
+        .saturating_add(more.saturating_mul(samples).saturating_mul(size_of::<f64>()));
     let _memory = http.predictions.take(admission::client_id(), bytes).await?;
     let Drive::Signal(drive) = inputs::drive(http, Found::Run(Box::new(drive)), &model).await? else {
         return Err(Problem::internal("a run is no NPY body"));
@@ -144,13 +174,26 @@ fn predict(
     let response = predictor
         .rest(&mut prediction, &watch)
         .map_err(|error| refusal(&error, &model.outputs, "/drive/channels"))?;
-    let damage = damages(&rig, &model.outputs, &response, target.as_ref(), &DamageSettings::default())?;
+    let half_width = predictor
+        .half_width(&prediction, &response)
+        .map_err(|error| refusal(&error, &model.outputs, "/drive/channels"))?;
+    let settings = DamageSettings::default();
+    let band = match half_width {
+        Some(half_width) => {
+            let damage = damages_within(predictor, &response, &half_width, &settings)?;
+            Ok(ResponseBand { half_width, damage })
+        }
+        None => Err(no_band(model)),
+    };
+    deadline.check()?;
+    let damage = damages(&rig, &model.outputs, &response, target.as_ref(), &settings)?;
     deadline.check()?;
     let errors = match &target {
         Some(target) => distances(&model.outputs, &response, target, model.preprocess)?.channels,
         None => BTreeMap::new(),
     };
-    Ok(Comparison { rig, model: loaded, drive, response, target, damage, errors, trust })
+    let by_direction = OnceLock::new();
+    Ok(Comparison { rig, model: loaded, drive, response, target, damage, errors, trust, band, by_direction })
 }
 
 impl Comparison {
@@ -160,5 +203,30 @@ impl Comparison {
         let target = self.target.as_ref()?;
         let place = target.names.iter().position(|found| found == name)?;
         Some(target.signal.channel(place))
+    }
+
+    /// Damage of each group by direction, in the order of the groups of the damage report; counted at the first call.
+    ///
+    /// # Errors
+    /// Damage beyond its range.
+    pub fn directions(&self) -> Answer<&[GroupDirections]> {
+        if let Some(found) = self.by_direction.get() {
+            return Ok(found);
+        }
+        let outputs = &self.model.model().outputs;
+        let of = |group: [&[f64]; 3]| {
+            damage_by_direction(group, &self.damage.settings)
+                .map_err(|error| errors::engine(&error, outputs, ""))
+        };
+        let mut all = Vec::new();
+        for group in groups(&self.rig, outputs).0 {
+            let target = match group.channels.map(|output| self.target_of(output)) {
+                [Some(x), Some(y), Some(z)] => Some(of([x, y, z])?),
+                _ => None,
+            };
+            let predicted = of(group.channels.map(|output| self.response.channel(output)))?;
+            all.push(GroupDirections { name: group.name.into(), outputs: group.channels, predicted, target });
+        }
+        Ok(self.by_direction.get_or_init(|| all))
     }
 }

@@ -232,9 +232,8 @@ async fn diagnose(
     control: &Arc<Control>,
 ) -> Result<Diagnosis, JobError> {
     let watched = Arc::clone(control);
-    let watch = move |p: Progress<'_>| {
-        watched.watch(Progress { stage: p.stage, fraction: LOADED + (1.0 - LOADED) * p.fraction })
-    };
+    let watch =
+        move |p: Progress<'_>| watched.watch(Progress::new(p.stage, LOADED + (1.0 - LOADED) * p.fraction));
     let found = context.compute.run(Class::Fit, None, move || diagnosis::diagnose(&input, &watch)).await?;
     found.map_err(|error| of_diagnosis(&error, &plan.channels()))
 }

@@ -132,7 +132,7 @@ async fn one(
     let work = move || {
         let watch = |progress: Progress<'_>| {
             let fraction = part.from + part.length * PREDICTED * progress.fraction;
-            watched.watch(Progress { stage: &part.stage, fraction })
+            watched.watch(Progress::new(&part.stage, fraction))
         };
         let predictor = &predictors[pairing.model];
         let Predicted { inside, measured, predicted } =

@@ -53,7 +53,7 @@ pub async fn work() -> Result<(), WorkError> {
             _ = ticks.tick() => say_progress(&mut mouth, &control).await?,
         }
     };
-    say_kept(&mut mouth, &control).await?;
+    say_progress(&mut mouth, &control).await?;
     match end {
         Ok(mut made) => {
             let bytes = std::mem::take(made.bytes());
@@ -82,6 +82,10 @@ async fn make(begin: Begin, control: Arc<Control>) -> Result<JobOutput, JobError
 
 async fn say_progress(mouth: &mut Stdout, control: &Control) -> std::io::Result<()> {
     say_kept(mouth, control).await?;
+    let losses = control.take_losses();
+    if !losses.is_empty() {
+        frames::write(mouth, &Say::Losses(losses), &[]).await?;
+    }
     let (stage, fraction) = control.progress();
     frames::write(mouth, &Say::Progress { stage, fraction }, &[]).await
 }

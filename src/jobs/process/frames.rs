@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
+use crate::jobs::control::NewLosses;
 use crate::jobs::problem::JobError;
 use crate::jobs::spec::{JobOutput, JobSpec};
 use crate::storage::Checkpoint;
@@ -36,6 +37,8 @@ pub(in crate::jobs) struct Begin {
 pub(super) enum Say {
     /// Progress, sent several times a second, changed or not, as a sign of life.
     Progress { stage: String, fraction: f64 },
+    /// Errors of epochs that have ended.
+    Losses(NewLosses),
     /// A checkpoint; its bytes follow.
     Keep(Checkpoint),
     /// The last message of finished work; its bytes follow.

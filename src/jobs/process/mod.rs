@@ -114,6 +114,7 @@ impl WorkerProgram {
                         watch.silent_for = Duration::ZERO;
                         control.report(&stage, fraction);
                     }
+                    Some((Say::Losses(losses), _)) => control.add_losses(losses),
                     Some((Say::Keep(checkpoint), state)) => control.keep(Checkpoint { state, ..checkpoint }),
                     Some((Say::Output(mut made), bytes)) => {
                         *made.bytes() = bytes;

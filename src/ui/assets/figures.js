@@ -8,13 +8,14 @@ function address(box, more) {
 }
 
 async function fetchPart(box, view) {
-  const width = Math.max(320, Math.round(box.clientWidth));
+  // A figure that is still hidden has no width of its own.
+  const width = Math.max(320, Math.round(box.clientWidth || document.querySelector('main').clientWidth - 48));
   const answer = await fetch(address(box, {...view, as: 'part', width}), {credentials: 'same-origin'});
   if (!answer.ok) throw new Refusal(await problemOf(answer));
   return answer.text();
 }
 
-async function load(box, view = {}) {
+export async function load(box, view = {}) {
   box.setAttribute('aria-busy', 'true');
   try {
     const html = await fetchPart(box, view);

@@ -1,4 +1,6 @@
-// A job as it goes on: its events, and the curve of its error where its stage names one.
+// A job as it goes on: its events, and the loss curve of its training.
+import {load} from './figures.js';
+
 const page = document.querySelector('[data-job]');
 
 function duration(s) {
@@ -12,24 +14,22 @@ function set(name, text) {
   if (at && at.textContent !== text) at.textContent = text;
 }
 
-const curve = [];
-function draw(stage) {
-  const found = /error ([0-9.eE+-]+)/.exec(stage || '');
-  if (!found) return;
-  curve.push(Number(found[1]));
-  const line = page.querySelector('[data-live="curve"]');
-  if (!line || curve.length < 2) return;
-  const logs = curve.map(value => Math.log10(Math.max(value, 1e-12)));
-  const [low, high] = [Math.min(...logs), Math.max(...logs)];
-  const points = logs.map((value, at) => {
-    const x = 60 + 620 * at / (logs.length - 1);
-    const y = 20 + 140 * (high > low ? (high - value) / (high - low) : 0.5);
-    return `${x.toFixed(1)} ${y.toFixed(1)}`;
-  });
-  line.setAttribute('d', `M${points.join('L')}`);
-  set('low', (10 ** low).toPrecision(2));
-  set('high', (10 ** high).toPrecision(2));
-  page.querySelector('[data-live="figure"]').classList.remove('hidden');
+// The loss curve is drawn by the server. While one is on its way, later news wait for it, and the last one is enough.
+const losses = page?.querySelector('[data-live="losses"]');
+let busy = false;
+let stale = false;
+async function draw() {
+  if (!losses) return;
+  stale = true;
+  if (busy) return;
+  busy = true;
+  while (stale) {
+    stale = false;
+    const box = losses.querySelector('[data-figure]');
+    await load(box);
+    losses.classList.toggle('hidden', !box.querySelector('svg'));
+  }
+  busy = false;
 }
 
 function update(job) {
@@ -39,7 +39,7 @@ function update(job) {
   set('eta', job.eta_s === null ? 'not known yet' : `about ${duration(job.eta_s)}`);
   const bar = page.querySelector('progress');
   if (bar) bar.value = job.progress;
-  draw(job.stage);
+  draw();
 }
 
 if (page && page.dataset.over === undefined) {

@@ -23,7 +23,7 @@ use super::frame::{self, Frame, Section, Visitor};
 use super::iteration::model_options;
 use super::plot::Figure;
 use super::rig::name_of;
-use super::words::duration;
+use super::words::{clamped, duration};
 use crate::domain::{Model, Rig, Run, TokenRole};
 use crate::engine::diagnosis::{Report, VerdictKind, Views};
 
@@ -146,7 +146,7 @@ pub fn form(
                 @for run in runs { @let id = run.id.to_string();
                     label.check {
                         input type="checkbox" name="runs" value=(id) data-as="each" checked[chosen.0 == Some(id.as_str())];
-                        bdi { (name_of(run)) } " " span.soft { (run.kind.as_str()) ", " (run.split.as_str()) ", " (duration(run.duration_s)) }
+                        (clamped(&name_of(run))) " " span.soft { (run.kind.as_str()) ", " (run.split.as_str()) ", " (duration(run.duration_s)) }
                     }
                 }
                 @if runs.is_empty() { p { "There is no run yet." } }
@@ -195,7 +195,7 @@ fn header(of: &Heading, report: &Report) -> Markup {
     html! {
         header {
             p.over { "Model against rig" }
-            h1 { (of.rig_name) }
+            h1 { (clamped(&of.rig_name)) }
             p.soft {
                 (of.rig) " · "
                 (match &of.model {

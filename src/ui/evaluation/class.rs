@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::{named, tables};
 use crate::domain::evaluation::{ClassRow, EvaluatedChannel, EvaluationReport};
 use crate::ui::figures::{address, saves};
-use crate::ui::plot::{Figure, RatioRow, Style, ratios};
+use crate::ui::plot::{Figure, RatioRow, Ratios, Style};
 use crate::ui::spectrum::{Density, densities};
 use crate::ui::text::{number, percent};
 
@@ -29,7 +29,7 @@ pub fn section(
         (facts(report, rows))
         (tables::groups(report, rows))
         @if rows.iter().any(|row| row.runs > 0) {
-            (damage(k, report, rows))
+            (damage(k, report, rows, at))
             @for figure in &drawn {
                 figure {
                     div.plot { (figure.svg()) }
@@ -75,9 +75,14 @@ fn count(runs: usize) -> String {
     if runs == 1 { "1 run".into() } else { format!("{runs} runs") }
 }
 
+/// The baseline among the models, if there is one.
+fn baseline(report: &EvaluationReport) -> Option<u32> {
+    report.models.iter().find(|model| model.baseline).map(|model| model.version)
+}
+
 /// Damage ratios of channels and groups: every model's, with the baseline's beside.
-fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
-    let baseline = report.models.iter().find(|model| model.baseline).map(|model| model.version);
+pub fn ratios(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Ratios {
+    let baseline = baseline(report);
     let of_baseline = rows.iter().find(|row| Some(row.model) == baseline);
     let others = || rows.iter().filter(|row| rows.len() == 1 || Some(row.model) != baseline);
     let mut drawn = Vec::new();
@@ -89,6 +94,7 @@ fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
                 name: format!("{}, version {}", channel.name, row.model),
                 value: average.damage_ratio,
                 other: other.and_then(|row| row.average.channels.get(&channel.name)?.damage_ratio),
+                interval: None,
             });
         }
     }
@@ -102,20 +108,32 @@ fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
                 name: format!("{}, Multi-Rain, version {}", group.name, row.model),
                 value: Some(value),
                 other: other.and_then(|row| row.average.groups.get(&group.name)?.multi_rain),
+                interval: None,
             });
         }
     }
     drawn.truncate(MOST_RATIOS);
-    let title = format!("Damage ratios on {}", rows[0].class);
-    let description =
-        "One row a channel and model: predicted over measured damage on a logarithmic axis about 1.";
+    Ratios {
+        id: format!("damage-{k}"),
+        title: format!("Damage ratios on {}", rows[0].class),
+        description:
+            "One row a channel and model: predicted over measured damage on a logarithmic axis about 1."
+                .into(),
+        label: "Predicted over measured damage".into(),
+        rows: drawn,
+    }
+}
+
+fn damage(k: usize, report: &EvaluationReport, rows: &[&ClassRow], at: Option<&str>) -> Markup {
+    let plot = ratios(k, report, rows);
     html! {
         figure {
-            div.plot { (ratios(&format!("damage-{k}"), &title, description, "Predicted over measured damage", &drawn)) }
+            div.plot { (plot.svg()) }
             figcaption {
-                b { (title) ". " } "1 is right."
-                @if baseline.is_some() && rows.len() > 1 { " The grey dots are those of the baseline." }
+                b { (plot.title) ". " } "1 is right."
+                @if baseline(report).is_some() && rows.len() > 1 { " The grey dots are those of the baseline." }
             }
+            @if let Some(at) = at { (saves(&address(at, &plot.id))) }
         }
     }
 }
@@ -144,7 +162,7 @@ fn spectrum(
     rows: &[&ClassRow],
     channel: &EvaluatedChannel,
 ) -> Option<Figure> {
-    let baseline = report.models.iter().find(|model| model.baseline).map(|model| model.version);
+    let baseline = baseline(report);
     let has = |row: &&&ClassRow| {
         row.spectra.as_ref().is_some_and(|spectra| spectra.channels.contains_key(&channel.name))
     };

@@ -5,7 +5,7 @@ use maud::html;
 use crate::domain::{Model, Rig, Run};
 use crate::ui::frame::{Frame, Section, Visitor, csrf};
 use crate::ui::rig::name_of;
-use crate::ui::words::duration;
+use crate::ui::words::{clamped, duration};
 
 /// The form; `chosen` is a model that is marked at first, else the active one is.
 pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen: Option<u32>) -> String {
@@ -27,7 +27,7 @@ pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen
                 @for run in runs { @let id = run.id.to_string();
                     label.check {
                         input type="checkbox" name="runs" value=(id) data-as="each";
-                        bdi { (name_of(run)) } " " span.soft { (run.kind.as_str()) ", " (run.split.as_str()) ", " (duration(run.duration_s)) }
+                        (clamped(&name_of(run))) " " span.soft { (run.kind.as_str()) ", " (run.split.as_str()) ", " (duration(run.duration_s)) }
                     }
                 }
                 p.soft { "None chosen: all runs of the split test." }

@@ -11,8 +11,8 @@ use maud::{Markup, html};
 
 use super::figures::Drawing;
 use super::frame::{self, Frame, Section, Visitor};
-use super::plot::Figure;
 use super::text::{listed, percent};
+use super::words::{clamped, sentence};
 use crate::domain::evaluation::{ClassRow, EvaluatedModel, EvaluationReport};
 use crate::domain::{EvaluationRequest, StoredEvaluation};
 
@@ -38,18 +38,23 @@ pub fn framed(visitor: &Visitor, rig_name: &str, of: &StoredEvaluation, report: 
     frame.page(&content(rig_name, of, report, Some(&at)))
 }
 
-/// The spectrum of this name.
+/// The plot of this name.
 ///
 /// # Errors
-/// The names of all spectra, where there is no such one.
-pub fn spectrum(report: &EvaluationReport, name: &str) -> Result<Drawing, String> {
-    let all: Vec<Figure> = classes(report)
-        .iter()
-        .enumerate()
-        .flat_map(|(k, rows)| class::spectra(k, report, rows).collect::<Vec<_>>())
-        .collect();
-    let known = || all.iter().map(|figure| figure.id.as_str()).collect::<Vec<_>>().join(", ");
-    all.iter().find(|figure| figure.id == name).map(|figure| figure.clone().into()).ok_or_else(known)
+/// The names of all plots, where there is no such one.
+pub fn drawing(report: &EvaluationReport, name: &str) -> Result<Drawing, String> {
+    let mut all: Vec<(String, Drawing)> = Vec::new();
+    for (k, rows) in
+        classes(report).iter().enumerate().filter(|(_, rows)| rows.iter().any(|row| row.runs > 0))
+    {
+        let ratios = class::ratios(k, report, rows);
+        all.push((ratios.id.clone(), ratios.into()));
+        all.extend(class::spectra(k, report, rows).map(|figure| (figure.id.clone(), figure.into())));
+    }
+    match all.iter().position(|(id, _)| id == name) {
+        Some(place) => Ok(all.swap_remove(place).1),
+        None => Err(all.into_iter().map(|(id, _)| id).collect::<Vec<_>>().join(", ")),
+    }
 }
 
 fn title(rig_name: &str) -> String {
@@ -90,7 +95,7 @@ fn header(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> M
     html! {
         header {
             p.over { "Models on runs" }
-            h1 { (rig_name) }
+            h1 { (clamped(rig_name)) }
             p.soft {
                 (summary.rig.as_str()) " · " (listed(&names, "and")) " on " (report.runs.len())
                 @if report.runs.len() == 1 { " run" } @else { " runs" }
@@ -104,7 +109,7 @@ fn header(rig_name: &str, of: &StoredEvaluation, report: &EvaluationReport) -> M
             }
         }
         @if !report.warnings.is_empty() {
-            ul { @for warning in &report.warnings { li { (warning) } } }
+            ul { @for warning in &report.warnings { li { (sentence(warning)) } } }
         }
     }
 }

@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use crate::domain::evaluation::{EvaluatedRun, EvaluationReport, Omission, Seen};
 use crate::ui::text::{listed, number, percent};
+use crate::ui::words::clamped;
 
 /// Most runs that the page lists; all are in the report as JSON.
 const MOST_RUNS: usize = 200;
@@ -25,7 +26,7 @@ pub fn section(report: &EvaluationReport) -> Markup {
             tbody {
                 @for run in report.runs.iter().take(MOST_RUNS) {
                     tr {
-                        td.text { (name(run)) }
+                        td.text { (clamped(&name(run))) }
                         td.text { (run.kind.as_str()) }
                         td { (number(run.duration_s)) }
                         td.text { (fitted_on(report, run)) }

@@ -6,6 +6,7 @@ use super::named;
 use crate::domain::evaluation::{ClassRow, EvaluationReport};
 use crate::engine::evaluation::GroupAverage;
 use crate::ui::text::{number, percent};
+use crate::ui::words::clamped;
 
 /// One row a group and model, the groups one after the other.
 pub fn groups(report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
@@ -23,7 +24,7 @@ pub fn groups(report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
                     @for row in rows {
                         @if let Some(average) = row.average.groups.get(&group.name) {
                             tr {
-                                td.text { (group.name) }
+                                td.text { (clamped(&group.name)) }
                                 td.text { (named(report, row.model)) }
                                 (figures(average, average.rms.is_some() && average.rms == lowest))
                                 td { (row.inside.map_or(none(), percent)) }
@@ -72,7 +73,7 @@ pub fn channels(report: &EvaluationReport, rows: &[&ClassRow]) -> Markup {
                     @for row in rows {
                         @if let Some(average) = row.average.channels.get(&channel.name) {
                             tr {
-                                td.text { (channel.name) }
+                                td.text { (clamped(&channel.name)) }
                                 td.text { (named(report, row.model)) }
                                 td { (average.rms.map_or(none(), percent)) }
                                 td { (average.rms_ac.map_or(none(), percent)) }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 
 use super::{Axis, Style, px, text_width};
+use crate::ui::text::{cut, cut_to};
 
 /// Space left of the axis for tick labels.
 const LEFT: f64 = 58.0;
@@ -18,6 +19,9 @@ const KEY: f64 = 20.0;
 const SAMPLE: f64 = 18.0;
 /// Least distance of labels at line ends.
 const LABEL: f64 = 15.0;
+
+/// Longest name of an axis.
+const AXIS: usize = 80;
 
 /// Position of the names of marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +41,8 @@ pub enum Mark {
     Line { x: Vec<f64>, y: Vec<f64>, style: Style, name: String },
     /// The smallest and the largest value in each of the equal stretches of `from..to`, as a filled line.
     Envelope { from: f64, to: f64, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
+    /// The area from the smallest to the largest value in each of the equal stretches of `from..to`.
+    Corridor { from: f64, to: f64, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
     /// The area between two lines over the same points.
     Band { x: Vec<f64>, low: Vec<f64>, high: Vec<f64>, style: Style, name: String },
     /// Points of a cloud.
@@ -105,7 +111,7 @@ impl Figure {
 
     fn frame(&self) -> Frame {
         // Names at line ends may be bold.
-        let ends = self.named().map(|(name, _)| 1.15 * text_width(name)).fold(0.0, f64::max);
+        let ends = self.named().map(|(name, _)| 1.15 * text_width(&name)).fold(0.0, f64::max);
         let beside = if self.key == Key::Ends && ends > 0.0 { ends + SAMPLE + 14.0 } else { 12.0 };
         let keys = if self.key == Key::Above && self.named().next().is_some() { KEY } else { 0.0 };
         Frame { left: LEFT, right: self.size.0 - beside, top: ABOVE + keys, bottom: self.size.1 - BELOW }
@@ -119,19 +125,18 @@ impl Figure {
         frame.bottom - (frame.bottom - frame.top) * self.y.0.place(y)
     }
 
-    fn named(&self) -> impl Iterator<Item = (&str, &Mark)> {
+    fn named(&self) -> impl Iterator<Item = (String, &Mark)> {
         self.marks.iter().filter_map(|mark| match mark {
             Mark::Line { name, .. }
             | Mark::Dots { name, .. }
             | Mark::Envelope { name, .. }
+            | Mark::Corridor { name, .. }
             | Mark::Band { name, .. }
                 if !name.is_empty() =>
             {
-                Some((name.as_str(), mark))
+                Some((cut(name), mark))
             }
-            Mark::Span { name, .. } if !name.is_empty() && self.key == Key::Above => {
-                Some((name.as_str(), mark))
-            }
+            Mark::Span { name, .. } if !name.is_empty() && self.key == Key::Above => Some((cut(name), mark)),
             _ => None,
         })
     }
@@ -154,8 +159,8 @@ impl Figure {
                 }
                 line.axis x1=(px(frame.left)) x2=(px(frame.right)) y1=(px(frame.bottom)) y2=(px(frame.bottom)) {}
             }
-            text.name x=(px(frame.left + 0.5 * wide)) y=(px(frame.bottom + 35.0)) text-anchor="middle" { (self.x.1) }
-            text.name x="2" y="14" { (self.y.1) }
+            text.name x=(px(frame.left + 0.5 * wide)) y=(px(frame.bottom + 35.0)) text-anchor="middle" { (cut_to(&self.x.1, AXIS)) }
+            text.name x="2" y="14" { (cut_to(&self.y.1, AXIS)) }
         }
     }
 
@@ -184,6 +189,11 @@ impl Figure {
                 let columns =
                     low.iter().zip(high).map(|(low, high)| (self.at_y(frame, *high), self.at_y(frame, *low)));
                 html! { path class=(format!("line {}", style.class())) d=(envelope(ends, low.len(), columns)) {} }
+            }
+            Mark::Corridor { from, to, low, high, style, .. } => {
+                let step = (to - from) / low.len().max(1) as f64;
+                let x: Vec<f64> = (0..low.len()).map(|k| from + step * (k as f64 + 0.5)).collect();
+                html! { path class=(format!("band {}", style.class())) d=(self.band(&x, low, high, frame)) {} }
             }
             Mark::Band { x, low, high, style, .. } => html! {
                 path class=(format!("band {}", style.class())) d=(self.band(x, low, high, frame)) {}
@@ -277,11 +287,11 @@ impl Figure {
     fn row_of_keys(&self, frame: Frame) -> Markup {
         let mut x = frame.left;
         let y = frame.top - 12.0;
-        let keys: Vec<(f64, &str, &Mark)> = self
+        let keys: Vec<(f64, String, &Mark)> = self
             .named()
             .map(|(name, mark)| {
                 let here = x;
-                x += 28.0 + text_width(name) + 14.0;
+                x += 28.0 + text_width(&name) + 14.0;
                 (here, name, mark)
             })
             .collect();
@@ -296,7 +306,7 @@ impl Figure {
                         path class=(format!("dots {}", style.class())) stroke-width="5"
                             d=(format!("M{} {}h0m8 0h0m7 -3h0", px(x + 4.0), px(y))) {}
                     }
-                    Mark::Band { style, .. } => {
+                    Mark::Band { style, .. } | Mark::Corridor { style, .. } => {
                         rect class=(format!("band {}", style.class())) x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {}
                     }
                     _ => { rect.span x=(px(x)) y=(px(y - 6.0)) width="22" height="12" {} }
@@ -307,13 +317,13 @@ impl Figure {
     }
 
     fn end_labels(&self, frame: Frame) -> Markup {
-        let mut labels: Vec<(f64, &str, Style)> = self
+        let mut labels: Vec<(f64, String, Style)> = self
             .marks
             .iter()
             .filter_map(|mark| match mark {
                 Mark::Line { x, y, style, name } if !name.is_empty() => {
                     let last = x.iter().zip(y).rev().find(|(x, y)| self.x.0.holds(**x) && y.is_finite())?;
-                    Some((self.at_y(frame, *last.1), name.as_str(), *style))
+                    Some((self.at_y(frame, *last.1), cut(name), *style))
                 }
                 _ => None,
             })

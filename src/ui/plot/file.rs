@@ -77,11 +77,17 @@ fn columns(mark: &Mark) -> Vec<(String, Vec<f64>, Vec<f64>)> {
             vec![(name.clone(), x.clone(), y.clone())]
         }
         Mark::Envelope { from, to, low, high, name, .. } => {
-            let step = (to - from) / low.len().max(1) as f64;
-            let x: Vec<f64> = (0..low.len()).map(|k| from + step * k as f64).collect();
+            let x = starts(*from, *to, low.len());
             vec![
                 (format!("{name} smallest"), x.clone(), low.clone()),
                 (format!("{name} largest"), x, high.clone()),
+            ]
+        }
+        Mark::Corridor { from, to, low, high, name, .. } => {
+            let x = starts(*from, *to, low.len());
+            vec![
+                (format!("{name} lower"), x.clone(), low.clone()),
+                (format!("{name} upper"), x, high.clone()),
             ]
         }
         Mark::Band { x, low, high, name, .. } => vec![
@@ -95,12 +101,19 @@ fn columns(mark: &Mark) -> Vec<(String, Vec<f64>, Vec<f64>)> {
     }
 }
 
+/// Where `n` equal stretches of a range begin.
+fn starts(from: f64, to: f64, n: usize) -> Vec<f64> {
+    let step = (to - from) / n.max(1) as f64;
+    (0..n).map(|k| from + step * k as f64).collect()
+}
+
 /// The shortest text that reads back as the same number; nothing for a value that is not known.
-fn text(x: f64) -> String {
+pub(super) fn text(x: f64) -> String {
     if x.is_finite() { format!("{x}") } else { String::new() }
 }
 
-fn row<'a>(out: &mut String, fields: impl Iterator<Item = &'a str>) {
+/// A row of a CSV file.
+pub(super) fn row<'a>(out: &mut String, fields: impl Iterator<Item = &'a str>) {
     for (at, field) in fields.enumerate() {
         if at > 0 {
             out.push(',');

@@ -4,6 +4,7 @@
 
 mod figure;
 mod file;
+mod hemisphere;
 mod matrix;
 mod ratios;
 mod rows;
@@ -11,8 +12,9 @@ mod scale;
 
 pub use figure::{Figure, Key, Mark};
 pub use file::picture;
+pub use hemisphere::Hemisphere;
 pub use matrix::Matrix;
-pub use ratios::{RatioRow, ratios};
+pub use ratios::{RatioRow, Ratios};
 pub use rows::{BarRow, WhiskerRow, bars, whiskers};
 pub use scale::{Axis, Scale};
 

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::scale::Tick;
 use super::{Axis, Scale, Style, px, text_width};
-use crate::ui::text::percent;
+use crate::ui::text::{cut, percent};
 
 /// Width of these plots.
 pub(super) const WIDTH: f64 = 720.0;
@@ -12,8 +12,6 @@ pub(super) const WIDTH: f64 = 720.0;
 pub(super) const ROW: f64 = 26.0;
 /// Least distance of ticks.
 const TICK: f64 = 42.0;
-/// Longest name that is written out.
-const NAME: usize = 40;
 
 /// A name with a share.
 #[derive(Debug, Clone)]
@@ -37,13 +35,6 @@ pub struct WhiskerRow {
     pub chosen: bool,
 }
 
-pub(super) fn cut(name: &str) -> String {
-    if name.chars().count() <= NAME {
-        return name.to_owned();
-    }
-    name.chars().take(NAME - 1).chain(['…']).collect()
-}
-
 pub(super) fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
     // Some of them are bold.
     names.map(|n| 1.15 * text_width(&cut(n))).fold(60.0, f64::max) + 14.0
@@ -52,7 +43,7 @@ pub(super) fn names_width<'a>(names: impl Iterator<Item = &'a str>) -> f64 {
 pub(super) fn frame(id: &str, title: &str, description: &str, height: f64, content: &Markup) -> Markup {
     let (title_id, description_id) = (format!("{id}-title"), format!("{id}-desc"));
     html! {
-        svg role="img" aria-labelledby=(format!("{title_id} {description_id}"))
+        svg xmlns="http://www.w3.org/2000/svg" role="img" aria-labelledby=(format!("{title_id} {description_id}"))
             viewBox=(format!("0 0 {} {}", px(WIDTH), px(height))) width=(px(WIDTH)) height=(px(height)) {
             title id=(title_id) { (title) }
             desc id=(description_id) { (description) }

@@ -6,7 +6,7 @@ use crate::domain::study::{ErrorAt, LearningCurveReport, OutputCurve};
 use crate::ui::figures::Drawing;
 use crate::ui::plot::{Axis, Figure, Key, Mark, Scale, Style};
 use crate::ui::text::percent;
-use crate::ui::words::duration;
+use crate::ui::words::{clamped, duration};
 
 /// The error of each output with all data and with more.
 pub(super) fn table(report: &LearningCurveReport) -> Markup {
@@ -16,7 +16,7 @@ pub(super) fn table(report: &LearningCurveReport) -> Markup {
             div.wide { table {
                 thead { tr { th { "Output" } th.number { "With all data" } th.number { "With more" } th.number { "More data" } } }
                 tbody { @for output in &report.outputs { tr {
-                    td { bdi { (output.channel) } }
+                    td { (clamped(&output.channel)) }
                     td.number { (at(&output.now)) }
                     td.number { (at(&output.then)) }
                     td.number { (duration(60.0 * (output.then.minutes - output.now.minutes))) }

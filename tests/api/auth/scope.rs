@@ -104,7 +104,7 @@ async fn foreign_and_unknown_ids_look_alike() {
             shown.1 = serde_json::from_str(&shown.1.to_string().replace(job, "JOB")).expect("JSON");
             shown
         };
-        for (rest, method) in [("", "GET"), ("/events", "GET"), ("/cancel", "POST")] {
+        for (rest, method) in [("", "GET"), ("/losses", "GET"), ("/events", "GET"), ("/cancel", "POST")] {
             let foreign = ask(&job, rest, method).await;
             assert!(foreign.0 == 404 || foreign.0 == 403, "{foreign:?}");
             for i in 0..10 {

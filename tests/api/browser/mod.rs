@@ -1,8 +1,11 @@
 //! The pages in a browser: Debian's chromium, driven by chromium-driver. Where they are not there, the tests say so and
 //! are skipped. Screenshots go to `target/pages/`.
 
+mod comparison;
 mod driver;
 mod figures;
+mod live;
+mod names;
 mod story;
 
 pub use driver::Browser;

@@ -1,6 +1,7 @@
 //! Pages for people, as a browser asks for them.
 
 mod figures;
+mod predictions;
 mod session;
 
 use serde_json::json;

@@ -1,7 +1,6 @@
 //! Training against known systems, against the reference, and with wrong arguments.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -9,7 +8,6 @@ use super::super::predict::predict_on;
 use super::super::samples::{noise, settings};
 use super::super::settings::{Optimizer, Recombine, Schedule};
 use super::*;
-use crate::Progress;
 use crate::checkpoint::NoCheckpoints;
 use crate::progress::unwatched;
 
@@ -368,4 +366,29 @@ fn a_state_of_another_training_is_not_used() {
     memory.save("seed", b"{".to_vec());
     let trained = super::train(&training, Until::Best(&validation), &start, (&settings, 7), kept, &unwatched);
     assert_eq!(trained.unwrap(), whole, "no state at all");
+}
+
+#[test]
+fn the_errors_of_each_epoch_are_told_as_the_curve_keeps_them() {
+    let (training, validation) = ([lag(1500, 1, 0)], [lag(400, 2, 0)]);
+    let settings = LstmSettings { epochs: 6, validate_every: Some(2), ..settings() };
+    let start = begin(1, 2);
+    let told = Mutex::new(Vec::new());
+    let listen = |progress: Progress<'_>| {
+        told.lock().unwrap().extend(progress.loss);
+        ControlFlow::Continue(())
+    };
+    let trained = train(&training, &validation, &start, &settings, 7, &listen).unwrap();
+    let expected: Vec<Loss> = trained
+        .history
+        .iter()
+        .map(|e| Loss { seed: 7, epoch: e.epoch, training: e.training_mse, stopping: Some(e.validation_mse) })
+        .collect();
+    assert_eq!(std::mem::take(&mut *told.lock().unwrap()), expected);
+    assert_eq!(expected.iter().map(|loss| loss.epoch).collect::<Vec<_>>(), [2, 4, 6]);
+
+    let kept = (&NoCheckpoints as &dyn CheckpointStore, "");
+    super::train(&training, Until::Epoch(3), &start, (&settings, 7), kept, &listen).unwrap();
+    let told: Vec<_> = told.into_inner().unwrap().iter().map(|loss| (loss.epoch, loss.stopping)).collect();
+    assert_eq!(told, [(2, None), (3, None)], "nothing stops it; the last epoch is told");
 }

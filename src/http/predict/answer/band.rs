@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::Setting;
-use crate::engine::fatigue::damage_band;
-use crate::engine::model::BAND_COVERAGE;
+use crate::engine::fatigue::{DamageSettings, damage_band};
+use crate::engine::model::{BAND_COVERAGE, Predictor, RigModel};
 use crate::engine::{Signal, rounded};
 use crate::http::json::Object;
 use crate::http::problem::{Answer, FieldError, Problem};
@@ -24,6 +24,30 @@ const ADOPTED: &str = "the model has adopted effects, and no data have compared 
 
 /// Most values of a band, which is text in memory as a whole: half an hour of a response at 500 Hz.
 const MAX_BAND_VALUES: u64 = 1_000_000;
+
+/// The reason why a model has no band.
+pub(in crate::http::predict) fn reason(model: &RigModel) -> &'static str {
+    if model.effects.is_empty() { NO_BAND } else { ADOPTED }
+}
+
+/// Damage of the least and of the largest swings within the band about a response, by output.
+///
+/// # Errors
+/// Settings of the damage outside their limits, damage beyond its range.
+pub(in crate::http::predict) fn damages_within(
+    predictor: &Predictor,
+    response: &Signal,
+    half_width: &Signal,
+    settings: &DamageSettings,
+) -> Answer<Vec<[f64; 2]>> {
+    let of_cycles = predictor.cycle_factors();
+    let of = |(k, h): (usize, &Vec<f64>)| {
+        let wider: Vec<f64> = h.iter().map(|h| of_cycles[k] * h).collect();
+        damage_band(response.channel(k), &wider, settings)
+            .map_err(|error| errors::engine(&error, &predictor.model().outputs, ""))
+    };
+    half_width.channels().iter().enumerate().map(of).collect()
+}
 
 /// Refuses a band of too many values, all outputs and drives together.
 pub(super) fn check(values: u64) -> Answer<()> {
@@ -61,16 +85,12 @@ impl Setting<'_> {
         let model = self.loaded.model();
         let Some(half_width) = half_width else {
             answer.add("band", &None::<()>)?;
-            return answer.add("band_reason", &if model.effects.is_empty() { NO_BAND } else { ADOPTED });
+            return answer.add("band_reason", &reason(model));
         };
         let mut band =
             BandAnswer { coverage: BAND_COVERAGE, channels: BTreeMap::new(), damage: BTreeMap::new() };
-        let of_cycles = self.loaded.predictor.cycle_factors();
-        for (k, name) in model.outputs.iter().enumerate() {
-            let (y, h) = (response.channel(k), half_width.channel(k));
-            let wider: Vec<f64> = h.iter().map(|h| of_cycles[k] * h).collect();
-            let damage = damage_band(y, &wider, &self.damage)
-                .map_err(|error| errors::engine(&error, &model.outputs, ""))?;
+        let damages = damages_within(&self.loaded.predictor, response, half_width, &self.damage)?;
+        for ((name, h), damage) in model.outputs.iter().zip(half_width.channels()).zip(damages) {
             band.damage.insert(name, damage);
             let half_width = h.iter().map(|h| rounded(*h, DIGITS)).collect();
             band.channels.insert(name, HalfWidth { half_width });

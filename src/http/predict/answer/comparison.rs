@@ -67,7 +67,10 @@ pub(in crate::http::predict) fn damages(
 
 /// Groups with the places of their channels among the outputs, in the rig's order; and those of which
 /// only a part is among them.
-fn groups<'a>(rig: &'a Rig, outputs: &[String]) -> (Vec<DamageGroup<'a>>, Vec<OmittedGroup>) {
+pub(in crate::http::predict) fn groups<'a>(
+    rig: &'a Rig,
+    outputs: &[String],
+) -> (Vec<DamageGroup<'a>>, Vec<OmittedGroup>) {
     let (mut whole, mut partial) = (Vec::new(), Vec::new());
     for (name, members) in rig.groups() {
         let place = |member: &&str| outputs.iter().position(|output| output == member);

@@ -12,7 +12,8 @@ mod shares;
 
 use std::sync::Arc;
 
-pub(super) use comparison::{damages, distances};
+pub(super) use band::{damages_within, reason as no_band};
+pub(super) use comparison::{damages, distances, groups};
 
 use super::conversion::{Conversion, ConvertedFrom, Part};
 use super::form::Form;

@@ -1,4 +1,6 @@
-//! The report of a model version, as JSON or as a page.
+//! The report of a model version, as JSON, CSV or a page.
+
+mod table;
 
 use axum::extract::State;
 use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
@@ -8,7 +10,7 @@ use axum::response::IntoResponse;
 use super::Shared;
 use super::headers::page_with_style;
 use super::json;
-use super::negotiate::{self, HTML};
+use super::negotiate::{self, CSV, HTML};
 use super::params::NoParams;
 use super::paths::{OfModel, no_model, no_rig};
 use super::problem::{Answer, Problem};
@@ -44,9 +46,9 @@ impl Sources {
         ModelReport::of(&self.model, self.record.as_ref(), &self.runs)
     }
 
-    /// Draws a page of it.
-    pub(super) fn draw(&self, page: impl FnOnce(ui::Reported<'_>) -> String) -> String {
-        page(ui::Reported { rig: &self.rig, model: &self.model, report: &self.report() })
+    /// Draws something of it.
+    pub(super) fn draw<T>(&self, draw: impl FnOnce(ui::Reported<'_>) -> T) -> T {
+        draw(ui::Reported { rig: &self.rig, model: &self.model, report: &self.report() })
     }
 }
 
@@ -58,12 +60,17 @@ pub async fn show(
     headers: HeaderMap,
 ) -> Answer {
     let sources = Sources::read(&http, &rig, version).await?;
-    match negotiate::choose(&headers, &[json::MEDIA_TYPE, HTML])? {
+    match negotiate::choose(&headers, &[json::MEDIA_TYPE, CSV, HTML])? {
         HTML => {
             let html = http.off_thread(Class::Predict, move || sources.draw(ui::page)).await?;
             let kind = HeaderValue::from_static("text/html; charset=utf-8");
             let policy = HeaderValue::try_from(page_with_style(STYLE)).map_err(Problem::internal)?;
             Ok(([(CONTENT_TYPE, kind), (CONTENT_SECURITY_POLICY, policy)], html).into_response())
+        }
+        CSV => {
+            let table = http.off_thread(Class::Predict, move || table::write(&sources.report())).await?;
+            let table = table.map_err(Problem::internal)?;
+            Ok(([(CONTENT_TYPE, "text/csv; charset=utf-8")], table).into_response())
         }
         _ => {
             let write = move || serde_json::to_vec(&sources.report());
