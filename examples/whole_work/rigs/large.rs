@@ -1,11 +1,13 @@
 //! A large synthetic rig: 32 drives, 32 responses.
 //!
 //! Each drive `u_i` passes an actuator of order two (45 to 70 Hz, damping 0.6 to 0.8): `a_i`. The actuators move a structure of
-//! 24 modes `q_m'' + 2 z w q_m' + w^2 (q_m + b q_m^3) = w^2 (phi^T a)_m`, from 3 to 60 Hz, damping 2 to 6 %, whose stiffness
-//! rises with its deflection: by about 5 % at the level of the noise. A response is its actuator and the structure,
-//! `y_i = a_i + (psi q)_i`, with white sensor noise of 0.5 %. Shapes, frequencies and dampings are drawn from a seed.
+//! 24 modes `q_m'' + 2 z w q_m' + w^2 (q_m + b q_m^3 / (1 + (q_m / c)^2)) = w^2 (phi^T a)_m`, from 3 to 60 Hz, damping 2 to
+//! 6 %, whose stiffness rises with deflection: by about 4 % at the level of the noise, and by 22 % at most. A response is its
+//! actuator and the structure, `y_i = a_i + (psi q)_i`, with white sensor noise of 0.5 %. Shapes, frequencies and dampings are
+//! drawn from a seed.
 //!
-//! Every second-order system is advanced exactly over a sample, its force held; the cubic force is that of the sample before.
+//! Every second-order system is advanced exactly over a sample, its force held; the cubic force is that of the middle of the
+//! sample, extrapolated: one of its beginning would take damping away.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,8 +20,10 @@ use super::{Drive, RATE_HZ, Rig};
 /// Drives, and responses.
 const N: usize = 32;
 const MODES: usize = 24;
-/// Rise of a mode's stiffness at a deflection of one: a mode's RMS under the noise is about 0.4.
-const CUBIC: f64 = 0.3;
+/// Rise of a mode's stiffness with the square of its deflection, whose RMS is one to two under noise, and the deflection from
+/// which it rises no further.
+const CUBIC: f64 = 0.025;
+const BENT: f64 = 3.0;
 const SENSOR_NOISE: f64 = 0.005;
 /// Length of a stretch of one mean and level, samples.
 const STRETCH: usize = 15_000;
@@ -80,7 +84,7 @@ impl Large {
             let mut one = || scale * Distribution::<f64>::sample(&StandardNormal, &mut rng);
             (0..MODES).map(|_| std::array::from_fn(|_| one())).collect()
         };
-        let (phi, psi) = (shapes(0.18), shapes(0.2));
+        let (phi, psi) = (shapes(0.18), shapes(0.1));
         Self { actuators, modes, phi, psi }
     }
 }
@@ -145,9 +149,10 @@ impl Rig for Large {
             }
             let mut y = a;
             for (m, mode) in modes.iter_mut().enumerate() {
-                let q = mode[0];
+                let q = mode[0] + 0.5 * mode[1] / RATE_HZ;
+                let cubic = CUBIC * q.powi(3) / (1.0 + (q / BENT).powi(2));
                 let force: f64 = self.phi[m].iter().zip(&a).map(|(phi, a)| phi * a).sum();
-                *mode = self.modes[m].next(*mode, force - CUBIC * q * q * q);
+                *mode = self.modes[m].next(*mode, force - cubic);
                 y.iter_mut().zip(&self.psi[m]).for_each(|(y, psi)| *y += psi * mode[0]);
             }
             for (y, channel) in y.iter().zip(&mut found) {
