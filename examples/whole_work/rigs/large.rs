@@ -140,7 +140,7 @@ impl Rig for Large {
     fn respond(&self, arriving: &Signal, seed: u64) -> Result<Signal, EngineError> {
         let (mut actuators, mut modes) = ([[0.0; 2]; N], [[0.0; 2]; MODES]);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut found = vec![Vec::with_capacity(arriving.n_samples()); N];
+        let mut found: Vec<Vec<f64>> = (0..N).map(|_| Vec::with_capacity(arriving.n_samples())).collect();
         for t in 0..arriving.n_samples() {
             let mut a = [0.0; N];
             for i in 0..N {
