@@ -7,11 +7,11 @@ use std::time::Duration;
 use bytes::Bytes;
 use http_body_util::{BodyExt, Full};
 use hyper::body::Incoming;
-use hyper::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue};
+use hyper::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, IF_MATCH};
 use hyper::{Method, Request, Response, Uri};
 use hyper_util::client::legacy::{self, connect::HttpConnector};
 use hyper_util::rt::TokioExecutor;
-use serde_json::Value;
+use serde_json::{Value, json as document};
 
 /// The reason why a call failed.
 #[derive(Debug, thiserror::Error)]
@@ -191,6 +191,16 @@ impl Client {
     pub async fn fitted_model(&self, job: &Value) -> Result<Value, ClientError> {
         let href = job["result"]["href"].as_str().ok_or(ClientError::Missing("result.href"))?;
         self.get(href).await
+    }
+
+    /// Makes a version the rig's active model, whichever was active before.
+    ///
+    /// # Errors
+    /// [`ClientError::Problem`] when the version cannot be active.
+    pub async fn activate(&self, rig: &str, version: u64) -> Result<Value, ClientError> {
+        let headers = [(CONTENT_TYPE, "application/json"), (IF_MATCH, "*")];
+        let body = document!({ "version": version }).to_string().into_bytes();
+        json(self.send(Method::PUT, &format!("/v1/rigs/{rig}/active-model"), &headers, body).await?).await
     }
 
     /// Predicts with an NPY body and an NPY answer; `model` is `active` or a version.

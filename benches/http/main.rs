@@ -4,6 +4,7 @@
 //! paper's size) in NPY and in JSON. The other measurements run by name and print one JSON line each:
 //!
 //! - `cargo bench --bench http -- p50`: median of 60 s and 10 s requests, as a client sees them;
+//! - `cargo bench --bench http -- whole`: 20 s in JSON with six targets, errors, damage and Multi-Rain of two groups;
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
 //! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
@@ -21,7 +22,10 @@ use rigcast::engine::lstm::Recombine;
 use rigcast::formats::npy::{Dtype, Order, write};
 use serde_json::json;
 
-use rig::{DRIVES, RATE_HZ, RESPONSES, activate, create, json_request, noise, npy_request};
+use rig::{
+    DRIVES, RATE_HZ, RESPONSES, activate, create, create_grouped, json_request, json_request_with_targets,
+    noise, npy_request,
+};
 use service::{Connection, Service};
 
 const MINUTE: usize = 60_000;
@@ -52,6 +56,7 @@ fn main() {
     let named = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     match named.as_deref() {
         Some("p50") => p50(),
+        Some("whole") => whole(),
         Some("hour") => hour(),
         Some("beside") => beside(),
         Some("fit") => fit(),
@@ -97,6 +102,22 @@ fn p50() {
     for (work, request) in &works {
         (0..5).for_each(|_| _ = timed(&mut connection, request));
         tell(work, "s", (0..101).map(|_| timed(&mut connection, request)).collect());
+    }
+}
+
+/// Everything that an answer has by default, of a rig with groups; and the same drive without a target.
+fn whole() {
+    let service = Service::start();
+    create_grouped(&service);
+    activate(&service, Recombine::Welch, None);
+    let mut connection = service.connect();
+    let works = [
+        ("http_json_20s_targets", json_request_with_targets(MINUTE / 3)),
+        ("http_json_20s_no_target", json_request(MINUTE / 3)),
+    ];
+    for (work, request) in &works {
+        (0..5).for_each(|_| _ = timed(&mut connection, request));
+        tell(work, "s", (0..51).map(|_| timed(&mut connection, request)).collect());
     }
 }
 

@@ -86,11 +86,28 @@ fn hybrid2() -> RigModel {
     }
 }
 
-/// Makes the rig.
+/// Makes the rig, without groups: there is no Multi-Rain.
 pub fn create(service: &Service) {
-    let channel = |name: &str, role: &str| json!({"name": name, "unit": "kN", "role": role});
-    let drives = DRIVES.iter().map(|name| channel(name, "drive"));
-    let channels: Vec<Value> = drives.chain(RESPONSES.iter().map(|name| channel(name, "response"))).collect();
+    create_with(service, |_| json!({}));
+}
+
+/// Makes the rig with both of its groups of three, displacement and force.
+pub fn create_grouped(service: &Service) {
+    create_with(service, |name| {
+        let (group, axis) = name.split_once('_').expect("names have two parts");
+        json!({"group": group, "axis": axis})
+    });
+}
+
+fn create_with(service: &Service, more: impl Fn(&str) -> Value) {
+    let channel = |name: &str, role: &str, more: Value| {
+        let mut channel = json!({"name": name, "unit": "kN", "role": role});
+        channel.as_object_mut().expect("an object").extend(more.as_object().cloned().unwrap_or_default());
+        channel
+    };
+    let drives = DRIVES.iter().map(|name| channel(name, "drive", json!({})));
+    let responses = RESPONSES.iter().map(|name| channel(name, "response", more(name)));
+    let channels: Vec<Value> = drives.chain(responses).collect();
     let rig = json!({"id": "bench", "name": "Bench", "sample_rate_hz": RATE_HZ, "channels": channels});
     service.connect().json("POST /v1/rigs", "", &rig, 201);
 }
@@ -120,12 +137,23 @@ pub fn npy_request(samples: usize, dtype: Dtype) -> (String, Vec<u8>) {
 
 /// The same with JSON in request and answer; numbers have all their digits.
 pub fn json_request(samples: usize) -> (String, Vec<u8>) {
-    let channels: serde_json::Map<String, Value> = DRIVES
+    json_body(json!({"drive": signal(&DRIVES, samples, 7)}))
+}
+
+/// A JSON request with a target for each response: the answer has response, errors, damage and trust.
+pub fn json_request_with_targets(samples: usize) -> (String, Vec<u8>) {
+    json_body(json!({"drive": signal(&DRIVES, samples, 7), "target": signal(&RESPONSES, samples, 8)}))
+}
+
+fn signal(names: &[&str], samples: usize, seed: u64) -> Value {
+    let channels: serde_json::Map<String, Value> = names
         .iter()
-        .zip(noise(samples, DRIVES.len(), 7))
+        .zip(noise(samples, names.len(), seed))
         .map(|(name, s)| ((*name).into(), s.into()))
         .collect();
-    let body = json!({"drive": {"sample_rate_hz": RATE_HZ, "channels": channels}});
-    let head = format!("{PREDICT} HTTP/1.1\r\nContent-Type: application/json");
-    (head, body.to_string().into_bytes())
+    json!({"sample_rate_hz": RATE_HZ, "channels": channels})
+}
+
+fn json_body(body: Value) -> (String, Vec<u8>) {
+    (format!("{PREDICT} HTTP/1.1\r\nContent-Type: application/json"), body.to_string().into_bytes())
 }

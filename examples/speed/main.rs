@@ -1,10 +1,14 @@
 //! Speed of the engine on this machine, one JSON line a row:
-//! `cargo run --release --example speed -- [--works infer,train,frf,rainflow,latency] [--threads N]`
+//! `cargo run --release --example speed -- [--works infer,train,frf,rainflow,latency,large] [--threads N]`
 //!
 //! `peak_fma` comes first and again after each group of measurements. The other figures are best read as
-//! shares of it, since the speed of a shared machine varies.
+//! shares of it, since the speed of a shared machine varies. `--against examples/speed/last.jsonl` compares them so with
+//! the run that was committed last, and ends with 1 where a row has lost more than 15 % of its share.
 
+use std::cell::RefCell;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::process::ExitCode;
 use std::slice::from_ref;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -17,8 +21,10 @@ use rigcast::engine::frf::estimate;
 use rigcast::engine::lstm::{Recombine, Until, predict, train};
 use rigcast::engine::progress::{Progress, unwatched};
 use rigcast::engine::simd::{Isa, peak_fma};
-use serde_json::json;
+use serde_json::{Value, json};
 
+mod guard;
+mod large;
 mod works;
 
 use works::{FS, HOP, WINDOW};
@@ -30,43 +36,56 @@ enum Work {
     Frf,
     Rainflow,
     Latency,
+    Large,
 }
 
 /// Measures the engine on this machine.
 #[derive(Debug, Parser)]
 struct Args {
     /// Groups to measure.
-    #[arg(long, value_delimiter = ',', default_values = ["infer", "train", "frf", "rainflow", "latency"])]
+    #[arg(long, value_delimiter = ',', default_values = ["infer", "train", "frf", "rainflow", "latency", "large"])]
     works: Vec<Work>,
     /// Threads; all cores unless said.
     #[arg(long)]
     threads: Option<usize>,
+    /// Lines of an earlier run to compare with.
+    #[arg(long)]
+    against: Option<PathBuf>,
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+fn main() -> Result<ExitCode, Box<dyn std::error::Error>> {
     let args = Args::parse();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.unwrap_or(0)).build()?;
-    let report = Report { threads: pool.current_num_threads(), isa: Isa::of_process()?.name() };
+    let before = args.against.as_deref().map(guard::read).transpose()?;
+    let lines = RefCell::default();
+    let mut report = Report { threads: pool.current_num_threads(), isa: Isa::of_process()?.name(), lines };
     pool.install(|| {
+        let report = &mut report;
         report.peak()?;
         for work in &args.works {
             match work {
-                Work::Infer => infer(&report)?,
-                Work::Train => training(&report)?,
-                Work::Frf => frf(&report)?,
-                Work::Rainflow => rainflow(&report)?,
-                Work::Latency => latency(&report)?,
+                Work::Infer => infer(report)?,
+                Work::Train => training(report)?,
+                Work::Frf => frf(report)?,
+                Work::Rainflow => rainflow(report)?,
+                Work::Latency => latency(report)?,
+                Work::Large => large::measure(report)?,
             }
             report.peak()?;
         }
         Ok::<(), EngineError>(())
     })?;
-    Ok(())
+    let Some(before) = before else { return Ok(ExitCode::SUCCESS) };
+    let (told, fast) = guard::compare(&before, &guard::rows(&report.lines.into_inner())?)?;
+    told.iter().for_each(|row| println!("{row}"));
+    Ok(if fast { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 struct Report {
     threads: usize,
     isa: &'static str,
+    /// Everything that was printed.
+    lines: RefCell<Vec<Value>>,
 }
 
 impl Report {
@@ -76,6 +95,7 @@ impl Report {
                           "max": values[values.len() - 1], "reps": values.len(), "threads": self.threads,
                           "isa": self.isa});
         println!("{line}");
+        self.lines.borrow_mut().push(line);
     }
 
     fn peak(&self) -> Result<(), EngineError> {

@@ -1,5 +1,6 @@
 //! How far a prediction is from the measurement, per channel.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::spectral::{Detrend, Psd, Welch, psd, same_shape};
@@ -96,7 +97,8 @@ pub fn errors_with_spectra(measured: &Signal, predicted: &Signal) -> Result<(Err
     let settings = ErrorSettings::for_length(expected);
     let measured_psd = psd(&[measured], &settings.psd)?;
     let predicted_psd = psd(&[predicted], &settings.psd)?;
-    let channels = (0..measured.n_channels())
+    let channels: Vec<Result<ChannelErrors, EngineError>> = (0..measured.n_channels())
+        .into_par_iter()
         .map(|channel| {
             let (m, p) = (measured.channel(channel), predicted.channel(channel));
             let about_mean = about_mean(m, p);
@@ -121,7 +123,8 @@ pub fn errors_with_spectra(measured: &Signal, predicted: &Signal) -> Result<(Err
                 Err(EngineError::NonFiniteResult { what: "error", channel, sample: 0 })
             }
         })
-        .collect::<Result<_, _>>()?;
+        .collect();
+    let channels = channels.into_iter().collect::<Result<_, _>>()?;
     Ok((Errors { settings, channels }, [measured_psd, predicted_psd]))
 }
 

@@ -133,6 +133,7 @@ codes! {
     FIT_INVALID = "fit.invalid", 422, "The fit does not suit the rig";
     FIT_MISSING_CHANNEL = "fit.missing_channel", 422, "A run lacks a channel of the fit";
     FIT_TEST_RUN = "fit.test_run", 422, "A test run never enters a fit";
+    FIT_MEMORY = "fit.memory", 422, "The fit needs more memory than there is";
     JOB_PANICKED = "job.panicked", 500, "A defect ended the job";
     JOB_INTERRUPTED = "job.interrupted", 500, "The job was interrupted too often";
     JOB_CRASHED = "job.crashed", 500, "The worker process died";

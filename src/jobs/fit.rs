@@ -21,7 +21,7 @@ use super::control::Control;
 use super::problem::{JobError, of_engine};
 use super::spec::{JobSpec, ModelOutput};
 use super::work_context::WorkContext;
-use super::{core_version, warm_start};
+use super::{core_version, memory, warm_start};
 
 pub use super::fit_plan::{FitPlan, FitProblem, check};
 
@@ -33,6 +33,8 @@ impl From<FitProblem> for JobError {
     fn from(problem: FitProblem) -> Self {
         match problem {
             FitProblem::Store(error) => error.into(),
+            // Others may give memory back.
+            FitProblem::Memory { needed, limit, .. } if needed <= limit => Self::retry(problem.problem()),
             problem => Self::failed(problem.problem()),
         }
     }
@@ -59,6 +61,7 @@ pub(super) async fn fit_model(
 ) -> Result<ModelOutput, JobError> {
     // Checked again, because runs may have come and gone since the job was queued.
     let mut plan = check(&context.store, rig, request).await?;
+    memory::check_now(&plan, context.memory_bytes)?;
     control.report("loading runs", 0.0);
     let given = GivenParts::load(context, &mut plan).await?;
     let data = load(context, &plan, control).await?;

@@ -80,6 +80,16 @@ pub enum FitProblem {
         /// The field that names it.
         pointer: &'static str,
     },
+    /// The fit takes more memory than a job may, or than there is (422 `fit.memory`). Bytes.
+    #[error("the fit needs about {} MiB of memory", .needed >> 20)]
+    Memory {
+        /// The estimate.
+        needed: u64,
+        /// The most that a job may take.
+        limit: u64,
+        /// What the machine has left, where that was asked.
+        available: Option<u64>,
+    },
     /// The rig was deleted meanwhile (404 `rig.not_found`).
     #[error("the rig is gone")]
     RigGone,
@@ -121,6 +131,21 @@ impl FitProblem {
                 let title = "No such model version";
                 Problem::new(404, codes::MODEL_NOT_FOUND, title, format!("{self}."))
                     .with(vec![FieldError::new(*pointer, "a version of the rig")])
+            }
+            Self::Memory { needed, limit, available } => {
+                let mib = |bytes: u64| bytes >> 20;
+                let free = available.map(|bytes| format!("; {} MiB are free", mib(bytes)));
+                let detail = format!(
+                    "The fit needs about {} MiB of memory. A job may take {} MiB (--job-memory-mib){}. Name fewer \
+                     channels, or fewer or shorter runs.",
+                    mib(*needed),
+                    mib(*limit),
+                    free.unwrap_or_default()
+                );
+                let most = available.map_or(*limit, |available| available.min(*limit));
+                let limit = format!("runs and channels that take at most {} MiB in a fit", mib(most));
+                Problem::new(422, codes::FIT_MEMORY, "The fit needs more memory than there is", detail)
+                    .with(vec![FieldError::new("/runs", limit)])
             }
             Self::RigGone => rig_gone(format!("{self}.")),
             Self::TooManyWaiting(most) => too_many_waiting(*most),

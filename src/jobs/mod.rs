@@ -14,6 +14,7 @@ mod events;
 pub mod fit;
 mod fit_plan;
 mod iteration;
+mod memory;
 mod predicted;
 pub mod problem;
 mod process;
@@ -90,6 +91,14 @@ impl Default for JobSettings {
     }
 }
 
+impl JobSettings {
+    /// Memory that one job may take.
+    fn job_memory_bytes(&self) -> u64 {
+        let own = self.program.as_ref().map(|program| program.memory_bytes);
+        own.unwrap_or_else(|| process::default_memory_bytes(self.workers))
+    }
+}
+
 /// The runner of jobs. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Jobs {
@@ -127,7 +136,8 @@ impl Jobs {
             Some(program) => Executor::Subprocess(program),
             None => {
                 let (store, checkpoint_every) = (store.clone(), settings.checkpoint_every);
-                Executor::InProcess(WorkContext { store, compute, fit, checkpoint_every })
+                let memory_bytes = settings.job_memory_bytes();
+                Executor::InProcess(WorkContext { store, compute, fit, checkpoint_every, memory_bytes })
             }
         };
         let runner = Arc::new(Runner::new(store, clock, settings, executor));
@@ -149,7 +159,8 @@ impl Jobs {
         key: Option<&IdempotencyKey>,
     ) -> Result<Job, FitProblem> {
         let Runner { store, clock, .. } = &*self.runner;
-        fit::check(store, rig, request).await?;
+        let plan = fit::check(store, rig, request).await?;
+        memory::check_limit(&plan, self.runner.settings.job_memory_bytes())?;
         let asker = self.asker(token);
         match store.insert_fit_job(&rig.id, request, asker, key, clock()).await? {
             JobInsert::Queued(job) => {

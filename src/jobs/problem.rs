@@ -15,6 +15,8 @@ pub mod codes {
     pub const FIT_MISSING_CHANNEL: &str = "fit.missing_channel";
     /// A run of the test split was named (422).
     pub const FIT_TEST_RUN: &str = "fit.test_run";
+    /// The fit takes more memory than there is (422).
+    pub const FIT_MEMORY: &str = "fit.memory";
     /// No run matches a selection (409).
     pub const FIT_NO_RUNS: &str = "fit.no_runs";
     /// The iteration's model, channels, runs or settings do not suit the rig or each other (422).

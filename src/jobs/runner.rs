@@ -197,7 +197,8 @@ impl Runner {
             Executor::Subprocess(program) => {
                 let (data_dir, checkpoint_every) =
                     (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
-                let begin = Begin { data_dir, spec, checkpoint_every };
+                let memory_bytes = program.memory_bytes;
+                let begin = Begin { data_dir, spec, checkpoint_every, memory_bytes };
                 program.make(begin, self.settings.lease, control).await
             }
         }

@@ -279,6 +279,29 @@ async fn events_rise_end_with_the_job_and_are_not_given_twice() {
 }
 
 #[tokio::test]
+async fn a_fit_that_no_job_has_the_memory_for_is_refused_with_what_it_needs() {
+    let bench = Bench::new(gain).await;
+    let request =
+        || serde_json::from_value(serde_json::json!({"kind": "frf", "frf": {"ridge": 0.1}})).unwrap();
+    let program = WorkerProgram {
+        program: "rigcast".into(),
+        arguments: Vec::new(),
+        memory_bytes: 100 << 20,
+        time_limit: Duration::from_secs(1),
+    };
+    let settings = JobSettings { workers: 0, program: Some(program), ..JobSettings::default() };
+    let compute = Compute::new(&ComputeSettings::default()).unwrap();
+    let small = Jobs::start_with((*bench.store).clone(), compute, now, settings, gain).await.unwrap();
+    let problem = small.submit_fit(&bench.rig, &request(), None, None).await.unwrap_err().problem();
+    assert_eq!((problem.code.as_str(), problem.status), ("fit.memory", 422));
+    assert!(problem.detail.contains("A job may take 100 MiB"), "{}", problem.detail);
+    assert_eq!(problem.errors[0].pointer, "/runs");
+    // The same with the memory of this machine.
+    let job = bench.jobs.submit_fit(&bench.rig, &request(), None, None).await.unwrap();
+    assert_eq!(bench.end_of(job.id).await.state, JobState::Succeeded);
+}
+
+#[tokio::test]
 async fn a_fit_is_refused_before_it_is_queued() {
     let bench = Bench::new(fails).await;
     let refused = async |request: serde_json::Value| {

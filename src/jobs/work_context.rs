@@ -26,6 +26,8 @@ pub(super) struct WorkContext {
     pub fit: FitFunction,
     /// Most time between two checkpoints of a fit.
     pub checkpoint_every: Duration,
+    /// Memory that a job may take.
+    pub memory_bytes: u64,
 }
 
 impl WorkContext {

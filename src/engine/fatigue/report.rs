@@ -1,6 +1,7 @@
 //! The whole fatigue answer for predicted channels, with or without targets: what predict,
 //! `/v1/damage` and evaluations send.
 
+use rayon::prelude::*;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
@@ -112,7 +113,8 @@ pub struct GroupTarget {
     pub direction_target: [f64; 3],
 }
 
-/// Damage of every channel and group.
+/// Damage of every channel and group. They are counted side by side on rayon's current pool; figures, and the error of several
+/// that is returned, do not depend on the number of threads.
 ///
 /// # Errors
 /// Settings outside their limits; no samples; unequal lengths; a sample that is not finite; a
@@ -145,15 +147,24 @@ pub fn damage_report(
             });
         }
         let first = group.channels[0];
-        let predicted = group.channels.map(|c| channels[c].predicted);
-        let predicted = multi_rain_unchecked(predicted, settings, "predicted", first)?;
-        let target = match group.channels.map(|c| channels[c].target) {
+        let predicted = || {
+            let predicted = group.channels.map(|c| channels[c].predicted);
+            multi_rain_unchecked(predicted, settings, "predicted", first)
+        };
+        let target = || match group.channels.map(|c| channels[c].target) {
             [Some(x), Some(y), Some(z)] => {
-                let target = multi_rain_unchecked([x, y, z], settings, "target", first)?;
+                multi_rain_unchecked([x, y, z], settings, "target", first).map(Some)
+            }
+            _ => Ok(None),
+        };
+        let (predicted, target) = rayon::join(predicted, target);
+        let predicted = predicted?;
+        let target = match target? {
+            Some(target) => {
                 let ratio = ratio(predicted.damage, target.damage, first)?;
                 Some(GroupTarget { target: target.damage, ratio, direction_target: target.direction })
             }
-            _ => None,
+            None => None,
         };
         let damage =
             GroupDamage { predicted: predicted.damage, direction_predicted: predicted.direction, target };
@@ -171,10 +182,15 @@ pub fn damage_report(
             reason,
         })
     };
+    // The groups take longest: their directions begin while channels are counted.
+    let (of_groups, of_channels): (Vec<_>, Vec<_>) = rayon::join(
+        || groups.par_iter().map(group_damage).collect(),
+        || channels.par_iter().enumerate().map(|(i, c)| channel_damage(i, c)).collect(),
+    );
     Ok(DamageReport {
         settings: *settings,
-        channels: channels.iter().enumerate().map(|(i, c)| channel_damage(i, c)).collect::<Result<_, _>>()?,
-        groups: groups.iter().map(group_damage).collect::<Result<_, EngineError>>()?,
+        channels: of_channels.into_iter().collect::<Result<_, EngineError>>()?,
+        groups: of_groups.into_iter().collect::<Result<_, EngineError>>()?,
         omitted: groups.iter().filter_map(without_ratio).collect(),
     })
 }

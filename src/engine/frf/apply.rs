@@ -98,10 +98,18 @@ impl Frf {
     }
 }
 
+/// Spectra above this leave the caches before the next block needs them: several blocks then share each reading.
+const LARGE_BYTES: usize = 1 << 24;
+
+/// Blocks that share it.
+const SHARING: usize = 4;
+
 /// Buffers of one thread.
 struct Scratch {
     real: Vec<f64>,
+    /// `[block, input, bin]`
     x: Vec<Complex64>,
+    /// `[block, output, bin]`, or of one output after another `[bin]`.
     y: Vec<Complex64>,
     forward: Vec<Complex64>,
     inverse: Vec<Complex64>,
@@ -130,7 +138,15 @@ impl FrfFilter {
         if n == 0 {
             return Err(EngineError::TooShort { what: WHAT, needed: 1, found: 0 });
         }
-        let step = self.block - self.taps + 1;
+        let large = self.spectra.len() * size_of::<Complex64>() > LARGE_BYTES;
+        let blocks = n.div_ceil(self.block - self.taps + 1);
+        let at_once = if large { SHARING.min(blocks.div_ceil(rayon::current_num_threads())) } else { 1 };
+        self.apply_in_blocks(x, at_once)
+    }
+
+    /// So many blocks share each reading of the spectra; no bit depends on how many.
+    fn apply_in_blocks(&self, x: &Signal, at_once: usize) -> Result<Signal, EngineError> {
+        let (n, step) = (x.n_samples(), self.block - self.taps + 1);
         let mut y = vec![vec![0.0; n]; self.y_mean.len()];
         let mut blocks: Vec<Vec<&mut [f64]>> = (0..n.div_ceil(step)).map(|_| Vec::new()).collect();
         for channel in &mut y {
@@ -140,14 +156,11 @@ impl FrfFilter {
         }
         // Of all values that are not finite, the first sample of the first channel is reported.
         let not_finite = blocks
-            .par_iter_mut()
+            .par_chunks_mut(at_once)
             .enumerate()
             .map_init(
-                || self.scratch(),
-                |scratch, (b, outputs)| {
-                    let (channel, sample) = self.block(x, b * step, outputs, scratch)?;
-                    Some((channel, b * step + sample))
-                },
+                || self.scratch(at_once),
+                |scratch, (group, blocks)| self.blocks(x, group * at_once * step, blocks, scratch),
             )
             .flatten()
             .min();
@@ -158,46 +171,89 @@ impl FrfFilter {
         Ok(Signal::of_checked(x.sample_rate_hz(), y))
     }
 
-    /// Response to all inputs from sample `from` on, as long as the parts of `outputs`; answers the
-    /// first channel and place where it is not finite.
-    fn block(
+    /// Response to all inputs from sample `from` on, one block after another, each as long as the parts of its outputs;
+    /// answers the first channel and sample where it is not finite.
+    fn blocks(
         &self,
         x: &Signal,
         from: usize,
-        outputs: &mut [&mut [f64]],
+        blocks: &mut [Vec<&mut [f64]>],
         s: &mut Scratch,
     ) -> Option<(usize, usize)> {
-        let bins = self.block / 2 + 1;
-        for (i, mean) in self.x_mean.iter().enumerate() {
-            // The first output needs the samples from `taps / 2 - 1` before it on.
-            fill(&mut s.real, x.channel(i), from as isize + 1 - (self.taps / 2) as isize, *mean);
-            self.forward
-                .process_with_scratch(&mut s.real, &mut s.x[i * bins..(i + 1) * bins], &mut s.forward)
-                .expect("buffers are the plan's own");
+        let (bins, step) = (self.block / 2 + 1, self.block - self.taps + 1);
+        let (nx, ny) = (self.x_mean.len(), self.y_mean.len());
+        for (b, lines) in s.x.chunks_exact_mut(nx * bins).take(blocks.len()).enumerate() {
+            for ((i, mean), lines) in self.x_mean.iter().enumerate().zip(lines.chunks_exact_mut(bins)) {
+                // The first output needs the samples from `taps / 2 - 1` before it on.
+                let first = (from + b * step) as isize + 1 - (self.taps / 2) as isize;
+                fill(&mut s.real, x.channel(i), first, *mean);
+                self.forward
+                    .process_with_scratch(&mut s.real, lines, &mut s.forward)
+                    .expect("buffers are the plan's own");
+            }
         }
-        for (o, output) in outputs.iter_mut().enumerate() {
-            let h = &self.spectra[o * s.x.len()..(o + 1) * s.x.len()];
-            dispatch(self.isa, Multiply { h, x: &s.x, y: &mut s.y });
-            // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
-            s.y[0].im = 0.0;
-            s.y[bins - 1].im = 0.0;
-            self.inverse
-                .process_with_scratch(&mut s.y, &mut s.real, &mut s.inverse)
-                .expect("buffers are the plan's own");
-            for (y, v) in output.iter_mut().zip(&s.real[self.taps - 1..]) {
-                *y = self.y_mean[o] + v;
+        let x = |b: usize| &s.x[b * nx * bins..(b + 1) * nx * bins];
+        let h = |o: usize| &self.spectra[o * nx * bins..(o + 1) * nx * bins];
+        if let [outputs] = blocks {
+            for (o, output) in outputs.iter_mut().enumerate() {
+                for (first, y) in (0..).step_by(TILE).zip(s.y[..bins].chunks_mut(TILE)) {
+                    dispatch(self.isa, Multiply { h: h(o), x: x(0), y, bins, first });
+                }
+                self.back(o, &mut s.y[..bins], &mut s.real, &mut s.inverse, output);
+            }
+        } else {
+            for first in (0..bins).step_by(SHARED_TILE) {
+                for o in 0..ny {
+                    for b in 0..blocks.len() {
+                        let place = (b * ny + o) * bins;
+                        let y = &mut s.y[place + first..place + bins.min(first + SHARED_TILE)];
+                        dispatch(self.isa, Multiply { h: h(o), x: x(b), y, bins, first });
+                    }
+                }
+            }
+            let spectra = s.y.chunks_exact_mut(bins);
+            for ((o, output), y) in
+                blocks.iter_mut().flat_map(|block| block.iter_mut().enumerate()).zip(spectra)
+            {
+                self.back(o, y, &mut s.real, &mut s.inverse, output);
             }
         }
         // Checked now, while the values are in the caches.
-        outputs.iter().enumerate().find_map(|(o, output)| Some((o, first_not_finite(output)?)))
+        let places = blocks.iter().enumerate().flat_map(|(b, block)| {
+            let first = from + b * step;
+            block
+                .iter()
+                .enumerate()
+                .filter_map(move |(o, output)| Some((o, first + first_not_finite(output)?)))
+        });
+        places.min()
     }
 
-    fn scratch(&self) -> Scratch {
+    /// The samples of one output from its spectrum.
+    fn back(
+        &self,
+        o: usize,
+        y: &mut [Complex64],
+        real: &mut [f64],
+        scratch: &mut [Complex64],
+        output: &mut [f64],
+    ) {
+        // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
+        y[0].im = 0.0;
+        y[y.len() - 1].im = 0.0;
+        self.inverse.process_with_scratch(y, real, scratch).expect("buffers are the plan's own");
+        for (y, v) in output.iter_mut().zip(&real[self.taps - 1..]) {
+            *y = self.y_mean[o] + v;
+        }
+    }
+
+    fn scratch(&self, blocks: usize) -> Scratch {
         let bins = self.block / 2 + 1;
+        let spectra = if blocks == 1 { 1 } else { blocks * self.y_mean.len() };
         Scratch {
             real: self.forward.make_input_vec(),
-            x: vec![Complex64::default(); bins * self.x_mean.len()],
-            y: self.inverse.make_input_vec(),
+            x: vec![Complex64::default(); blocks * bins * self.x_mean.len()],
+            y: vec![Complex64::default(); spectra * bins],
             forward: self.forward.make_scratch_vec(),
             inverse: self.inverse.make_scratch_vec(),
         }
@@ -207,11 +263,16 @@ impl FrfFilter {
 /// Lines whose sums stay in the first-level cache.
 const TILE: usize = 512;
 
-/// `y = sum_i h_i * x_i` per line, `h` and `x` as `[input, line]`.
+/// The same where several blocks share them, with their inputs in the second-level cache.
+const SHARED_TILE: usize = 128;
+
+/// `y = sum_i h_i * x_i` on the lines from `first` on, `h` and `x` as `[input, line]` with `bins` lines.
 struct Multiply<'a> {
     h: &'a [Complex64],
     x: &'a [Complex64],
     y: &'a mut [Complex64],
+    bins: usize,
+    first: usize,
 }
 
 impl Kernel for Multiply<'_> {
@@ -220,13 +281,11 @@ impl Kernel for Multiply<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let bins = self.y.len();
-        for (first, y) in (0..).step_by(TILE).zip(self.y.chunks_mut(TILE)) {
-            y.fill(Complex64::default());
-            for (h, x) in self.h.chunks_exact(bins).zip(self.x.chunks_exact(bins)) {
-                for ((y, h), x) in y.iter_mut().zip(&h[first..]).zip(&x[first..]) {
-                    *y += h * x;
-                }
+        let Self { h, x, y, bins, first } = self;
+        y.fill(Complex64::default());
+        for (h, x) in h.chunks_exact(bins).zip(x.chunks_exact(bins)) {
+            for ((y, h), x) in y.iter_mut().zip(&h[first..]).zip(&x[first..]) {
+                *y += h * x;
             }
         }
     }
@@ -242,4 +301,55 @@ fn fill(out: &mut [f64], samples: &[f64], from: isize, mean: f64) {
         *out = v - mean;
     }
     out[before + inside..].fill(samples[samples.len() - 1] - mean);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pseudo-random numbers (a 64-bit linear congruential generator).
+    fn numbers(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed;
+        move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        }
+    }
+
+    #[test]
+    fn blocks_that_share_the_spectra_give_the_bits_of_single_blocks() {
+        let (n_inputs, n_outputs, segment_len) = (5, 7, 256);
+        let mut next = numbers(1);
+        let frf = Frf {
+            sample_rate_hz: 100.0,
+            segment_len,
+            n_inputs,
+            n_outputs,
+            h: (0..(segment_len / 2 + 1) * n_inputs * n_outputs)
+                .map(|_| Complex64::new(next(), next()))
+                .collect(),
+            usable_hz: [0.0, 50.0],
+            x_mean: vec![0.1; n_inputs],
+            y_mean: vec![-0.2; n_outputs],
+        };
+        let filter = frf.filter().unwrap();
+        for n in [1, 700, 2000, 7001] {
+            let channels = (0..n_inputs).map(|_| (0..n).map(|_| next()).collect()).collect();
+            let x = Signal::new(100.0, channels).unwrap();
+            let single = filter.apply_in_blocks(&x, 1).unwrap();
+            for at_once in 2..=4 {
+                assert!(
+                    filter.apply_in_blocks(&x, at_once).unwrap() == single,
+                    "{n} samples, {at_once} blocks"
+                );
+            }
+            assert!(filter.apply(&x).unwrap() == single);
+        }
+        // The first channel, and its first sample, wherever the blocks lie.
+        let mut channels = vec![vec![0.0; 7000]; n_inputs];
+        channels[2][1500..].fill(f64::MAX);
+        let x = Signal::new(100.0, channels).unwrap();
+        let error = filter.apply_in_blocks(&x, 1).unwrap_err();
+        assert_eq!(filter.apply_in_blocks(&x, 3).unwrap_err(), error);
+    }
 }

@@ -8,7 +8,7 @@ use super::estimate::{Means, solve};
 use super::lines::Lines;
 use super::{Estimator, FrfFilter, FrfSettings};
 use crate::progress::{Watch, report, within};
-use crate::spectral::{Record, cross_spectra};
+use crate::spectral::{PART_BYTES, PARTS, Record, cross_spectra};
 use crate::{EngineError, Signal};
 
 /// Ridges tried when none is given.
@@ -194,15 +194,37 @@ impl Search<'_> {
 
 /// Powers of two that leave [`ENOUGH_AVERAGES`] a drive and fit into memory.
 fn candidates(data: &Data<'_>, settings: &FrfSettings) -> Vec<usize> {
-    let per_line = data.n_inputs * (data.n_inputs + 2 * data.n_outputs) + data.n_outputs;
-    (0..usize::BITS - 1)
-        .map(|bit| 1_usize << bit)
-        .skip_while(|&len| len < SHORTEST)
-        .take_while(|&len| {
-            data.n_averages(&settings.welch(len)) >= ENOUGH_AVERAGES * data.n_inputs
-                && (len / 2 + 1).saturating_mul(16 * per_line) <= MAX_BYTES
-        })
-        .collect()
+    let averages = |len| data.n_averages(&settings.welch(len));
+    lengths(data.n_inputs, data.n_outputs, averages).collect()
+}
+
+fn lengths(
+    n_inputs: usize,
+    n_outputs: usize,
+    averages: impl Fn(usize) -> usize,
+) -> impl Iterator<Item = usize> {
+    (0..usize::BITS - 1).map(|bit| 1_usize << bit).skip_while(|&len| len < SHORTEST).take_while(move |&len| {
+        averages(len) >= ENOUGH_AVERAGES * n_inputs && matrix_bytes(n_inputs, n_outputs, len) <= MAX_BYTES
+    })
+}
+
+/// The spectral matrices of one estimate with segments of `len` samples.
+fn matrix_bytes(n_inputs: usize, n_outputs: usize, len: usize) -> usize {
+    let per_line = n_inputs * (n_inputs + 2 * n_outputs) + n_outputs;
+    (len / 2 + 1).saturating_mul(16 * per_line)
+}
+
+/// Memory of an estimate from runs of so many samples, the runs themselves left out: matrices of the longest segment as
+/// sums, as spectra, decomposed for two scalings, as `H` and as a filter, and the parts of the sums.
+pub fn estimate_bytes(settings: &FrfSettings, [n_inputs, n_outputs]: [usize; 2], runs: &[usize]) -> usize {
+    let averages = |len: usize| {
+        let welch = settings.welch(len);
+        runs.iter().map(|n| welch.n_segments(*n)).sum()
+    };
+    let longest =
+        settings.segment_len.or_else(|| lengths(n_inputs, n_outputs, averages).last()).unwrap_or(SHORTEST);
+    let matrices = matrix_bytes(n_inputs, n_outputs, longest);
+    matrices.saturating_mul(4).saturating_add(matrices.saturating_mul(PARTS).min(PART_BYTES))
 }
 
 /// Sums of squares per output over the held-out data of all runs.

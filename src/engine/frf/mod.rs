@@ -25,6 +25,7 @@ use realfft::num_complex::Complex64;
 use super::EngineError;
 
 pub use apply::FrfFilter;
+pub use choose::estimate_bytes;
 pub use data::RunPart;
 pub use estimate::{FrfEstimate, estimate, estimate_parts};
 pub use inverse::{DEFAULT_RIDGE, FrfInverse};

@@ -13,6 +13,7 @@ mod fit_network;
 mod fit_record;
 mod fit_report;
 mod kind;
+mod memory;
 #[cfg(test)]
 mod paper;
 mod predict;
@@ -46,6 +47,7 @@ pub use fit_record::{
 };
 pub use fit_report::{Comparison, FitReport, SeedReport};
 pub use kind::{ModelKind, VersionKind};
+pub use memory::FitSize;
 pub use predict::{Prediction, Predictor};
 pub use preprocess::Preprocess;
 pub use scaler::Scaler;

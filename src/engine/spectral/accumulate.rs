@@ -24,17 +24,24 @@ pub(super) struct Sums {
 
 /// Lines per tile: a tile of all channels stays in the first-level cache while all pairs are multiplied.
 const TILE: usize = 64;
-/// Segments whose products are added at a time, their sum in registers.
+/// Segments whose products are added at a time, their sum in registers: of few channels so many that their tiles stay in the
+/// first-level cache.
 const AT_ONCE: usize = 4;
+/// The same of many channels, whose tiles stay in the second-level cache: each reading of a sum then serves more segments.
+const AT_ONCE_OF_MANY: usize = 16;
+/// Channels above this are many.
+const FEW: usize = 16;
 /// Segments transformed before their products are added: the sums pass through the caches once per
 /// batch.
 const BATCH: usize = 16;
 /// Memory that the spectra of a batch may take; beyond it a batch has fewer segments.
 const BATCH_BYTES: usize = 1 << 23;
+/// The same where all threads share one batch.
+const SHARED_BATCH_BYTES: usize = 1 << 28;
 /// Parts that are summed independently; a constant, so that the result is the same for any thread count.
-const PARTS: usize = 8;
+pub(crate) const PARTS: usize = 8;
 /// Memory that the parts' sums may take; beyond it there are fewer parts.
-const PART_BYTES: usize = 1 << 28;
+pub(crate) const PART_BYTES: usize = 1 << 28;
 
 /// Averages the products of `pairs` over all whole segments of all runs, `offsets` (one a channel)
 /// subtracted first.
@@ -67,18 +74,17 @@ pub(super) fn accumulate(
     let bytes = size_of::<Tile>() * pairs.len() * tiles;
     let parts = PARTS.min(PART_BYTES / bytes.max(1)).clamp(1, segments.len());
     let bound = |part: usize| part * segments.len() / parts;
-    let sums: Vec<Vec<Tile>> =
-        (0..parts).into_par_iter().map(|p| averaging.sum(&segments[bound(p)..bound(p + 1)])).collect();
-
-    let mut sums = sums.into_iter();
-    let mut total = sums.next().expect("at least one part");
-    for part in sums {
-        for (total, part) in
-            total.as_flattened_mut().as_flattened_mut().iter_mut().zip(part.as_flattened().as_flattened())
-        {
-            *total += part;
-        }
-    }
+    let part = |p: usize| &segments[bound(p)..bound(p + 1)];
+    // Sums too large for each part to have its own: all threads work on one part after the other.
+    let total = if PARTS.saturating_mul(bytes) > PART_BYTES {
+        let mut sums = (0..parts).map(|p| averaging.sum(part(p), Threads::All));
+        let first = sums.next().expect("at least one part");
+        sums.fold(first, added)
+    } else {
+        let sums: Vec<Vec<Tile>> =
+            (0..parts).into_par_iter().map(|p| averaging.sum(part(p), Threads::One)).collect();
+        sums.into_iter().reduce(added).expect("at least one part")
+    };
     let lines = |pair: usize, part: usize| -> Vec<f64> {
         let tiles = total.iter().skip(pair).step_by(pairs.len());
         tiles.flat_map(|tile| tile[part]).take(welch.n_lines()).collect()
@@ -101,11 +107,30 @@ pub(super) fn accumulate(
     Ok(Sums { re, im, df_hz: sample_rate_hz / len as f64, n_averages: segments.len(), effective_averages })
 }
 
+/// The sums of both, number by number.
+fn added(mut total: Vec<Tile>, part: Vec<Tile>) -> Vec<Tile> {
+    let part = part.as_flattened().as_flattened();
+    for (total, part) in total.as_flattened_mut().as_flattened_mut().iter_mut().zip(part) {
+        *total += part;
+    }
+    total
+}
+
+/// The threads that work on one part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Threads {
+    One,
+    All,
+}
+
+/// Spectra of a batch, by segment `[tile, channel]`.
+type Batch = Vec<Vec<Tile>>;
+
 struct Averaging<'a> {
     isa: Isa,
     /// Memory of finished parts, reused by the next ones: the kernel takes as long to provide new memory as
     /// the sums take.
-    spare: Mutex<Vec<Vec<Tile>>>,
+    spare: Mutex<Vec<Batch>>,
     runs: &'a [Source<'a>],
     offsets: &'a [f64],
     welch: &'a Welch,
@@ -114,40 +139,73 @@ struct Averaging<'a> {
     fft: Arc<dyn RealToComplex<f64>>,
 }
 
+/// Input, output and scratch of a transform.
+type Buffers = (Vec<f64>, Vec<Complex64>, Vec<Complex64>);
+
 /// Real and imaginary parts of some lines; beyond the last line anything finite.
 type Tile = [[f64; TILE]; 2];
 
 impl Averaging<'_> {
-    /// Sums over `segments`, `[tile, pair]`.
-    fn sum(&self, segments: &[(usize, usize)]) -> Vec<Tile> {
+    /// Sums over `segments`, `[tile, pair]`. Segments are added one after another, whatever the batch and the threads.
+    fn sum(&self, segments: &[(usize, usize)], threads: Threads) -> Vec<Tile> {
         let (tiles, channels) = (self.welch.n_lines().div_ceil(TILE), self.offsets.len());
-        let fft = &self.fft;
-        let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
-        let mut scratch = fft.make_scratch_vec();
         let per_segment = tiles * channels * size_of::<Tile>();
-        let batch_len = BATCH.min(BATCH_BYTES / per_segment.max(1)).clamp(1, segments.len());
-        // [tile, segment, channel]; the values of the last part are overwritten.
+        let bytes = if threads == Threads::All { SHARED_BATCH_BYTES } else { BATCH_BYTES };
+        let batch_len = BATCH.min(bytes / per_segment.max(1)).clamp(1, segments.len());
+        // The values of the last part are overwritten.
         let mut spectra = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-        spectra.resize(tiles * batch_len * channels, [[0.0; TILE]; 2]);
+        spectra.resize(batch_len, Vec::new());
+        spectra.iter_mut().for_each(|spectra| spectra.resize(tiles * channels, [[0.0; TILE]; 2]));
         let mut sums = vec![[[0.0; TILE]; 2]; tiles * self.pairs.len()];
+        let mut buffers = self.buffers();
         for batch in segments.chunks(batch_len) {
-            for (b, &(run, start)) in batch.iter().enumerate() {
-                for (c, samples) in self.runs[run].iter().enumerate() {
-                    self.window_segment(&samples[start..start + input.len()], self.offsets[c], &mut input);
-                    fft.process_with_scratch(&mut input, &mut output, &mut scratch)
-                        .expect("buffers are the plan's own");
-                    let tiles = spectra.iter_mut().skip(b * channels + c).step_by(batch_len * channels);
-                    dispatch(self.isa, Halves { spectrum: &output, tiles });
+            let spectra = &mut spectra[..batch.len()];
+            match threads {
+                Threads::One => {
+                    spectra
+                        .iter_mut()
+                        .zip(batch)
+                        .for_each(|(s, segment)| self.transform(segment, s, &mut buffers));
                 }
+                Threads::All => spectra.par_iter_mut().zip(batch).for_each_init(
+                    || self.buffers(),
+                    |buffers, (spectra, segment)| self.transform(segment, spectra, buffers),
+                ),
             }
-            let tiles = spectra.chunks(batch_len * channels).zip(sums.chunks_mut(self.pairs.len()));
-            for (spectra, sums) in tiles {
-                let spectra = &spectra[..batch.len() * channels];
-                dispatch(self.isa, AddProducts { spectra, channels, pairs: self.pairs, sums });
+            let spectra = &*spectra;
+            let add = |(tile, sums): (usize, &mut [Tile])| {
+                let products = AddProducts { spectra, first: tile * channels, pairs: self.pairs, sums };
+                dispatch(self.isa, products);
+            };
+            let n = self.pairs.len();
+            match threads {
+                Threads::One => sums.chunks_mut(n).enumerate().for_each(add),
+                Threads::All => sums.par_chunks_mut(n).enumerate().for_each(add),
             }
         }
         self.spare.lock().unwrap_or_else(PoisonError::into_inner).push(spectra);
         sums
+    }
+
+    fn buffers(&self) -> Buffers {
+        let fft = &self.fft;
+        (fft.make_input_vec(), fft.make_output_vec(), fft.make_scratch_vec())
+    }
+
+    /// The spectra of all channels over one segment.
+    fn transform(
+        &self,
+        &(run, start): &(usize, usize),
+        spectra: &mut [Tile],
+        (input, output, scratch): &mut Buffers,
+    ) {
+        let channels = self.offsets.len();
+        for (c, samples) in self.runs[run].iter().enumerate() {
+            self.window_segment(&samples[start..start + input.len()], self.offsets[c], input);
+            self.fft.process_with_scratch(input, output, scratch).expect("buffers are the plan's own");
+            let tiles = spectra.iter_mut().skip(c).step_by(channels);
+            dispatch(self.isa, Halves { spectrum: output, tiles });
+        }
     }
 
     fn window_segment(&self, samples: &[f64], offset: f64, out: &mut [f64]) {
@@ -203,9 +261,9 @@ impl<'a, T: Iterator<Item = &'a mut Tile>> Kernel for Halves<'_, T> {
 
 /// Adds the products of all pairs over the segments of a batch, for the lines of a tile.
 struct AddProducts<'a> {
-    /// `[segment, channel]`
-    spectra: &'a [Tile],
-    channels: usize,
+    spectra: &'a [Vec<Tile>],
+    /// Place of the tile's first channel in the spectra of each segment.
+    first: usize,
     pairs: &'a [(usize, usize)],
     /// `[pair]`
     sums: &'a mut [Tile],
@@ -217,20 +275,33 @@ impl Kernel for AddProducts<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Self { spectra, channels, pairs, sums } = self;
-        let mut segments = spectra.chunks_exact(AT_ONCE * channels);
-        for segments in &mut segments {
-            for (sum, &(a, b)) in sums.iter_mut().zip(pairs) {
-                let tile = |c: usize| std::array::from_fn(|k| &segments[k * channels + c]);
-                add_products::<AT_ONCE>(sum, tile(a), tile(b));
-            }
+        let Self { mut spectra, first, pairs, sums } = self;
+        // As many segments at once as there are; the rest with ever fewer.
+        let channels = pairs.iter().map(|(a, b)| a.max(b) + 1).max().unwrap_or(0);
+        if channels > FEW {
+            spectra = add_all::<AT_ONCE_OF_MANY>(spectra, first, pairs, sums);
         }
-        for segment in segments.remainder().chunks_exact(channels) {
-            for (sum, &(a, b)) in sums.iter_mut().zip(pairs) {
-                add_products(sum, [&segment[a]], [&segment[b]]);
-            }
+        spectra = add_all::<AT_ONCE>(spectra, first, pairs, sums);
+        add_all::<1>(spectra, first, pairs, sums);
+    }
+}
+
+/// Adds the products of all pairs over whole groups of `N` segments; answers the other segments.
+#[inline(always)]
+fn add_all<'a, const N: usize>(
+    spectra: &'a [Vec<Tile>],
+    first: usize,
+    pairs: &[(usize, usize)],
+    sums: &mut [Tile],
+) -> &'a [Vec<Tile>] {
+    let (groups, rest) = spectra.as_chunks::<N>();
+    for segments in groups {
+        for (sum, &(a, b)) in sums.iter_mut().zip(pairs) {
+            let tile = |c: usize| std::array::from_fn(|k| &segments[k][first + c]);
+            add_products::<N>(sum, tile(a), tile(b));
         }
     }
+    rest
 }
 
 /// `sum += A * conj(B)` over `N` segments, one after another.
@@ -244,5 +315,65 @@ fn add_products<const N: usize>([sum_re, sum_im]: &mut Tile, a: [&Tile; N], b: [
             im += ai[i] * br[i] - ar[i] * bi[i];
         }
         (sum_re[i], sum_im[i]) = (re, im);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pseudo-random samples (a 64-bit linear congruential generator).
+    fn noise(seed: u64, n: usize) -> Vec<f64> {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        (0..n).map(|_| next()).collect()
+    }
+
+    #[test]
+    fn sums_are_bit_equal_to_products_added_one_after_another_whatever_the_batch_and_the_threads() {
+        let welch = Welch { segment_len: 300, overlap: 0.5, detrend: Detrend::None };
+        for (channels, n_segments) in [(3, 7), (9, 37), (20, 3), (20, 37)] {
+            let samples: Vec<Vec<f64>> =
+                (0..channels as u64).map(|c| noise(c, 150 * (n_segments + 1))).collect();
+            let runs = [samples.iter().map(Vec::as_slice).collect()];
+            let offsets: Vec<f64> = (0..channels).map(|c| 0.01 * c as f64).collect();
+            let pairs: Vec<(usize, usize)> =
+                (0..channels).flat_map(|a| (a..channels).map(move |b| (b, a))).collect();
+            let segments: Vec<(usize, usize)> = (0..n_segments).map(|k| (0, 150 * k)).collect();
+            for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
+                let averaging = Averaging {
+                    isa,
+                    spare: Mutex::new(Vec::new()),
+                    runs: &runs,
+                    offsets: &offsets,
+                    welch: &welch,
+                    pairs: &pairs,
+                    window: &hann(300),
+                    fft: RealFftPlanner::new().plan_fft_forward(300),
+                };
+                let tiles = welch.n_lines().div_ceil(TILE);
+                let mut expected = vec![[[0.0; TILE]; 2]; tiles * pairs.len()];
+                let mut spectra = vec![[[0.0; TILE]; 2]; tiles * channels];
+                for segment in &segments {
+                    averaging.transform(segment, &mut spectra, &mut averaging.buffers());
+                    for (place, [re, im]) in expected.iter_mut().enumerate() {
+                        let (a, b) = pairs[place % pairs.len()];
+                        let tile = |c: usize| &spectra[place / pairs.len() * channels + c];
+                        let ([ar, ai], [br, bi]) = (tile(a), tile(b));
+                        for i in 0..TILE {
+                            re[i] += ar[i] * br[i] + ai[i] * bi[i];
+                            im[i] += ai[i] * br[i] - ar[i] * bi[i];
+                        }
+                    }
+                }
+                for threads in [Threads::One, Threads::All] {
+                    let found = averaging.sum(&segments, threads);
+                    assert!(found == expected, "{channels} channels, {n_segments} segments, {threads:?}");
+                }
+            }
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! Auto and cross spectra between the inputs and the outputs of a system.
 
+use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 
 use super::accumulate::{Source, accumulate};
@@ -72,18 +73,21 @@ pub(crate) fn cross_spectra(
         syx: vec![Complex64::default(); lines * ny * nx],
         syy: vec![0.0; lines * ny],
     };
-    for (pair, &(a, b)) in pairs.iter().enumerate() {
-        for line in 0..lines {
-            let z = Complex64::new(sums.re[pair][line], sums.im[pair][line]);
+    // Line by line: what is read next of each pair lies in the caches then.
+    let of_line = |(line, ((sxx, syx), syy)): (usize, ((&mut [Complex64], &mut [Complex64]), &mut [f64]))| {
+        for ((re, im), &(a, b)) in sums.re.iter().zip(&sums.im).zip(&pairs) {
+            let z = Complex64::new(re[line], im[line]);
             if a < nx {
-                spectra.sxx[(line * nx + a) * nx + b] = z;
-                spectra.sxx[(line * nx + b) * nx + a] = z.conj();
+                sxx[a * nx + b] = z;
+                sxx[b * nx + a] = z.conj();
             } else if b < nx {
-                spectra.syx[(line * ny + a - nx) * nx + b] = z;
+                syx[(a - nx) * nx + b] = z;
             } else {
-                spectra.syy[line * ny + a - nx] = z.re;
+                syy[a - nx] = z.re;
             }
         }
-    }
+    };
+    let matrices = spectra.sxx.par_chunks_mut(nx * nx).zip(spectra.syx.par_chunks_mut(ny * nx));
+    matrices.zip(spectra.syy.par_chunks_mut(ny)).enumerate().with_min_len(64).for_each(of_line);
     Ok(spectra)
 }

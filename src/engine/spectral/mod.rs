@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 use super::{EngineError, Signal};
 use accumulate::accumulate;
 
+pub(crate) use accumulate::{PART_BYTES, PARTS};
+
 pub use cross::CrossSpectra;
 pub(crate) use cross::{Means, Record, cross_spectra};
 

@@ -233,6 +233,18 @@ impl Object {
         &mut self.text
     }
 
+    /// Adds the fields of another object behind those of this one.
+    pub fn append(&mut self, other: Self) {
+        if !other.begun {
+            return;
+        }
+        if std::mem::replace(&mut self.begun, true) {
+            self.text.push(b',');
+        }
+        // Without its opening brace.
+        self.text.extend_from_slice(&other.text[1..]);
+    }
+
     /// The text, or what of it was not taken.
     pub fn finish(mut self) -> Vec<u8> {
         self.text.push(b'}');

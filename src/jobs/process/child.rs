@@ -76,6 +76,7 @@ async fn make(begin: Begin, control: Arc<Control>) -> Result<JobOutput, JobError
         compute,
         fit: crate::engine::model::fit_resumable,
         checkpoint_every: begin.checkpoint_every,
+        memory_bytes: begin.memory_bytes,
     };
     context.make(&begin.spec, &control).await
 }

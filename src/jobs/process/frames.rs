@@ -30,6 +30,7 @@ pub(in crate::jobs) struct Begin {
     pub data_dir: PathBuf,
     pub spec: JobSpec,
     pub checkpoint_every: Duration,
+    pub memory_bytes: u64,
 }
 
 /// From the worker to the server.

@@ -105,8 +105,30 @@ pub(super) fn out_of_memory_kills() -> Option<u64> {
     text.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
 }
 
+/// Memory that a further process can take: what the machine has left, and what the control group has, of which caches of files
+/// give way. Unknown where there is no `/proc`.
+pub(in crate::jobs) fn available_memory_bytes() -> Option<u64> {
+    let machine =
+        std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| kib_of(&text, "MemAvailable:"));
+    let read = |name: &str| std::fs::read_to_string(format!("/sys/fs/cgroup/{name}")).ok();
+    let group = group_left(
+        &read("memory.max").unwrap_or_default(),
+        &read("memory.current").unwrap_or_default(),
+        &read("memory.stat").unwrap_or_default(),
+    );
+    machine.into_iter().chain(group).min()
+}
+
+/// What a control group has left; none without a limit.
+fn group_left(max: &str, current: &str, stat: &str) -> Option<u64> {
+    let max: u64 = max.trim().parse().ok()?;
+    let current: u64 = current.trim().parse().ok()?;
+    let files = stat.lines().find_map(|line| line.strip_prefix("inactive_file ")?.trim().parse().ok());
+    Some(max.saturating_sub(current.saturating_sub(files.unwrap_or(0))))
+}
+
 /// Three quarters of the memory of this machine or control group, shared by `workers`.
-pub(super) fn default_memory_bytes(workers: usize) -> u64 {
+pub(in crate::jobs) fn default_memory_bytes(workers: usize) -> u64 {
     let machine = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| kib_of(&text, "MemTotal:"));
     let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
     let group = group.and_then(|text| text.trim().parse::<u64>().ok());
@@ -158,5 +180,11 @@ mod tests {
         assert_eq!(kib_of("Name:\tx\nVmRSS:\t  12 kB\n", "VmRSS:"), Some(12 << 10));
         assert_eq!(kib_of("Name:\tx\n", "VmRSS:"), None);
         assert!(default_memory_bytes(1) >= 2 * default_memory_bytes(2));
+        assert_eq!(group_left("max\n", "5\n", "inactive_file 3\n"), None);
+        assert_eq!(group_left("100\n", "50\n", "anon 40\ninactive_file 10\n"), Some(60));
+        assert_eq!(group_left("100\n", "150\n", ""), Some(0));
+        if cfg!(target_os = "linux") {
+            assert!(available_memory_bytes().unwrap() > 0);
+        }
     }
 }

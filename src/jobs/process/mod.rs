@@ -33,6 +33,7 @@ use limits::{Cut, Watch, out_of_memory_kills};
 
 pub use child::{WorkError, work};
 pub(super) use frames::Begin;
+pub(super) use limits::{available_memory_bytes, default_memory_bytes};
 
 /// How often a worker is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(100);

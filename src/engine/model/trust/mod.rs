@@ -4,6 +4,7 @@
 mod band;
 mod beyond;
 mod joint;
+mod levels;
 mod local;
 mod range;
 mod response;

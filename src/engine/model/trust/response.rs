@@ -3,25 +3,16 @@
 
 use std::ops::Range;
 
-use realfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
 use super::beyond::{Beyond, Way, join};
-use super::short_time::WindowOfInputs;
-use crate::frf::Frf;
-use crate::model::RigModel;
+use super::levels::Level;
 
 /// The level over a window may exceed the largest of the training by this factor: that of few windows is uncertain.
 const LEVEL_SLACK: f64 = 1.1;
 
 /// Means may leave those of the training by this share of half the range that means and level span together.
 const MEAN_SLACK: f64 = 0.05;
-
-/// Lines that hold a tone in a Hann window.
-const TONE_LINES: usize = 3;
-
-/// First line of a tone: below, a drive that passes from one mean to the next within a window has power too.
-const TONE_FROM: usize = 5;
 
 /// A tone may exceed the largest of the training by this factor: the lines of noise scatter widely, and those of a load with a hump
 /// more widely still.
@@ -41,125 +32,6 @@ pub struct WindowRange {
     pub max_rate: f64,
     /// Largest RMS within three adjacent lines of a window, from the fifth on, channel unit.
     pub max_tone: f64,
-}
-
-/// Mean, RMS about it, RMS of the rate and largest RMS of a tone, of an output.
-pub(super) type Level = [f64; 4];
-
-/// Sums of the squares of an output's lines.
-#[derive(Debug, Clone, Default)]
-struct Sums {
-    power: f64,
-    rate: f64,
-    /// The largest of adjacent lines.
-    tone: f64,
-    /// The squares of the last lines, of those of a tone.
-    last: [f64; TONE_LINES],
-}
-
-impl Sums {
-    /// Adds a line at the square of an angular frequency.
-    fn add(&mut self, line: usize, square: f64, omega_squared: f64) {
-        self.power += square;
-        self.rate += omega_squared * square;
-        if line < TONE_FROM {
-            return;
-        }
-        self.last.rotate_left(1);
-        self.last[TONE_LINES - 1] = square;
-        self.tone = self.tone.max(self.last.iter().sum());
-    }
-}
-
-/// An FRF on the lines of windows.
-#[derive(Clone)]
-pub(super) struct LinearLevels {
-    n_inputs: usize,
-    n_outputs: usize,
-    /// First of the lines, those below which it is zero left out.
-    first: usize,
-    /// `[line - first, output, input]`.
-    h: Vec<Complex64>,
-    /// At rest, `[output, input]`.
-    gain: Vec<f64>,
-    x_mean: Vec<f64>,
-    y_mean: Vec<f64>,
-    /// Distance of lines, rad/s.
-    step: f64,
-}
-
-impl LinearLevels {
-    /// That of a model over windows of so many samples: of its FRF, or of an FRF of one that hands each input on.
-    pub fn new(model: &RigModel, window: usize) -> Self {
-        match &model.frf {
-            Some(frf) => Self::of_frf(frf, window),
-            None => Self::of_inputs(model.inputs.len(), model.sample_rate_hz, window),
-        }
-    }
-
-    fn of_inputs(n: usize, sample_rate_hz: f64, window: usize) -> Self {
-        let one = |place: usize| if place / n == place % n { 1.0 } else { 0.0 };
-        Self {
-            n_inputs: n,
-            n_outputs: n,
-            first: 1,
-            h: (0..window / 2 * n * n).map(|place| Complex64::from(one(place % (n * n)))).collect(),
-            gain: (0..n * n).map(one).collect(),
-            x_mean: vec![0.0; n],
-            y_mean: vec![0.0; n],
-            step: std::f64::consts::TAU * sample_rate_hz / window as f64,
-        }
-    }
-
-    fn of_frf(frf: &Frf, window: usize) -> Self {
-        let df = frf.sample_rate_hz / window as f64;
-        let at = |hz: f64, output: usize, input: usize| {
-            let place = hz / frf.df_hz();
-            let line = (place.floor() as usize).min(frf.n_lines() - 1);
-            let share = place - line as f64;
-            let next = (line + 1).min(frf.n_lines() - 1);
-            frf.at(line, output, input) * (1.0 - share) + frf.at(next, output, input) * share
-        };
-        let [from, to] = frf.usable_hz;
-        let first = ((from / df).floor() as usize).max(1);
-        let last = ((to / df).ceil() as usize).min(window / 2);
-        let pairs = || (0..frf.n_outputs).flat_map(|o| (0..frf.n_inputs).map(move |i| (o, i)));
-        let of_line = |line: usize| pairs().map(move |(o, i)| at(line as f64 * df, o, i));
-        Self {
-            n_inputs: frf.n_inputs,
-            n_outputs: frf.n_outputs,
-            first,
-            h: (first..=last).flat_map(of_line).collect(),
-            gain: pairs().map(|(o, i)| frf.at(0, o, i).re).collect(),
-            x_mean: frf.x_mean.clone(),
-            y_mean: frf.y_mean.clone(),
-            step: std::f64::consts::TAU * df,
-        }
-    }
-
-    /// The levels of all outputs over one window.
-    pub fn of(&self, window: &WindowOfInputs<'_>) -> Vec<Level> {
-        let mut sums = vec![Sums::default(); self.n_outputs];
-        for (k, h) in self.h.chunks_exact(self.n_outputs * self.n_inputs).enumerate() {
-            let line = self.first + k;
-            let omega = (self.step * line as f64).powi(2);
-            for (of_input, sums) in h.chunks_exact(self.n_inputs).zip(&mut sums) {
-                let y: Complex64 = of_input.iter().zip(window.lines).map(|(h, x)| h * x[line]).sum();
-                sums.add(line, y.norm_sqr(), omega);
-            }
-        }
-        let mean = |output: usize| {
-            let gain = &self.gain[output * self.n_inputs..(output + 1) * self.n_inputs];
-            let moved =
-                gain.iter().zip(window.means.iter().zip(&self.x_mean)).map(|(g, (x, mean))| g * (x - mean));
-            self.y_mean[output] + moved.sum::<f64>()
-        };
-        let level = |(output, sums): (usize, &Sums)| {
-            let rms = |squares| window.mean_square(squares).sqrt();
-            [mean(output), rms(sums.power), rms(sums.rate), rms(sums.tone)]
-        };
-        sums.iter().enumerate().map(level).collect()
-    }
 }
 
 impl WindowRange {
@@ -213,12 +85,15 @@ pub(super) fn find(ranges: &[WindowRange], windows: &[(Range<usize>, Vec<Level>)
 
 #[cfg(test)]
 mod tests {
+    use realfft::num_complex::Complex64;
+
     use super::*;
     use crate::frf::Frf;
     use crate::model::tests::made_up;
+    use crate::model::trust::levels::LinearLevels;
     use crate::model::trust::short_time::ShortTime;
     use crate::model::trust::watch::of_training;
-    use crate::model::{InputRange, ModelKind};
+    use crate::model::{InputRange, ModelKind, RigModel};
 
     const RATE: f64 = 1000.0;
 
@@ -254,7 +129,7 @@ mod tests {
     fn ways(model: &RigModel, ranges: &[WindowRange], inputs: [&[f64]; 2]) -> Vec<Way> {
         let fft = ShortTime::new(ranges[0].window);
         let levels = LinearLevels::new(model, fft.len());
-        let found = find(ranges, &fft.each(&inputs, |window| levels.of(window)));
+        let found = find(ranges, &fft.each_batch(&inputs, |windows| levels.of(windows)));
         found.iter().map(|(_, beyond)| beyond.way).collect()
     }
 

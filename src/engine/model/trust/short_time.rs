@@ -9,6 +9,9 @@ use rigcast_numerics::fft::{RealFftPlanner, RealToComplex};
 
 use crate::spectral::hann;
 
+/// Windows that are looked at together at most: an FRF of many channels is then read once for all of them.
+const AT_ONCE: usize = 16;
+
 /// Hann windows of one length and their transform.
 #[derive(Clone)]
 pub(super) struct ShortTime {
@@ -59,37 +62,63 @@ impl ShortTime {
 
     /// What `of` finds in each window of the inputs, equally long, with the samples that the window speaks for: its
     /// middle half, and at either end all. None where the inputs are shorter than a window.
+    #[cfg(test)]
     pub fn each<T: Send>(
         &self,
         inputs: &[&[f64]],
         of: impl Fn(&WindowOfInputs<'_>) -> T + Sync,
+    ) -> Vec<(Range<usize>, T)> {
+        self.each_batch(inputs, |windows| windows.iter().map(&of).collect())
+    }
+
+    /// The same where `of` looks at neighbouring windows together, and finds one thing in each. How many there are
+    /// depends on the number of threads.
+    pub fn each_batch<T: Send>(
+        &self,
+        inputs: &[&[f64]],
+        of: impl Fn(&[WindowOfInputs<'_>]) -> Vec<T> + Sync,
     ) -> Vec<(Range<usize>, T)> {
         let (n, len) = (inputs.first().map_or(0, |input| input.len()), self.len());
         if n < len {
             return Vec::new();
         }
         let starts: Vec<usize> = (0..n - len).step_by(len / 2).chain([n - len]).collect();
+        let at_once = AT_ONCE.min(starts.len().div_ceil(rayon::current_num_threads())).max(1);
         let scratch = || {
-            let lines = vec![self.fft.make_output_vec(); inputs.len()];
-            (self.fft.make_input_vec(), lines, vec![0.0; inputs.len()], self.fft.make_scratch_vec())
+            let lines = vec![vec![self.fft.make_output_vec(); inputs.len()]; at_once];
+            let means = vec![vec![0.0; inputs.len()]; at_once];
+            (self.fft.make_input_vec(), lines, means, self.fft.make_scratch_vec())
         };
-        starts
-            .par_iter()
-            .enumerate()
-            .map_init(scratch, |(time, lines, means, scratch), (k, &start)| {
-                for ((input, lines), mean) in inputs.iter().zip(&mut *lines).zip(&mut *means) {
-                    let segment = &input[start..start + len];
-                    *mean = segment.iter().sum::<f64>() / len as f64;
-                    for ((t, v), w) in time.iter_mut().zip(segment).zip(&self.window) {
-                        *t = (v - *mean) * w;
+        let ends: Vec<usize> = starts[1..].iter().map(|next| next + len / 4).chain([n]).collect();
+        let found: Vec<Vec<(Range<usize>, T)>> = starts
+            .par_chunks(at_once)
+            .zip(ends.par_chunks(at_once))
+            .map_init(scratch, |(time, lines, means, scratch), (starts, ends)| {
+                for ((&start, lines), means) in starts.iter().zip(&mut *lines).zip(&mut *means) {
+                    for ((input, lines), mean) in inputs.iter().zip(lines).zip(means) {
+                        let segment = &input[start..start + len];
+                        *mean = segment.iter().sum::<f64>() / len as f64;
+                        for ((t, v), w) in time.iter_mut().zip(segment).zip(&self.window) {
+                            *t = (v - *mean) * w;
+                        }
+                        self.fft
+                            .process_with_scratch(time, lines, scratch)
+                            .expect("buffers are the plan's own");
                     }
-                    self.fft.process_with_scratch(time, lines, scratch).expect("buffers are the plan's own");
                 }
-                let from = if k == 0 { 0 } else { start + len / 4 };
-                let to = starts.get(k + 1).map_or(n, |next| next + len / 4);
-                (from..to, of(&WindowOfInputs { lines, means, scale: self.scale }))
+                let window = |(lines, means)| WindowOfInputs { lines, means, scale: self.scale };
+                let windows: Vec<WindowOfInputs<'_>> = lines
+                    .iter()
+                    .map(Vec::as_slice)
+                    .zip(means.iter().map(Vec::as_slice))
+                    .map(window)
+                    .collect();
+                let from = |start: usize| if start == 0 { 0 } else { start + len / 4 };
+                let spans = starts.iter().zip(ends).map(|(start, end)| from(*start)..*end);
+                spans.zip(of(&windows[..starts.len()])).collect()
             })
-            .collect()
+            .collect();
+        found.into_iter().flatten().collect()
     }
 }
 

@@ -5,8 +5,9 @@ use std::ops::Range;
 use super::band::{self, Bands, OutOfBand, WINDOW_LEN, window_len};
 use super::beyond::Beyond;
 use super::joint::{self, Apart, Distance, JointRange};
-use super::response::{self, LinearLevels, WindowRange};
-use super::short_time::ShortTime;
+use super::levels::LinearLevels;
+use super::response::{self, WindowRange};
+use super::short_time::{ShortTime, WindowOfInputs};
 use crate::Signal;
 use crate::model::RigModel;
 
@@ -64,9 +65,13 @@ impl SpectrumWatch {
         };
         let inputs: Vec<&[f64]> = x.channels().iter().map(Vec::as_slice).collect();
         let (mut powers, mut of_levels, mut distances) = (Vec::new(), Vec::new(), Vec::new());
-        for (samples, (power, level, distance)) in fft.each(&inputs, |window| {
-            let level = levels.map(|levels| levels.of(window));
-            (bands.of(window), level, distance.map(|distance| distance.of(window.means)))
+        for (samples, (power, level, distance)) in fft.each_batch(&inputs, |windows| {
+            let mut levels = levels.map(|levels| levels.of(windows).into_iter());
+            let of_window = |window: &WindowOfInputs<'_>| {
+                let level = levels.as_mut().and_then(Iterator::next);
+                (bands.of(window), level, distance.map(|distance| distance.of(window.means)))
+            };
+            windows.iter().map(of_window).collect()
         }) {
             of_levels.extend(level.map(|level| (samples.clone(), level)));
             distances.extend(distance.map(|distance| (samples.clone(), distance)));
@@ -96,7 +101,12 @@ pub(in crate::model) fn of_training(
 ) -> (Vec<WindowRange>, Option<JointRange>) {
     let (fft, _) = windows(model);
     let linear = LinearLevels::new(model, fft.len());
-    let of_part = |part: &Vec<&[f64]>| fft.each(part, |window| (linear.of(window), window.means.to_vec()));
+    let of_part = |part: &Vec<&[f64]>| {
+        fft.each_batch(part, |windows| {
+            let means = windows.iter().map(|window| window.means.to_vec());
+            linear.of(windows).into_iter().zip(means).collect()
+        })
+    };
     let (levels, means): (Vec<_>, Vec<_>) = parts.iter().flat_map(of_part).map(|(_, found)| found).unzip();
     (WindowRange::of_windows(fft.len(), &levels), JointRange::of_windows(fft.len(), &model.range, &means))
 }

@@ -52,15 +52,26 @@ impl Setting<'_> {
         let model = self.loaded.model();
         let Predicted { response, half_width, trust, fallback } = predicted;
         let outputs = &model.outputs;
-        if self.include.damage {
+        let target = self.target.as_ref();
+        // Side by side: Multi-Rain alone keeps all threads busy, but not from its first direction to its last.
+        let damage = || {
             self.deadline.check()?;
-            let report = damages(self.rig, outputs, response, self.target.as_ref(), &self.damage)?;
-            let preprocess = if self.target.is_some() { model.preprocess } else { Preprocess::default() };
+            damages(self.rig, outputs, response, target, &self.damage)
+        };
+        let errors = |target| {
+            self.deadline.check()?;
+            distances(outputs, response, target, model.preprocess)
+        };
+        let (damage, errors) = rayon::join(
+            || self.include.damage.then(damage).transpose(),
+            || target.filter(|_| self.include.errors).map(errors).transpose(),
+        );
+        if let Some(report) = damage? {
+            let preprocess = if target.is_some() { model.preprocess } else { Preprocess::default() };
             answer.add("damage", &DamageAnswer { report, preprocess })?;
         }
-        if let Some(target) = self.target.as_ref().filter(|_| self.include.errors) {
-            self.deadline.check()?;
-            answer.add("errors", &distances(outputs, response, target, model.preprocess)?)?;
+        if let Some(report) = errors? {
+            answer.add("errors", &report)?;
         }
         if self.include.trust {
             let known = !model.range.is_empty();

@@ -32,15 +32,24 @@ pub(super) fn write(
     let mut answer = Object::new();
     setting.add_model(&mut answer)?;
     let mut before = None;
+    let mut figures = Object::new();
     if setting.include.response {
         let text = answer.field("response");
         if response.n_samples() * outputs.len() <= WRITTEN_AT_ONCE {
-            write_json(text, outputs, response);
+            // The figures are counted while the response is written.
+            let ((), counted) = rayon::join(
+                || write_json(text, outputs, response),
+                || setting.add_figures(&mut figures, &predicted),
+            );
+            counted?;
         } else {
+            setting.add_figures(&mut figures, &predicted)?;
             before = Some(std::mem::take(text));
         }
+    } else {
+        setting.add_figures(&mut figures, &predicted)?;
     }
-    setting.add_figures(&mut answer, &predicted)?;
+    answer.append(figures);
     let response = predicted.response;
     let written = match before {
         None => Written::Whole(answer.finish()),
