@@ -151,7 +151,7 @@ fn failure(problem: Option<&Problem>) -> Markup {
                     p { (sentence(&problem.detail)) }
                     @for error in &problem.errors {
                         @if let Some(limit) = error.limit.as_ref().filter(|limit| !problem.detail.contains(limit.as_str())) {
-                            p { @if let Some(channel) = &error.channel { (clamped(&channel)) ": " } (limit) }
+                            p { @if let Some(channel) = &error.channel { (clamped(channel)) ": " } (limit) }
                         }
                     }
                     p.soft { (problem.title) " (" (problem.code) ")" }

@@ -130,7 +130,7 @@ fn errors(report: &ModelReport<'_>) -> Markup {
         div.scroll { table.figures {
             thead { tr { th.text { "Output" } th { "RMS error" } } }
             tbody { @for error in errors { tr {
-                td.text { (clamped(&error.channel)) }
+                td.text { (clamped(error.channel)) }
                 td { @match error.rms { Some(rms) => (percent(rms)), None => "measured zero" } }
             } } }
         } }
@@ -273,7 +273,7 @@ fn coverage(report: &ModelReport<'_>) -> Markup {
             tbody { @for input in coverage {
                 @let of = input.coverage;
                 tr {
-                    td.text { (clamped(&input.channel)) }
+                    td.text { (clamped(input.channel)) }
                     td { (number(of.min)) } td { (number(of.max)) } td { (number(of.rms)) }
                     td { (number(of.rate[0])) " to " (number(of.rate[1])) }
                     td { @match of.band_hz { Some([from, to]) => { (number(from)) " to " (number(to)) }, None => "does not move" } }

@@ -74,7 +74,9 @@ pub(crate) fn cross_spectra(
         syy: vec![0.0; lines * ny],
     };
     // Line by line: what is read next of each pair lies in the caches then.
-    let of_line = |(line, ((sxx, syx), syy)): (usize, ((&mut [Complex64], &mut [Complex64]), &mut [f64]))| {
+    let matrices = spectra.sxx.par_chunks_mut(nx * nx).zip(spectra.syx.par_chunks_mut(ny * nx));
+    let lines = matrices.zip(spectra.syy.par_chunks_mut(ny)).enumerate().with_min_len(64);
+    lines.for_each(|(line, ((sxx, syx), syy))| {
         for ((re, im), &(a, b)) in sums.re.iter().zip(&sums.im).zip(&pairs) {
             let z = Complex64::new(re[line], im[line]);
             if a < nx {
@@ -86,8 +88,6 @@ pub(crate) fn cross_spectra(
                 syy[a - nx] = z.re;
             }
         }
-    };
-    let matrices = spectra.sxx.par_chunks_mut(nx * nx).zip(spectra.syx.par_chunks_mut(ny * nx));
-    matrices.zip(spectra.syy.par_chunks_mut(ny)).enumerate().with_min_len(64).for_each(of_line);
+    });
     Ok(spectra)
 }
