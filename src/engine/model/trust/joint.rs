@@ -197,7 +197,8 @@ mod tests {
     #[test]
     fn one_input_has_none_and_a_file_cannot_have_half_of_one() {
         let (of_three, joint) = model(5);
-        let of_one = RigModel { range: of_three.range[..1].to_vec(), ..of_three };
+        let (inputs, range) = (of_three.inputs[..1].to_vec(), of_three.range[..1].to_vec());
+        let of_one = RigModel { inputs, range, ..of_three };
         assert_eq!(of_training(&of_one, &[vec![&[0.0; 9000]]]).1, None);
         assert!(joint.check(2).is_err());
         let flat = JointRange { covariance: vec![vec![0.0; 3]; 3], ..joint.clone() };
