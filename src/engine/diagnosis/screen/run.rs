@@ -45,8 +45,8 @@ const HIGHEST_FRONT: f64 = 2.0;
 /// Share of what a free map of the drive leaves, below which a filter ahead of the bend has gained something.
 const FILTER_GAINS: f64 = 0.85;
 /// The same of filters ahead of a bend, and how often each is tried in turn.
-const FINER_FILTERS: [f64; 6] = [1.5, 1.25, 1.12, 1.06, 1.03, 1.015];
-const PASSES: usize = 8;
+const FINER_FILTERS: [f64; 2] = [1.4, 1.15];
+const PASSES: usize = 4;
 
 /// Ranks the laws of the catalogue over all places by what they leave in groups that they were not fitted to.
 ///
@@ -423,29 +423,30 @@ impl Bench<'_> {
             _ => (0..self.entries.len()).collect(),
         };
         let companions = self.companions(argument.place, &[self.unbent(argument)], &responses);
+        let found = |law: Law, beside: &[(usize, Block, HeldOut)]| {
+            let law = law.over(argument);
+            let signals = self.signals(law, argument, None);
+            self.standing(law, argument, None, &signals, beside)
+        };
+        // A filter has many neighbours: they are compared at one response.
+        let behind = standing.law.way() == Way::Behind;
+        let (steps, passes): (&[f64], usize) = if behind { (&FINER_FILTERS, PASSES) } else { (&FINER, 1) };
+        let one = companions.iter().position(|(r, ..)| behind && *r == standing.response);
+        let beside = one.map_or(&companions[..], |at| &companions[at..=at]);
         let high = HIGHEST_FRONT * self.desk.band.high_hz / self.desk.recording.sample_rate_hz();
-        let mut best: Option<Standing> = None;
-        let (steps, times): (&[f64], usize) =
-            if standing.law.way() == Way::Behind { (&FINER_FILTERS, PASSES) } else { (&FINER, 1) };
+        let mut best = if behind { found(standing.law, beside) } else { standing.clone() };
         for step in steps {
-            for _ in 0..times {
-                let so_far = best.as_ref().unwrap_or(standing);
-                let nearby = so_far.law.nearby(*step, high).into_par_iter().map(|law| {
-                    let law = law.over(argument);
-                    let signals = self.signals(law, argument, None);
-                    self.standing(law, argument, None, &signals, &companions)
-                });
-                let nearby: Vec<Standing> = nearby.collect();
-                let Some(found) = nearby.into_iter().min_by(|a, b| a.ratio.total_cmp(&b.ratio)) else {
-                    break;
-                };
-                if found.ratio >= so_far.ratio {
-                    break;
+            for _ in 0..passes {
+                let nearby: Vec<Standing> =
+                    best.law.nearby(*step, high).into_par_iter().map(|law| found(law, beside)).collect();
+                match nearby.into_iter().min_by(|a, b| a.ratio.total_cmp(&b.ratio)) {
+                    Some(better) if better.ratio < best.ratio => best = better,
+                    _ => break,
                 }
-                best = Some(found);
             }
         }
-        best
+        let best = if behind { found(best.law, &companions) } else { best };
+        (best.ratio < standing.ratio).then_some(best)
     }
 
     /// The linear signal at a place at the rate of the analysis.
