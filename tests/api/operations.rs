@@ -29,6 +29,7 @@ async fn every_operation_succeeds_once_and_answers_as_the_contract_says() {
     let job = format!("/v1/jobs/{id}");
     app.get("/v1/jobs").await.expect(200);
     app.get(&job).await.expect(200);
+    app.get(&format!("{job}/losses")).await.expect(200);
     app.get(&format!("{job}/events")).await.expect(200);
     app.finished(&id).await;
     app.post(&format!("{job}/cancel")).await.expect(202);
