@@ -42,7 +42,7 @@ const WORTH_A_SEARCH: f64 = 0.9;
 /// Highest corner of a filter ahead of a bend, as a multiple of the band's: one beyond filters nothing, and the bend is
 /// the drive's own.
 const HIGHEST_FRONT: f64 = 2.0;
-/// Share of what a free map of the drive leaves, below which a filter ahead of the bend has gained something.
+/// Share of what the best law of the drive as it is leaves, below which a filter ahead of the bend has gained something.
 const FILTER_GAINS: f64 = 0.85;
 /// The same of filters ahead of a bend, and how often each is tried in turn.
 const FINER_FILTERS: [f64; 2] = [1.4, 1.15];
@@ -483,15 +483,16 @@ impl Bench<'_> {
     }
 }
 
-/// Leaves out bends behind filters where a free map of the same drive does nearly as well: the bend is the drive's own.
+/// Leaves out bends behind filters where a law of the same drive as it is does nearly as well: the bend is the drive's
+/// own.
 fn leave_out_bends_of_the_drive(standings: &mut Vec<Standing>) {
-    let maps: Vec<(Place, f64)> = standings
+    let unfiltered: Vec<(Place, f64)> = standings
         .iter()
-        .filter(|s| s.law == Law::FreeStiffness && matches!(s.place, Place::Drive(_)))
+        .filter(|s| matches!(s.place, Place::Drive(_)) && s.law.way() == Way::Plain)
         .map(|s| (s.place, s.ratio))
         .collect();
-    let by_map = |place| maps.iter().filter(|m| m.0 == place).map(|m| m.1).fold(1.0, f64::min);
-    standings.retain(|s| s.law.way() != Way::Behind || s.ratio < FILTER_GAINS * by_map(s.place));
+    let least = |place| unfiltered.iter().filter(|u| u.0 == place).map(|u| u.1).fold(1.0, f64::min);
+    standings.retain(|s| s.law.way() != Way::Behind || s.ratio < FILTER_GAINS * least(s.place));
 }
 
 pub(super) fn mean_square(errors: &[f64]) -> f64 {
