@@ -12,7 +12,7 @@ use crate::support::exchange;
 
 /// Bytes of large bodies.
 fn size() -> usize {
-    std::env::var("RIGCAST_TEST_BODY_MIB").map_or(8, |n| n.parse::<usize>().expect("a number")) << 20
+    std::env::var("RIGCAST_TEST_BODY_MIB").map_or(16, |n| n.parse::<usize>().expect("a number")) << 20
 }
 
 #[tokio::test]

@@ -60,19 +60,17 @@ impl Bench<'_> {
         let span = lags.lead + desk.longest().min(affordable);
         let setting = Setting { lags: Lags { span, ..lags }, poles: None, ridge: RIDGE, growth: 1.0 };
         let base = desk.rebased(&setting, &[])?;
-        let entries: Vec<Entry> =
-            (0..self.entries.len()).map(|r| Entry::new(&base, r, &desk.drives)).collect();
+        let entries = Entry::all(&base, self.entries.len(), &desk.drives);
         Some(then(&Bench { desk, base: &base, entries: &entries, linear: self.linear }))
     }
 
     /// The same beside this linear part.
-    fn bent_here(&self, arguments: &[Argument], standing: &Standing, front: Front) -> Option<FreeRun> {
+    fn bent_here(&self, arguments: &[Argument], standing: &Standing, mut front: Front) -> Option<FreeRun> {
         let argument = &*self.argument(arguments, standing.place)?;
-        let hinges = Law::Block { front, kinks: KINKS_OF_BEND };
-        let mut signals = self.signals(hinges, argument, None);
+        let hinges = |front| self.signals(Law::Block { front, kinks: KINKS_OF_BEND }, argument, None);
+        let mut signals = hinges(front);
         let first = self.block(standing.place, Way::Behind, &signals, standing.response);
         let mut bend = foremost(&self.columns_of(&first, standing.response))?;
-        let mut front = front;
         for step in 0..=STEPS {
             for _ in 0..ROUNDS {
                 let through = self.behind(standing, argument, front, bend);
@@ -83,7 +81,7 @@ impl Bench<'_> {
             }
             let Some(next) = self.step(standing, argument, front, bend, &signals) else { break };
             front = next;
-            signals = self.signals(Law::Block { front, kinks: KINKS_OF_BEND }, argument, None);
+            signals = hinges(front);
         }
         let law = Law::Bent { front, bend };
         let aim = self.aim(arguments, &Standing { law, ..standing.clone() })?;

@@ -116,7 +116,7 @@ impl<'a> Desk<'a> {
     /// No run needs to start at rest: what a record's first rows remember is not known.
     fn leave_out_the_start(&mut self) {
         let lengths = self.lengths();
-        let memory = longest(&self.segments, &lengths, self.drives.len());
+        let memory = self.longest();
         for segment in &mut self.segments {
             let skip = memory.min(lengths[segment.record] / 6);
             segment.rows.start = segment.rows.start.max(skip);

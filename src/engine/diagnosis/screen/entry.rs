@@ -43,7 +43,12 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    pub fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
+    /// The ways into the first responses of a linear part.
+    pub fn all(base: &Base<'_>, responses: usize, drives: &[Track]) -> Vec<Self> {
+        (0..responses).map(|response| Self::new(base, response, drives)).collect()
+    }
+
+    fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
         let impulses = (0..drives.len()).map(|d| base.impulse(response, d, longest(drives))).collect();
         Self::of(impulses, base.setting(), drives)
     }

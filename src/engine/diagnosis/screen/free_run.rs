@@ -202,8 +202,8 @@ impl Bench<'_> {
             (self.base, Vec::new())
         } else {
             rebased = desk.rebased(setting.unwrap_or(self.base.setting()), &aim.extra)?;
-            let of = |r: usize| Entry::new(&rebased, r, &desk.drives);
-            (&rebased, (0..self.entries.len() + aim.extra.len()).map(of).collect())
+            let outputs = self.entries.len() + aim.extra.len();
+            (&rebased, Entry::all(&rebased, outputs, &desk.drives))
         };
         let entries: &[Entry] = if more.is_empty() { self.entries } else { &more };
         Some(then(&Fit {

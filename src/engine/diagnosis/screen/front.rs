@@ -20,6 +20,7 @@ const HIGHEST: f64 = 30.0;
 
 /// A filter of sampled signals, `w_t = a_1 w_(t-1) + a_2 w_(t-2) + (1 - a_1 - a_2) u_t`, `x_t = b x_(t-1) + (1 - b) w_t`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Stored", into = "Stored")]
 pub struct Front {
     /// Natural frequency of the pair, cycles a sample.
     corner: f64,
@@ -27,10 +28,31 @@ pub struct Front {
     damping: f64,
     /// Corner of the lag, cycles a sample.
     lag: f64,
-    /// `a_1`, `a_2` and `b`.
+    /// `a_1`, `a_2` and `b`, which follow from the numbers above.
     poles: [f64; 3],
     /// Deviation of the output where that of the drive is 1.
     level: f64,
+}
+
+/// What a file has of it.
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    corner: f64,
+    damping: f64,
+    lag: f64,
+    level: f64,
+}
+
+impl From<Stored> for Front {
+    fn from(Stored { corner, damping, lag, level }: Stored) -> Self {
+        Self { level, ..Self::new(corner, damping, lag) }
+    }
+}
+
+impl From<Front> for Stored {
+    fn from(Front { corner, damping, lag, level, .. }: Front) -> Self {
+        Self { corner, damping, lag, level }
+    }
 }
 
 impl Front {
@@ -116,8 +138,7 @@ impl Front {
 
     /// Its numbers.
     pub(super) fn values(self) -> Vec<f64> {
-        let [a1, a2, b] = self.poles;
-        vec![self.corner, self.damping, self.lag, a1, a2, b, self.level]
+        vec![self.corner, self.damping, self.lag, self.level]
     }
 
     /// Natural frequency and damping of the pair and corner of the lag, as far as they are below half of the rate.
@@ -175,6 +196,15 @@ mod tests {
         }
         let square = x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64;
         assert!((square - 1.0).abs() < 0.02, "{square}");
+    }
+
+    #[test]
+    fn a_filter_out_of_a_file_is_the_same_and_one_that_grows_is_told() {
+        let front = Front { level: 0.7, ..Front::new(0.031, 0.27, 0.4) };
+        let text = serde_json::to_string(&front).unwrap();
+        assert_eq!(serde_json::from_str::<Front>(&text).unwrap(), front);
+        let grows = text.replace("0.031", "-0.031");
+        assert!(!serde_json::from_str::<Front>(&grows).unwrap().is_stable());
     }
 
     #[test]

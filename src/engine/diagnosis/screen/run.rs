@@ -108,9 +108,9 @@ struct Ways {
 
 impl Ways {
     fn new(desk: &Desk<'_>, base: &Base<'_>) -> Self {
-        let responses = 0..desk.responses.len();
-        let entries = responses.clone().map(|r| Entry::new(base, r, &desk.drives)).collect();
-        Self { entries, linear: responses.map(|r| base.linear(r)).collect() }
+        let responses = desk.responses.len();
+        let entries = Entry::all(base, responses, &desk.drives);
+        Self { entries, linear: (0..responses).map(|r| base.linear(r)).collect() }
     }
 }
 
@@ -400,7 +400,7 @@ impl Bench<'_> {
             if bend && standing.ratio > WORTH_A_SEARCH {
                 continue;
             }
-            if !standing.law.nearby(1.0, 1.0).is_empty() && !seen.contains(&standing.family) {
+            if !standing.law.values().is_empty() && !seen.contains(&standing.family) {
                 seen.push(standing.family);
                 foremost.push(at);
             }

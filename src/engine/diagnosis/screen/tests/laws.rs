@@ -50,7 +50,7 @@ fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
 #[test]
 fn on_a_linear_rig_nothing_gains() {
     let screening = screened(&run(N, 1.0, |_, _| 0.0));
-    assert!(screening.standings[0].ratio > 0.95, "{:?}", screening.standings[0].law);
+    assert!(screening.standings[0].ratio > 0.97, "{:?}", screening.standings[0]);
     assert!(screening.linear.errors[0].iter().all(|e| *e < 0.01), "{:?}", screening.linear);
 }
 
