@@ -174,7 +174,7 @@ impl Averaging<'_> {
             }
             let spectra = &*spectra;
             let add = |(tile, sums): (usize, &mut [Tile])| {
-                let products = AddProducts { spectra, first: tile * channels, pairs: self.pairs, sums };
+                let products = AddProducts { spectra, channels, tile, pairs: self.pairs, sums };
                 dispatch(self.isa, products);
             };
             let n = self.pairs.len();
@@ -262,8 +262,9 @@ impl<'a, T: Iterator<Item = &'a mut Tile>> Kernel for Halves<'_, T> {
 /// Adds the products of all pairs over the segments of a batch, for the lines of a tile.
 struct AddProducts<'a> {
     spectra: &'a [Vec<Tile>],
-    /// Place of the tile's first channel in the spectra of each segment.
-    first: usize,
+    channels: usize,
+    /// Place of the tile in the spectra of each segment.
+    tile: usize,
     pairs: &'a [(usize, usize)],
     /// `[pair]`
     sums: &'a mut [Tile],
@@ -275,9 +276,9 @@ impl Kernel for AddProducts<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Self { mut spectra, first, pairs, sums } = self;
+        let Self { mut spectra, channels, tile, pairs, sums } = self;
+        let first = tile * channels;
         // As many segments at once as there are; the rest with ever fewer.
-        let channels = pairs.iter().map(|(a, b)| a.max(b) + 1).max().unwrap_or(0);
         if channels > FEW {
             spectra = add_all::<AT_ONCE_OF_MANY>(spectra, first, pairs, sums);
         }
@@ -320,16 +321,14 @@ fn add_products<const N: usize>([sum_re, sum_im]: &mut Tile, a: [&Tile; N], b: [
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
 
-    /// Pseudo-random samples (a 64-bit linear congruential generator).
     fn noise(seed: u64, n: usize) -> Vec<f64> {
-        let mut state = seed;
-        let mut next = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        };
-        (0..n).map(|_| next()).collect()
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        (0..n).map(|_| rng.random_range(-0.5..0.5)).collect()
     }
 
     #[test]
