@@ -305,15 +305,14 @@ fn fill(out: &mut [f64], samples: &[f64], from: isize, mean: f64) {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
 
-    /// Pseudo-random numbers (a 64-bit linear congruential generator).
     fn numbers(seed: u64) -> impl FnMut() -> f64 {
-        let mut state = seed;
-        move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        }
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        move || rng.random_range(-0.5..0.5)
     }
 
     #[test]
