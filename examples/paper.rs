@@ -3,8 +3,9 @@
 //! Fits the four kinds of model to the programme's noise with the presets `paper` and `default`, three seeds each, the best by
 //! validation: forward (drives to displacements and forces) and as virtual sensors (displacements to forces). Compares
 //! them on test runs that nothing was fitted on: N1, N2, SL, SL- and SL+. Prints a CSV row for each preset, task, kind, class
-//! and group of channels, writes all rows to `paper.csv` in the folder `--out`, and then holds what the paper found (Heindel
-//! et al., sections 4.1 and 4.2) against them: a finding that differs is printed as one.
+//! and group of channels, writes all rows to `paper.csv` in the folder `--out`, with a plot of the RMS errors and one of the
+//! damage ratios for each preset and task, and then holds what the paper found (Heindel et al., sections 4.1 and 4.2)
+//! against them: a finding that differs is printed as one.
 
 mod bench_programme;
 
@@ -23,6 +24,7 @@ use rigcast::engine::model::{LstmOptions, ModelKind, Pair, Preset, RigModel, Tas
 use rigcast::engine::progress::unwatched;
 use rigcast::engine::virtual_rig::SAMPLE_RATE_HZ;
 use rigcast::engine::{EngineError, Signal, Split};
+use rigcast::ui::figures::ratios_svg;
 
 /// Compares kinds of models as the source paper did.
 #[derive(Debug, Parser)]
@@ -42,7 +44,7 @@ struct Args {
     /// Seed of the rig and its runs.
     #[arg(long, default_value_t = 1)]
     rig: u64,
-    /// Folder of the table.
+    /// Folder of the table and the plots.
     #[arg(long, default_value = ".")]
     out: PathBuf,
 }
@@ -77,6 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let lines = lines(preset, task, &rows)?;
             print!("{lines}");
             csv.push_str(&lines);
+            plot(&args, preset, task, &rows)?;
             findings(preset, task, &rows);
         }
     }
@@ -178,6 +181,32 @@ fn lines(preset: Preset, task: Task, rows: &[Row]) -> Result<String, Box<dyn Err
         }
     }
     Ok(text)
+}
+
+/// Writes the RMS errors, over those of the FRF, and the damage ratios, one row a group, class and kind.
+fn plot(args: &Args, preset: Preset, task: Task, rows: &[Row]) -> Result<(), Box<dyn Error>> {
+    let groups: Vec<&String> =
+        rows.first().map(|row| row.average.groups.keys().collect()).unwrap_or_default();
+    let all = |of: &dyn Fn(&Row, &str) -> Option<f64>| -> Vec<(String, Option<f64>)> {
+        let of_group = |group: &&String| {
+            let name = |row: &Row| format!("{group}, {}, {}", row.class, row.kind.as_str());
+            let mut in_order: Vec<&Row> = rows.iter().collect();
+            in_order.sort_by_key(|row| CLASSES.iter().position(|(class, _)| *class == row.class));
+            in_order.iter().map(|row| (name(row), of(row, group))).collect::<Vec<_>>()
+        };
+        groups.iter().flat_map(of_group).collect()
+    };
+    let over_frf = |row: &Row, group: &str| {
+        let frf = rows.iter().find(|r| r.class == row.class && r.kind == ModelKind::Frf)?;
+        Some(row.average.groups.get(group)?.rms? / frf.average.groups.get(group)?.rms?)
+    };
+    let damage = |row: &Row, group: &str| row.average.groups.get(group)?.damage_ratio;
+    let named = format!("{}-{}", name_of(&preset)?, name_of(&task)?);
+    let rms = ratios_svg("RMS errors", "RMS error over that of the FRF", all(&over_frf));
+    std::fs::write(args.out.join(format!("paper-{named}-rms.svg")), rms)?;
+    let damage = ratios_svg("Damage ratios", "Predicted over measured damage", all(&damage));
+    std::fs::write(args.out.join(format!("paper-{named}-damage.svg")), damage)?;
+    Ok(())
 }
 
 /// Name of a preset or task, as a fit's request has it.

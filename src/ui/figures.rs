@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::plot::{Figure, Hemisphere, Matrix, Ratios, picture};
+use super::plot::{Figure, Hemisphere, Matrix, RatioRow, Ratios, picture};
 
 /// The content of a figure.
 #[derive(Debug, Clone)]
@@ -29,6 +29,19 @@ impl From<Ratios> for Drawing {
     fn from(ratios: Ratios) -> Self {
         Self::Ratios(Box::new(ratios))
     }
+}
+
+/// Named ratios on a logarithmic axis about 1, as an SVG file; a name without a ratio keeps its row.
+pub fn ratios_svg(title: &str, label: &str, rows: impl IntoIterator<Item = (String, Option<f64>)>) -> String {
+    let row = |(name, value): (String, Option<f64>)| RatioRow { name, value, ..RatioRow::default() };
+    let ratios = Ratios {
+        id: "ratios".into(),
+        title: title.into(),
+        description: format!("{label}, one row an item, on a logarithmic axis about 1."),
+        label: label.into(),
+        rows: rows.into_iter().map(row).collect(),
+    };
+    picture(ratios.svg())
 }
 
 impl Drawing {

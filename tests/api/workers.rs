@@ -69,6 +69,35 @@ impl Lab {
     async fn fit(&self, rig: &str, request: &Value) -> String {
         self.client.fit(rig, request).await.expect("a job")
     }
+
+    /// A network on the rig `good`, and service loads that take some seconds to evaluate.
+    async fn with_loads(&self) {
+        let network = json!({"kind": "lstm",
+            "lstm": {"blocks": [39, 39], "window_len": 128, "epochs": 1, "seeds": [1]}});
+        let job = self.fit("good", &network).await;
+        self.client.wait(&job, |_| {}).await.expect("a model");
+        for seed in 20..26 {
+            let load = noise_csv(60_000, seed).into_bytes();
+            let query = [("kind", "service"), ("split", "test")];
+            self.client.upload("good", &query, "text/csv", load).await.expect("a run");
+        }
+    }
+
+    async fn evaluation(&self) -> String {
+        let job = self.client.post("/v1/rigs/good/evaluations", &json!({"models": ["active"]})).await;
+        job.expect("a job")["id"].as_str().expect("an id").to_owned()
+    }
+
+    /// The job at its end, and its report without what tells one evaluation from another.
+    async fn evaluated(&self, job: &str) -> (Value, Value) {
+        let job = self.client.wait(job, |_| {}).await.expect("a report");
+        let href = job["result"]["href"].as_str().expect("a report");
+        let mut report = self.client.get(href).await.expect("a report");
+        for name in ["id", "job", "created_at", "elapsed_s"] {
+            report.as_object_mut().expect("an object").remove(name);
+        }
+        (job, report)
+    }
 }
 
 fn frf() -> Value {
@@ -134,6 +163,40 @@ async fn a_worker_that_is_killed_costs_one_attempt_and_the_model_is_the_same() {
     assert_eq!((&whole["attempt"], &resumed["attempt"]), (&json!(1), &json!(2)));
     let digest = async |job: &Value| lab.client.fitted_model(job).await.expect("a model")["sha256"].clone();
     assert_eq!(digest(&whole).await, digest(&resumed).await, "bit for bit");
+}
+
+#[tokio::test]
+async fn an_evaluation_whose_worker_is_killed_is_done_again_to_the_same_report() {
+    let lab = Lab::start(&[]).await;
+    lab.with_loads().await;
+    let (whole, expected) = lab.evaluated(&lab.evaluation().await).await;
+    assert_eq!(expected["runs"].as_array().map(Vec::len), Some(6), "{expected}");
+    let job = lab.evaluation().await;
+    lab.once(&job, 0.2).await;
+    for pid in lab.program.children() {
+        crate::support::signal("-KILL", pid);
+    }
+    let (again, found) = lab.evaluated(&job).await;
+    assert_eq!((&whole["attempt"], &again["attempt"]), (&json!(1), &json!(2)));
+    assert_eq!(found, expected);
+    let listed = lab.client.get("/v1/rigs/good/evaluations").await.expect("a list");
+    assert_eq!(listed["items"].as_array().map(Vec::len), Some(2), "one report a job");
+}
+
+#[tokio::test]
+async fn an_evaluation_that_is_cancelled_leaves_no_report() {
+    let lab = Lab::start(&[]).await;
+    lab.with_loads().await;
+    let job = lab.evaluation().await;
+    lab.once(&job, 0.1).await;
+    lab.client.post(&format!("/v1/jobs/{job}/cancel"), &json!({})).await.expect("noted");
+    let asked = Instant::now();
+    while lab.client.get(&format!("/v1/jobs/{job}")).await.expect("the job")["state"] != "cancelled" {
+        assert!(asked.elapsed() < Duration::from_secs(10), "a cancel takes ten seconds at most");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let listed = lab.client.get("/v1/rigs/good/evaluations").await.expect("a list");
+    assert_eq!(listed["items"], json!([]));
 }
 
 #[tokio::test]

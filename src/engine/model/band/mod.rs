@@ -11,7 +11,8 @@
 //! of what a hybrid's network changes of its FRF or core; both over a window about t. The half width is the scale times
 //! the 90 % quantile of |residual| / scale, which is taken apart for quiet and loud times (Mondrian conformal prediction;
 //! Vovk, Gammerman, Shafer, "Algorithmic Learning in a Random World", 2005, section 4.5): residuals of a rig grow faster
-//! than in proportion, and other loads have other shares of quiet and loud.
+//! than in proportion, and other loads have other shares of quiet and loud. Above the loudest class the quantile grows on
+//! as over the louder half of them.
 
 mod cycles;
 mod scale;
@@ -42,6 +43,9 @@ const ROWS_PER_WINDOW: usize = 4;
 const CLASSES: usize = 8;
 const WINDOWS_PER_CLASS: usize = 20;
 
+/// Classes that a growth above the loudest of them is told by at least.
+const LEAST_FOR_GROWTH: usize = 3;
+
 /// The calibration of a model's band.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -67,7 +71,7 @@ struct OutputBand {
     /// Half width over scale, of all the calibration.
     quantile: f64,
     /// The same by scale: middle of a class of scales, half width over scale in it. By rising scale, linear in its
-    /// logarithm between the classes, constant beyond them. Empty: the same at any scale.
+    /// logarithm between the classes, constant below them, growing on above them. Empty: the same at any scale.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     by_scale: Vec<[f64; 2]>,
     /// Factor on the half width for the damage that follows.
@@ -232,12 +236,29 @@ impl OutputBand {
         let after = self.by_scale.partition_point(|[middle, _]| *middle <= scale);
         let ratio = match (after.checked_sub(1).map(|k| &self.by_scale[k]), self.by_scale.get(after)) {
             (None, None) => self.quantile,
-            (None, Some([_, ratio])) | (Some([_, ratio]), None) => *ratio,
+            (None, Some([_, ratio])) => *ratio,
+            (Some([loudest, ratio]), None) => ratio * (scale / loudest).powf(self.growth()),
             (Some([from, low]), Some([to, high])) => {
                 low + (high - low) * (scale / from).ln() / (to / from).ln()
             }
         };
         ratio * scale
+    }
+
+    /// Power of the scale that the ratio grows with in the louder half of the classes, and so above them: none where it
+    /// falls there, at most the first, since residuals that grow faster than the square of the level are none of a rig.
+    fn growth(&self) -> f64 {
+        let louder = &self.by_scale[self.by_scale.len() / 2..];
+        let points: Vec<[f64; 2]> =
+            louder.iter().filter(|[_, ratio]| *ratio > 0.0).map(|[scale, ratio]| [scale.ln(), ratio.ln()]).collect();
+        if points.len() < LEAST_FOR_GROWTH {
+            return 0.0;
+        }
+        let mean = |i: usize| points.iter().map(|p| p[i]).sum::<f64>() / points.len() as f64;
+        let (x, y) = (mean(0), mean(1));
+        let along: f64 = points.iter().map(|p| (p[0] - x) * (p[1] - y)).sum();
+        let spread: f64 = points.iter().map(|p| (p[0] - x).powi(2)).sum();
+        (along / spread).clamp(0.0, 1.0)
     }
 
     fn scale(&self, level: f64, correction: f64) -> f64 {
@@ -333,7 +354,8 @@ mod tests {
             part
         };
         let band = OutputBand::of(0.0, &[steep(9.0, 1), steep(9.0, 2)], 256);
-        for (loudest, seed) in [(1.0, 3), (3.0, 4), (9.0, 5)] {
+        // The last is louder than all of the calibration.
+        for (loudest, seed) in [(1.0, 3), (3.0, 4), (9.0, 5), (36.0, 6)] {
             let new = steep(loudest, seed);
             let inside = |(r, l): (&f64, &f64)| r.abs() <= band.half_width(band.scale(*l, 0.0));
             let held = new.residual.iter().zip(&new.level).filter(|one| inside(*one)).count();
