@@ -8,7 +8,10 @@
 //! other equations; none of them is used here.
 
 use std::collections::BTreeMap;
+use std::fs::OpenOptions;
+use std::io::{BufRead, BufReader, Write};
 use std::path::PathBuf;
+use std::sync::Mutex;
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -16,7 +19,7 @@ use rayon::prelude::*;
 use rigcast::engine::diagnosis::screen::{group, screen};
 use rigcast::engine::diagnosis::{Family, Weights, alternatives};
 use rigcast::engine::progress::unwatched;
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
 
 use logit::Row;
 
@@ -35,11 +38,12 @@ const FOLDS: usize = 10;
 struct Args {
     /// Rigs.
     #[arg(long, default_value_t = 1200)]
-    cases: usize,
+    cases: u64,
     /// Seed of the population.
     #[arg(long, default_value_t = 2026)]
     seed: u64,
-    /// File of rows: read if it is there, else written.
+    /// File of rows, a line a rig of this seed: each is added when it was screened, and those that are there are not
+    /// screened again. Remove it when the screen or the population has changed.
     #[arg(long)]
     rows: Option<PathBuf>,
     /// Output file for the weights.
@@ -47,23 +51,36 @@ struct Args {
     out: Option<PathBuf>,
 }
 
-/// One rig's row with what it is.
+/// A line of the file of rows.
+#[derive(Serialize, Deserialize)]
+struct Line {
+    case: u64,
+    /// None where the rig could not be screened.
+    rig: Option<Rig>,
+}
+
+/// One rig: its alternatives, and what it is.
+#[derive(Serialize, Deserialize)]
 struct Rig {
-    row: Row,
+    features: Vec<Vec<f64>>,
     families: Vec<Family>,
     truth: Vec<Family>,
 }
 
+impl Rig {
+    fn row(&self) -> Result<Row, AnyError> {
+        let features = self.features.iter().map(|f| <[f64; logit::N]>::try_from(f.as_slice()));
+        Ok(Row {
+            features: features.collect::<Result<_, _>>().map_err(|_| "rows of other features")?,
+            right: self.families.iter().map(|f| self.truth.contains(f)).collect(),
+        })
+    }
+}
+
 fn main() -> Result<(), AnyError> {
     let args = Args::parse();
-    let rigs = match &args.rows {
-        Some(path) if path.exists() => read(&serde_json::from_slice(&std::fs::read(path)?)?)?,
-        _ => made(&args),
-    };
-    if let Some(path) = args.rows.as_ref().filter(|path| !path.exists()) {
-        std::fs::write(path, written(&rigs).to_string())?;
-    }
-    let rows: Vec<Row> = rigs.iter().map(|rig| rig.row.clone()).collect();
+    let rigs = population(&args)?;
+    let rows: Vec<Row> = rigs.iter().map(Rig::row).collect::<Result<_, _>>()?;
     let without: Vec<Weights> = (0..FOLDS)
         .into_par_iter()
         .map(|fold| {
@@ -73,7 +90,7 @@ fn main() -> Result<(), AnyError> {
         .collect();
     let probabilities = |(i, row): (usize, &Row)| without[i % FOLDS].probabilities(&row.features, 1.0);
     let held_out: Vec<Vec<f64>> = rows.iter().enumerate().map(probabilities).collect();
-    print(&rigs, &held_out);
+    print(&rigs, &rows, &held_out);
     let weights = logit::fit(&rows);
     for (feature, weight) in weights.features.iter().zip(&weights.weights) {
         println!("{feature:32} {weight:7.3}");
@@ -84,77 +101,72 @@ fn main() -> Result<(), AnyError> {
     Ok(())
 }
 
-/// Draws and screens the population; what cannot be screened is left out and counted.
-fn made(args: &Args) -> Vec<Rig> {
+/// The population: rigs of the file of rows, and those that it lacks, drawn, screened and added to it one by one.
+fn population(args: &Args) -> Result<Vec<Rig>, AnyError> {
+    let mut found = BTreeMap::new();
+    let mut file = None;
+    if let Some(path) = &args.rows {
+        let kept = OpenOptions::new().read(true).append(true).create(true).open(path)?;
+        for line in BufReader::new(&kept).lines() {
+            let Line { case, rig } = serde_json::from_str(&line?)?;
+            found.insert(case, rig);
+        }
+        file = Some(Mutex::new(kept));
+    }
+    let missing: Vec<u64> = (0..args.cases).filter(|case| !found.contains_key(case)).collect();
     let style =
         ProgressStyle::with_template("{prefix:>9} {bar:32} {pos}/{len}, {eta} left").expect("a template");
-    let bar = ProgressBar::new(args.cases as u64).with_style(style).with_prefix("screen");
-    let found: Vec<Option<Rig>> = (0..args.cases as u64)
-        .into_par_iter()
-        .map(|i| {
-            bar.inc(1);
-            let case = rig::draw(args.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ i).ok()?;
-            let grouping = group(&case.recording, &[]);
-            let screening = screen(&case.recording, &grouping, &unwatched).ok()?;
-            let alternatives = alternatives(&screening);
-            let families: Vec<Family> = alternatives.iter().map(|a| a.standing.family).collect();
-            let right = families.iter().map(|f| case.truth.contains(f)).collect();
-            let features = alternatives.iter().map(|a| a.features).collect();
-            Some(Rig { row: Row { features, right }, families, truth: case.truth })
-        })
-        .collect();
-    let missing = found.iter().filter(|rig| rig.is_none()).count();
-    if missing > 0 {
-        println!("{missing} of {} rigs could not be screened", args.cases);
-    }
-    found.into_iter().flatten().collect()
-}
-
-fn written(rigs: &[Rig]) -> Value {
-    rigs.iter()
-        .map(|rig| {
-            json!({"features": rig.row.features.iter().map(|f| f.to_vec()).collect::<Vec<_>>(),
-                          "families": rig.families, "truth": rig.truth})
-        })
-        .collect()
-}
-
-fn read(value: &Value) -> Result<Vec<Rig>, AnyError> {
-    let mut rigs = Vec::new();
-    for rig in value.as_array().ok_or("rows: an array")? {
-        let families: Vec<Family> = serde_json::from_value(rig["families"].clone())?;
-        let truth: Vec<Family> = serde_json::from_value(rig["truth"].clone())?;
-        let features: Vec<Vec<f64>> = serde_json::from_value(rig["features"].clone())?;
-        let features = features
-            .into_iter()
-            .map(|f| <[f64; logit::N]>::try_from(f).map_err(|_| "rows of other features"));
-        let row = Row {
-            features: features.collect::<Result<_, _>>()?,
-            right: families.iter().map(|f| truth.contains(f)).collect(),
-        };
-        rigs.push(Rig { row, families, truth });
+    let bar = ProgressBar::new(missing.len() as u64).with_style(style).with_prefix("screen");
+    let made = missing.into_par_iter().map(|case| {
+        let line = Line { case, rig: screened(args.seed, case) };
+        if let Some(file) = &file {
+            let text = serde_json::to_string(&line)? + "\n";
+            file.lock()
+                .map_err(|_| std::io::Error::other("another rig failed"))?
+                .write_all(text.as_bytes())?;
+        }
+        bar.inc(1);
+        Ok((line.case, line.rig))
+    });
+    found.extend(made.collect::<std::io::Result<Vec<_>>>()?);
+    let rigs: Vec<Rig> = found.into_values().take(args.cases as usize).flatten().collect();
+    if rigs.len() < args.cases as usize {
+        println!("{} of {} rigs could not be screened", args.cases as usize - rigs.len(), args.cases);
     }
     Ok(rigs)
 }
 
+/// Draws a rig and screens it; `None` where it cannot be screened.
+fn screened(seed: u64, case: u64) -> Option<Rig> {
+    let drawn = rig::draw(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ case).ok()?;
+    let grouping = group(&drawn.recording, &[]);
+    let screening = screen(&drawn.recording, &grouping, &unwatched).ok()?;
+    let alternatives = alternatives(&screening);
+    Some(Rig {
+        features: alternatives.iter().map(|a| a.features.to_vec()).collect(),
+        families: alternatives.iter().map(|a| a.standing.family).collect(),
+        truth: drawn.truth,
+    })
+}
+
 /// What the probabilities of rigs that were held out are worth.
-fn print(rigs: &[Rig], probabilities: &[Vec<f64>]) {
+fn print(rigs: &[Rig], rows: &[Row], probabilities: &[Vec<f64>]) {
     let mut bins = [(0.0, 0.0, 0usize); 10];
     let (mut loss, mut named, mut right, mut blamed, mut none, mut sure_wrong) =
         (0.0, 0usize, 0usize, 0usize, 0usize, 0usize);
     let mut by_family: BTreeMap<String, [usize; 4]> = BTreeMap::new();
     let mut taken: BTreeMap<(String, String), usize> = BTreeMap::new();
-    for (rig, p) in rigs.iter().zip(probabilities) {
-        loss -= rig.row.of_truth(p).max(1e-12).ln();
+    for ((rig, row), p) in rigs.iter().zip(rows).zip(probabilities) {
+        loss -= row.of_truth(p).max(1e-12).ln();
         let best = (0..p.len()).max_by(|&a, &b| p[a].total_cmp(&p[b]));
         let any: f64 = p.iter().sum();
         let name = rig.truth.first().map_or("none".into(), |f| format!("{f:?}"));
-        if let Some(best) = best.filter(|&best| any >= 0.5 && !rig.row.right[best]) {
+        if let Some(best) = best.filter(|&best| any >= 0.5 && !row.right[best]) {
             *taken.entry((name.clone(), format!("{:?}", rig.families[best]))).or_default() += 1;
         }
         let counts = by_family.entry(name).or_default();
         counts[0] += 1;
-        counts[3] += usize::from(rig.row.right.contains(&true));
+        counts[3] += usize::from(row.right.contains(&true));
         if rig.truth.is_empty() {
             none += 1;
         }
@@ -163,12 +175,12 @@ fn print(rigs: &[Rig], probabilities: &[Vec<f64>]) {
                 named += 1;
                 counts[1] += 1;
                 blamed += usize::from(rig.truth.is_empty());
-                right += usize::from(rig.row.right[best]);
-                counts[2] += usize::from(rig.row.right[best]);
-                sure_wrong += usize::from(p[best] >= 0.9 && !rig.row.right[best]);
-                (p[best], rig.row.right[best])
+                right += usize::from(row.right[best]);
+                counts[2] += usize::from(row.right[best]);
+                sure_wrong += usize::from(p[best] >= 0.9 && !row.right[best]);
+                (p[best], row.right[best])
             }
-            _ => (1.0 - any, !rig.row.right.contains(&true)),
+            _ => (1.0 - any, !row.right.contains(&true)),
         };
         let bin = &mut bins[((stated * 10.0) as usize).min(9)];
         bin.0 += stated;

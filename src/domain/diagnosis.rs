@@ -10,6 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fits::{RunFilter, RunSelection};
 use super::ids::{DiagnosisId, JobId, RigId, RunId};
+use super::job::{JobKind, JobRequest};
 use super::model::{Span, UsedModel};
 use super::model_ref::ModelRef;
 use super::problem::FieldError;
@@ -133,6 +134,10 @@ pub struct DiagnosisRequest {
     /// Systematic RMS relative to the response's below which a gap does not matter.
     #[serde(default = "material_gap")]
     pub material_gap: f64,
+}
+
+impl JobRequest for DiagnosisRequest {
+    const KIND: JobKind = JobKind::Diagnosis;
 }
 
 fn all() -> Vec<String> {

@@ -8,6 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::fits::{RunFilter, RunSelection};
 use super::ids::{EvaluationId, JobId, RigId, RunId};
+use super::job::{JobKind, JobRequest};
 use super::model::Origin;
 use super::model_ref::ModelRef;
 use crate::engine::evaluation::{
@@ -80,6 +81,10 @@ pub struct EvaluationRequest {
     pub damage: DamageSettings,
     /// Length of the spans that are searched for the worst, s.
     pub span_s: f64,
+}
+
+impl JobRequest for EvaluationRequest {
+    const KIND: JobKind = JobKind::Evaluation;
 }
 
 impl Default for EvaluationRequest {

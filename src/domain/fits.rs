@@ -6,6 +6,7 @@ use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::job::{JobKind, JobRequest};
 use crate::engine::frf::Estimator;
 use crate::engine::model::{LstmOptions, ModelKind, Preprocess, Preset};
 
@@ -150,4 +151,8 @@ pub struct FitRequest {
     /// When the model becomes the active one.
     #[serde(default)]
     pub activate: Activate,
+}
+
+impl JobRequest for FitRequest {
+    const KIND: JobKind = JobKind::Fit;
 }

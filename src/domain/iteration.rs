@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::ids::{IterationId, JobId, RigId, RunId};
+use super::job::{JobKind, JobRequest};
 use super::model::UsedModel;
 use super::model_ref::ModelRef;
 use crate::engine::fatigue::{DamageRatio, DamageSettings};
@@ -92,6 +93,10 @@ pub struct IterationRequest<Target = IterationTarget> {
     /// Settings of the damage.
     #[serde(default)]
     pub damage: DamageSettings,
+}
+
+impl JobRequest for IterationRequest {
+    const KIND: JobKind = JobKind::Iteration;
 }
 
 fn iterations() -> usize {

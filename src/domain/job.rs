@@ -55,6 +55,12 @@ impl JobKind {
     }
 }
 
+/// A request that a job answers.
+pub trait JobRequest: Serialize + Sync {
+    /// The kind of the job.
+    const KIND: JobKind;
+}
+
 /// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -74,6 +74,11 @@ impl<T> Page<T> {
         let next = if more { items.last().map(|last| Cursor::after(key(last)).0) } else { None };
         Self { items, next }
     }
+
+    /// The page with other items, as many as before.
+    pub(crate) fn map<U>(self, make: impl FnMut(T) -> U) -> Page<U> {
+        Page { items: self.items.into_iter().map(make).collect(), next: self.next }
+    }
 }
 
 #[cfg(test)]

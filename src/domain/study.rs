@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fits::FitRequest;
 use super::ids::{RigId, StudyId};
-use super::job::JobState;
+use super::job::{JobKind, JobRequest, JobState};
 use super::model_ref::ModelRef;
 use super::problem::FieldError;
 use crate::engine::EngineError;
@@ -121,6 +121,10 @@ pub struct StudyRequest {
     /// End of its noise, Hz.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end_hz: Option<f64>,
+}
+
+impl JobRequest for StudyRequest {
+    const KIND: JobKind = JobKind::Study;
 }
 
 fn seed() -> u64 {

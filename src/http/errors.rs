@@ -80,55 +80,22 @@ impl From<ModelError> for Problem {
     }
 }
 
-impl From<FitProblem> for Problem {
-    fn from(error: FitProblem) -> Self {
-        match error {
-            FitProblem::Store(error) => error.into(),
-            FitProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
-            error => error.problem().into(),
-        }
-    }
+/// Problems of the requests that a job answers.
+macro_rules! of_jobs {
+    ($($error:ident),*) => {
+        $(impl From<$error> for Problem {
+            fn from(error: $error) -> Self {
+                match error {
+                    $error::Store(error) => error.into(),
+                    $error::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
+                    error => error.problem().into(),
+                }
+            }
+        })*
+    };
 }
 
-impl From<DiagnosisProblem> for Problem {
-    fn from(error: DiagnosisProblem) -> Self {
-        match error {
-            DiagnosisProblem::Store(error) => error.into(),
-            DiagnosisProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
-            error => error.problem().into(),
-        }
-    }
-}
-
-impl From<StudyProblem> for Problem {
-    fn from(error: StudyProblem) -> Self {
-        match error {
-            StudyProblem::Store(error) => error.into(),
-            StudyProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
-            error => error.problem().into(),
-        }
-    }
-}
-
-impl From<IterationProblem> for Problem {
-    fn from(error: IterationProblem) -> Self {
-        match error {
-            IterationProblem::Store(error) => error.into(),
-            IterationProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
-            error => error.problem().into(),
-        }
-    }
-}
-
-impl From<EvaluationProblem> for Problem {
-    fn from(error: EvaluationProblem) -> Self {
-        match error {
-            EvaluationProblem::Store(error) => error.into(),
-            EvaluationProblem::TooManyWaiting(_) => Self::from(error.problem()).retry_after(WAITING_JOBS_S),
-            error => error.problem().into(),
-        }
-    }
-}
+of_jobs!(FitProblem, DiagnosisProblem, StudyProblem, IterationProblem, EvaluationProblem);
 
 /// The problem of an engine error about signals with channels `names`, sent at `pointer`.
 pub fn engine(error: &EngineError, names: &[String], pointer: &str) -> Problem {

@@ -14,7 +14,9 @@ use axum::response::{IntoResponse, Response};
 use futures::FutureExt;
 use tracing::Instrument;
 
+use super::auth::Identity;
 use super::headers::{Immutable, PAGE, keep, protect};
+use super::pages::Visitor;
 use super::problem::{self, Problem};
 use super::{Shared, codes};
 use crate::domain::RigId;
@@ -145,7 +147,8 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span, form: &Form) -
         } else {
             span.in_scope(|| tracing::debug!("request refused"));
         }
-        refuse(&mut response, &problem, id, form);
+        let visitor = response.extensions_mut().remove::<Identity>().map(Visitor::from);
+        refuse(&mut response, &problem, id, form, visitor.as_ref());
     }
     let kept = response.extensions_mut().remove::<Immutable>().is_some();
     let id = HeaderValue::from_str(id).expect("ids are letters, digits and four marks");
@@ -158,7 +161,7 @@ fn finish(mut response: Response, id: &str, span: &tracing::Span, form: &Form) -
 }
 
 /// Writes the document of a problem. A browser that is not signed in is sent to the form for that.
-fn refuse(response: &mut Response, problem: &Problem, id: &str, form: &Form) {
+fn refuse(response: &mut Response, problem: &Problem, id: &str, form: &Form, visitor: Option<&Visitor>) {
     let (document, kind) = match form {
         Form::Problem => (problem.document(id), problem::MEDIA_TYPE),
         Form::Inference => (problem.inference_document(id), problem::MEDIA_TYPE),
@@ -170,7 +173,10 @@ fn refuse(response: &mut Response, problem: &Problem, id: &str, form: &Form) {
             *response.status_mut() = StatusCode::SEE_OTHER;
             (Vec::new(), "text/plain")
         }
-        Form::Page(_) => (problem.page(id).into_bytes(), "text/html; charset=utf-8"),
+        Form::Page(_) => {
+            let page = problem.page(id, visitor.map(|visitor| &visitor.shown));
+            (page.into_bytes(), "text/html; charset=utf-8")
+        }
     };
     if kind.starts_with("text/html") {
         response.headers_mut().insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(PAGE));

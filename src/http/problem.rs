@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::codes::{self, Code};
 use crate::domain;
 pub use crate::domain::FieldError;
-use crate::ui::{self, refusal::Refusal};
+use crate::ui::{self, frame::Visitor, refusal::Refusal};
 
 /// Media type of problem documents.
 pub const MEDIA_TYPE: &str = "application/problem+json";
@@ -136,15 +136,16 @@ impl Problem {
         self.written(request_id, Some(&self.0.what.detail))
     }
 
-    /// The problem as a page for people.
-    pub(super) fn page(&self, request_id: &str) -> String {
-        ui::refusal::page(&Refusal {
+    /// The problem as a page for people; with the navigation for somebody who is known.
+    pub(super) fn page(&self, request_id: &str, visitor: Option<&Visitor>) -> String {
+        let refusal = Refusal {
             title: &self.0.what.title,
             status: self.0.what.status,
             detail: &self.0.what.detail,
             code: &self.0.what.code,
             request_id,
-        })
+        };
+        ui::refusal::page(&refusal, visitor)
     }
 
     fn written(&self, request_id: &str, error: Option<&str>) -> Vec<u8> {

@@ -44,6 +44,7 @@ use crate::storage::{Asker, CancelOutcome, IdempotencyKey, JobInsert, PrepareErr
 use control::Stop;
 use fit::FitFunction;
 use iteration::TargetOutline;
+use problem::NotQueued;
 use runner::{Executor, Runner};
 use work_context::WorkContext;
 
@@ -162,14 +163,8 @@ impl Jobs {
         let plan = fit::check(store, rig, request).await?;
         memory::check_limit(&plan, self.runner.settings.job_memory_bytes())?;
         let asker = self.asker(token);
-        match store.insert_fit_job(&rig.id, request, asker, key, clock()).await? {
-            JobInsert::Queued(job) => {
-                self.wake();
-                Ok(*job)
-            }
-            JobInsert::MissingRig => Err(FitProblem::RigGone),
-            JobInsert::TooManyWaiting => Err(FitProblem::TooManyWaiting(asker.max_waiting)),
-        }
+        let inserted = store.insert_job(&rig.id, request, asker, key, clock()).await?;
+        Ok(self.queued(inserted, asker)?)
     }
 
     fn asker(&self, token: Option<TokenId>) -> Asker {
@@ -190,14 +185,8 @@ impl Jobs {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = diagnosis::check(store, rig, request).await?;
         let asker = self.asker(token);
-        match store.insert_diagnosis_job(&rig.id, &plan.request, asker, key, clock()).await? {
-            JobInsert::Queued(job) => {
-                self.wake();
-                Ok(*job)
-            }
-            JobInsert::MissingRig => Err(DiagnosisProblem::RigGone),
-            JobInsert::TooManyWaiting => Err(DiagnosisProblem::TooManyWaiting(asker.max_waiting)),
-        }
+        let inserted = store.insert_job(&rig.id, &plan.request, asker, key, clock()).await?;
+        Ok(self.queued(inserted, asker)?)
     }
 
     /// Checks an iteration and queues it for a token, its model resolved.
@@ -215,8 +204,8 @@ impl Jobs {
         let (plan, _) = iteration::check(store, rig, request).await?;
         let request = IterationRequest { model: ModelRef::Version(plan.model.version), ..request.clone() };
         let asker = self.asker(token);
-        let inserted = store.insert_iteration_job(&rig.id, &request, asker, key, clock()).await?;
-        self.queued_iteration(inserted, asker)
+        let inserted = store.insert_job(&rig.id, &request, asker, key, clock()).await?;
+        Ok(self.queued(inserted, asker)?)
     }
 
     /// [`Jobs::submit_iteration`] for a target that comes with the request, its channels in the order of `names`: it
@@ -253,17 +242,18 @@ impl Jobs {
         })?;
         let asker = self.asker(token);
         let inserted = store.insert_iteration_job_for(&rig.id, request, target, asker, key, clock()).await?;
-        self.queued_iteration(inserted, asker)
+        Ok(self.queued(inserted, asker)?)
     }
 
-    fn queued_iteration(&self, inserted: JobInsert, asker: Asker) -> Result<Job, IterationProblem> {
+    /// The job that was inserted; the workers are told.
+    fn queued(&self, inserted: JobInsert, asker: Asker) -> Result<Job, NotQueued> {
         match inserted {
             JobInsert::Queued(job) => {
                 self.wake();
                 Ok(*job)
             }
-            JobInsert::MissingRig => Err(IterationProblem::RigGone),
-            JobInsert::TooManyWaiting => Err(IterationProblem::TooManyWaiting(asker.max_waiting)),
+            JobInsert::MissingRig => Err(NotQueued::RigGone),
+            JobInsert::TooManyWaiting => Err(NotQueued::TooManyWaiting(asker.max_waiting)),
         }
     }
 
@@ -281,14 +271,8 @@ impl Jobs {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = evaluation::check(store, rig, request).await?;
         let asker = self.asker(token);
-        match store.insert_evaluation_job(&rig.id, &plan.request, asker, key, clock()).await? {
-            JobInsert::Queued(job) => {
-                self.wake();
-                Ok(*job)
-            }
-            JobInsert::MissingRig => Err(EvaluationProblem::RigGone),
-            JobInsert::TooManyWaiting => Err(EvaluationProblem::TooManyWaiting(asker.max_waiting)),
-        }
+        let inserted = store.insert_job(&rig.id, &plan.request, asker, key, clock()).await?;
+        Ok(self.queued(inserted, asker)?)
     }
 
     /// Checks a study and queues it for a token, its fit resolved.
@@ -305,14 +289,8 @@ impl Jobs {
         let Runner { store, clock, .. } = &*self.runner;
         let plan = study::check(store, rig, request).await?;
         let asker = self.asker(token);
-        match store.insert_study_job(&rig.id, &plan.request, asker, key, clock()).await? {
-            JobInsert::Queued(job) => {
-                self.wake();
-                Ok(*job)
-            }
-            JobInsert::MissingRig => Err(StudyProblem::RigGone),
-            JobInsert::TooManyWaiting => Err(StudyProblem::TooManyWaiting(asker.max_waiting)),
-        }
+        let inserted = store.insert_job(&rig.id, &plan.request, asker, key, clock()).await?;
+        Ok(self.queued(inserted, asker)?)
     }
 
     /// Records the request to cancel, and stops the work if it runs here. Idempotent.

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::fit::FitProblem;
+use super::{DiagnosisProblem, EvaluationProblem, IterationProblem, StudyProblem};
 use crate::compute::ComputeError;
 use crate::domain::{FieldError, FitChannels, Problem};
 use crate::engine::{EngineError, rounded};
@@ -76,6 +78,29 @@ pub mod codes {
     /// The disk is full (507).
     pub const STORE_FULL: &str = "store.full";
 }
+
+/// Why a job that was asked for does not wait for its turn.
+pub(super) enum NotQueued {
+    /// The rig was deleted.
+    RigGone,
+    /// So many jobs of the token wait that it may have no more.
+    TooManyWaiting(u64),
+}
+
+macro_rules! of_not_queued {
+    ($($problem:ty),*) => {
+        $(impl From<NotQueued> for $problem {
+            fn from(why: NotQueued) -> Self {
+                match why {
+                    NotQueued::RigGone => Self::RigGone,
+                    NotQueued::TooManyWaiting(most) => Self::TooManyWaiting(most),
+                }
+            }
+        })*
+    };
+}
+
+of_not_queued!(FitProblem, DiagnosisProblem, StudyProblem, IterationProblem, EvaluationProblem);
 
 /// How a job's work ended without a result.
 #[derive(Debug, Clone, Serialize, Deserialize)]

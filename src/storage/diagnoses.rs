@@ -6,13 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::jobs::succeed;
 use super::objects::ObjectWrite;
-use super::rigs::rig_in;
-use super::rows::{DiagnosisRow, all, int, json, us, word};
-use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, Store, StoreError};
+use super::rows::{DiagnosisRow, int, json, us, word};
+use super::{Digest, Lease, Store, StoreError};
 use crate::domain::diagnosis::VerdictSummary;
 use crate::domain::{
-    DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobKind, JobResult, Page, PageRequest, RigId,
-    StoredDiagnosis, UsedModel, new_id,
+    DiagnosisId, DiagnosisRequest, DiagnosisSummary, JobResult, Page, PageRequest, RigId, StoredDiagnosis,
+    UsedModel, new_id,
 };
 
 /// A diagnosis on its way into the store.
@@ -32,21 +31,6 @@ pub struct NewDiagnosis {
 }
 
 impl Store {
-    /// Queues a diagnosis.
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn insert_diagnosis_job(
-        &self,
-        rig: &RigId,
-        request: &DiagnosisRequest,
-        asker: Asker,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<JobInsert, StoreError> {
-        self.insert_requested_job(rig, JobKind::Diagnosis, request, asker, key, now).await
-    }
-
     /// Stores a diagnosis and ends its job, whose last words are `stage`, in one transaction, if the
     /// lease still holds. `None`: the lease is lost, and nothing was changed.
     ///
@@ -116,19 +100,9 @@ impl Store {
         rig: &RigId,
         page: &PageRequest,
     ) -> Result<Option<Page<DiagnosisSummary>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
-        }
-        let rows: Vec<DiagnosisRow> = sqlx::query_as(
-            "SELECT * FROM diagnoses WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3",
-        )
-        .bind(rig.as_str())
-        .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
-        .bind(i64::from(page.limit) + 1)
-        .fetch_all(&mut *tx)
-        .await?;
-        Ok(Some(Page::cut(all(rows)?, page.limit, |one: &DiagnosisSummary| one.id.to_string())))
+        let sql =
+            "SELECT * FROM diagnoses WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+        self.newest::<DiagnosisRow, DiagnosisSummary>(sql, rig, page, |one| one.id.to_string()).await
     }
 
     /// One diagnosis of a rig.
@@ -156,16 +130,8 @@ impl Store {
         &self,
         diagnosis: &StoredDiagnosis,
     ) -> Result<crate::domain::diagnosis::Findings, StoreError> {
-        let id = diagnosis.summary.id;
-        self.objects()
-            .get_with(&diagnosis.findings, move |bytes| {
-                serde_json::from_slice(&bytes).map_err(|error| StoreError::Row {
-                    table: "diagnoses",
-                    key: id.to_string(),
-                    what: error.to_string(),
-                })
-            })
-            .await
+        let key = diagnosis.summary.id.to_string();
+        self.objects().get_json(&diagnosis.findings, "diagnoses", key).await
     }
 }
 
@@ -174,8 +140,9 @@ mod tests {
     use jiff::ToSpan;
 
     use super::super::testing::{TestStore, draft, now};
+    use super::super::{Asker, JobInsert};
     use super::*;
-    use crate::domain::{Job, JobState, Rig};
+    use crate::domain::{Job, JobKind, JobState, Rig};
 
     fn request() -> DiagnosisRequest {
         serde_json::from_value(serde_json::json!({"runs": []})).unwrap()
@@ -197,7 +164,7 @@ mod tests {
 
     async fn queued(store: &TestStore, rig: &Rig) -> Job {
         let asker = Asker { token: None, max_waiting: 1 };
-        match store.insert_diagnosis_job(&rig.id, &request(), asker, None, now()).await.unwrap() {
+        match store.insert_job(&rig.id, &request(), asker, None, now()).await.unwrap() {
             JobInsert::Queued(job) => *job,
             other => panic!("{other:?}"),
         }

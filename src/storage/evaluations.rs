@@ -6,12 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::jobs::succeed;
 use super::objects::ObjectWrite;
-use super::rigs::rig_in;
-use super::rows::{EvaluationRow, all, int, json, us};
-use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, Store, StoreError};
+use super::rows::{EvaluationRow, int, json, us};
+use super::{Digest, Lease, Store, StoreError};
 use crate::domain::evaluation::{EvaluationOutline, EvaluationReport};
 use crate::domain::{
-    EvaluationId, EvaluationRequest, EvaluationSummary, JobKind, JobResult, Page, PageRequest, RigId,
+    EvaluationId, EvaluationRequest, EvaluationSummary, JobResult, Page, PageRequest, RigId,
     StoredEvaluation, new_id,
 };
 
@@ -30,21 +29,6 @@ pub struct NewEvaluation {
 }
 
 impl Store {
-    /// Queues an evaluation.
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn insert_evaluation_job(
-        &self,
-        rig: &RigId,
-        request: &EvaluationRequest,
-        asker: Asker,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<JobInsert, StoreError> {
-        self.insert_requested_job(rig, JobKind::Evaluation, request, asker, key, now).await
-    }
-
     /// Stores an evaluation and ends its job, whose last words are `stage`, in one transaction, if the lease still
     /// holds. `None`: the lease is lost, and nothing was changed.
     ///
@@ -110,19 +94,9 @@ impl Store {
         rig: &RigId,
         page: &PageRequest,
     ) -> Result<Option<Page<EvaluationSummary>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
-        }
-        let rows: Vec<EvaluationRow> = sqlx::query_as(
-            "SELECT * FROM evaluations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3",
-        )
-        .bind(rig.as_str())
-        .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
-        .bind(i64::from(page.limit) + 1)
-        .fetch_all(&mut *tx)
-        .await?;
-        Ok(Some(Page::cut(all(rows)?, page.limit, |one: &EvaluationSummary| one.id.to_string())))
+        let sql =
+            "SELECT * FROM evaluations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+        self.newest::<EvaluationRow, EvaluationSummary>(sql, rig, page, |one| one.id.to_string()).await
     }
 
     /// One evaluation of a rig.
@@ -150,16 +124,8 @@ impl Store {
         &self,
         evaluation: &StoredEvaluation,
     ) -> Result<EvaluationReport, StoreError> {
-        let id = evaluation.summary.id;
-        self.objects()
-            .get_with(&evaluation.report, move |bytes| {
-                serde_json::from_slice(&bytes).map_err(|error| StoreError::Row {
-                    table: "evaluations",
-                    key: id.to_string(),
-                    what: error.to_string(),
-                })
-            })
-            .await
+        let key = evaluation.summary.id.to_string();
+        self.objects().get_json(&evaluation.report, "evaluations", key).await
     }
 }
 
@@ -169,8 +135,9 @@ mod tests {
     use serde_json::json;
 
     use super::super::testing::{TestStore, draft, now};
+    use super::super::{Asker, JobInsert};
     use super::*;
-    use crate::domain::{JobState, Rig};
+    use crate::domain::{JobKind, JobState, Rig};
 
     fn new(report: &'static [u8]) -> NewEvaluation {
         let outline = json!({"models": [2], "baseline": null, "classes": ["service"], "runs": 4});
@@ -185,7 +152,7 @@ mod tests {
     async fn leased(store: &TestStore, rig: &Rig) -> Lease {
         let asker = Asker { token: None, max_waiting: 1 };
         let request = EvaluationRequest::default();
-        let queued = store.insert_evaluation_job(&rig.id, &request, asker, None, now()).await.unwrap();
+        let queued = store.insert_job(&rig.id, &request, asker, None, now()).await.unwrap();
         assert!(matches!(queued, JobInsert::Queued(job) if job.kind == JobKind::Evaluation));
         store.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap().lease
     }

@@ -132,6 +132,7 @@ mod tests {
     use super::super::testing::{TestStore, draft, now};
     use super::super::{Asker, JobInsert};
     use super::*;
+    use crate::domain::fits::FitRequest;
 
     fn keyed(key: &str) -> IdempotencyKey {
         IdempotencyKey { owner: String::new(), key: key.into(), fingerprint: Digest::of(b"request") }
@@ -141,11 +142,10 @@ mod tests {
     async fn a_request_is_done_once_and_its_answer_is_kept_for_a_day_at_least() {
         let store = TestStore::open().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-        let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+        let request: FitRequest = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
         let asker = Asker { token: None, max_waiting: 10 };
-        let fit = async |key: &str, now| {
-            store.insert_fit_job(&rig.id, &request, asker, Some(&keyed(key)), now).await
-        };
+        let fit =
+            async |key: &str, now| store.insert_job(&rig.id, &request, asker, Some(&keyed(key)), now).await;
         let JobInsert::Queued(job) = fit("a", now()).await.unwrap() else { panic!("it is the first") };
         assert!(matches!(fit("a", now()).await, Err(StoreError::Repeated)));
         let before = store.answer_under_key("", "a").await.unwrap().unwrap();
@@ -161,7 +161,7 @@ mod tests {
         assert!(store.answer_under_key("", "b").await.unwrap().is_some());
         // A failed request does not use up its key.
         let gone = "gone".parse().unwrap();
-        let refused = store.insert_fit_job(&gone, &request, asker, Some(&keyed("d")), now()).await.unwrap();
+        let refused = store.insert_job(&gone, &request, asker, Some(&keyed("d")), now()).await.unwrap();
         assert_eq!(refused, JobInsert::MissingRig);
         assert_eq!(store.answer_under_key("", "d").await.unwrap(), None);
     }

@@ -10,14 +10,14 @@ use super::jobs::{insert_requested, refusal, succeed};
 use super::objects::{ObjectWrite, off_thread, to_the_end};
 use super::prepare::NewRun;
 use super::rigs::rig_in;
-use super::rows::{IterationRow, all, int, json, us};
+use super::rows::{IterationRow, int, json, us};
 use super::runs::insert_row;
 use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, PrepareError, PreparedRun, Store, StoreError};
 use crate::domain::iteration::{IterationReport, IterationTarget};
 use crate::domain::rig::MAX_NAME_CHARS;
 use crate::domain::{
-    IterationId, IterationRequest, IterationSummary, JobKind, JobResult, Page, PageRequest, Rig, RigId,
-    RunKind, RunMeta, Split, StoredIteration, UsedModel, new_id,
+    IterationId, IterationRequest, IterationSummary, JobResult, Page, PageRequest, Rig, RigId, RunKind,
+    RunMeta, Split, StoredIteration, UsedModel, new_id,
 };
 use crate::engine::Signal;
 
@@ -86,21 +86,6 @@ fn unmeasured(
 }
 
 impl Store {
-    /// Queues an iteration.
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn insert_iteration_job(
-        &self,
-        rig: &RigId,
-        request: &IterationRequest,
-        asker: Asker,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<JobInsert, StoreError> {
-        self.insert_requested_job(rig, JobKind::Iteration, request, asker, key, now).await
-    }
-
     /// Makes a target that came with a request a run: its channels in order, and the name of the iteration, if it has one.
     ///
     /// # Errors
@@ -171,7 +156,7 @@ impl Store {
         }
         let run = insert_row(&mut tx, rig, &row, now).await?.id;
         let (request, ()) = request.with_target(IterationTarget { run, channels: None });
-        let job = insert_requested(&mut tx, rig, JobKind::Iteration, &request, asker, key, now).await?;
+        let job = insert_requested(&mut tx, rig, &request, asker, key, now).await?;
         tx.commit().await?;
         Ok(JobInsert::Queued(Box::new(job)))
     }
@@ -261,21 +246,11 @@ impl Store {
         rig: &RigId,
         page: &PageRequest,
     ) -> Result<Option<Page<IterationSummary>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
-        }
-        let rows: Vec<IterationRow> = sqlx::query_as(
-            "SELECT iterations.*, (SELECT runs.id FROM runs WHERE runs.id = iterations.run) AS drive
-             FROM iterations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3",
-        )
-        .bind(rig.as_str())
-        .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
-        .bind(i64::from(page.limit) + 1)
-        .fetch_all(&mut *tx)
-        .await?;
-        let found = all::<_, StoredIteration>(rows)?.into_iter().map(|one| one.summary).collect();
-        Ok(Some(Page::cut(found, page.limit, |one: &IterationSummary| one.id.to_string())))
+        let sql = "SELECT iterations.*, (SELECT runs.id FROM runs WHERE runs.id = iterations.run) AS drive
+                   FROM iterations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+        let found =
+            self.newest::<IterationRow, StoredIteration>(sql, rig, page, |one| one.summary.id.to_string());
+        Ok(found.await?.map(|page| page.map(|one| one.summary)))
     }
 
     /// One iteration of a rig.
@@ -306,7 +281,7 @@ mod tests {
 
     use super::super::testing::{TestStore, draft, now};
     use super::*;
-    use crate::domain::{Job, JobState};
+    use crate::domain::{Job, JobKind, JobState};
 
     fn request() -> IterationRequest {
         serde_json::from_value(json!({"target": {"run": new_id(now())}})).unwrap()
@@ -332,7 +307,7 @@ mod tests {
 
     async fn queued(store: &TestStore, rig: &Rig) -> Job {
         let asker = Asker { token: None, max_waiting: 9 };
-        match store.insert_iteration_job(&rig.id, &request(), asker, None, now()).await.unwrap() {
+        match store.insert_job(&rig.id, &request(), asker, None, now()).await.unwrap() {
             JobInsert::Queued(job) => *job,
             other => panic!("{other:?}"),
         }

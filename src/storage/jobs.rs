@@ -12,8 +12,7 @@ use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
 use super::{IdempotencyKey, Store, StoreError, idempotency, turns};
-use crate::domain::fits::FitRequest;
-use crate::domain::job::{MAX_ATTEMPTS, SUSPECT_AFTER, eta_s};
+use crate::domain::job::{JobRequest, MAX_ATTEMPTS, SUSPECT_AFTER, eta_s};
 use crate::domain::turns::Urgency;
 use crate::domain::{
     Created, Job, JobId, JobKind, JobResult, JobState, Page, PageRequest, Problem, RigId, TokenId, new_id,
@@ -172,16 +171,15 @@ pub(super) async fn refusal(
 }
 
 /// Queues a job that a client asked for, and records the answer under its key.
-pub(super) async fn insert_requested(
+pub(super) async fn insert_requested<R: JobRequest>(
     connection: &mut SqliteConnection,
     rig: &RigId,
-    kind: JobKind,
-    request: &impl Serialize,
+    request: &R,
     asker: Asker,
     key: Option<&IdempotencyKey>,
     now: Timestamp,
 ) -> Result<Job, StoreError> {
-    let job = insert(&mut *connection, rig, kind, request, JobOrigin::Request, asker.token, now).await?;
+    let job = insert(&mut *connection, rig, R::KIND, request, JobOrigin::Request, asker.token, now).await?;
     idempotency::record(connection, key, || Created::job(&job), now).await?;
     Ok(job)
 }
@@ -216,27 +214,14 @@ pub(super) async fn succeed(
 }
 
 impl Store {
-    /// Queues a fit that a client asked for.
+    /// Queues the job that a client asked for.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn insert_fit_job(
+    pub async fn insert_job<R: JobRequest>(
         &self,
         rig: &RigId,
-        request: &FitRequest,
-        asker: Asker,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<JobInsert, StoreError> {
-        self.insert_requested_job(rig, JobKind::Fit, request, asker, key, now).await
-    }
-
-    /// Queues a job that a client asked for.
-    pub(super) async fn insert_requested_job(
-        &self,
-        rig: &RigId,
-        kind: JobKind,
-        request: &(impl Serialize + Sync),
+        request: &R,
         asker: Asker,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
@@ -245,7 +230,7 @@ impl Store {
         if let Some(refused) = refusal(&mut tx, rig, asker, key).await? {
             return Ok(refused);
         }
-        let job = insert_requested(&mut tx, rig, kind, request, asker, key, now).await?;
+        let job = insert_requested(&mut tx, rig, request, asker, key, now).await?;
         tx.commit().await?;
         Ok(JobInsert::Queued(Box::new(job)))
     }

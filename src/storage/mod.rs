@@ -24,6 +24,7 @@ mod models;
 mod npy;
 mod object_file;
 mod objects;
+mod pages;
 mod policy;
 mod prepare;
 mod quarantine;

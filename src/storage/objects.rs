@@ -108,6 +108,20 @@ impl Objects {
         self.get_with(digest, Ok).await
     }
 
+    /// Reads and verifies an object that holds JSON; `key` is that of the row of `table` that names it.
+    pub(super) async fn get_json<T: serde::de::DeserializeOwned + Send + 'static>(
+        &self,
+        digest: &str,
+        table: &'static str,
+        key: String,
+    ) -> Result<T, StoreError> {
+        let read = move |bytes: Bytes| {
+            let read = serde_json::from_slice(&bytes);
+            read.map_err(|error| StoreError::Row { table, key, what: error.to_string() })
+        };
+        self.get_with(digest, read).await
+    }
+
     /// Reads, verifies and converts an object, off the async threads.
     pub(super) async fn get_with<T: Send + 'static>(
         &self,

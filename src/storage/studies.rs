@@ -6,11 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::jobs::succeed;
 use super::models::insert_published;
 use super::objects::ObjectWrite;
-use super::rigs::rig_in;
-use super::rows::{StudyRow, all, json, us};
-use super::{Activation, Asker, Digest, IdempotencyKey, JobInsert, Lease, NewModel, Store, StoreError};
-use crate::domain::study::{StoredStudy, StudyReport, StudyRequest, StudySummary};
-use crate::domain::{JobKind, JobResult, Page, PageRequest, RigId, StudyId};
+use super::rows::{StudyRow, json, us};
+use super::{Activation, Digest, Lease, NewModel, Store, StoreError};
+use crate::domain::study::{StoredStudy, StudyReport, StudySummary};
+use crate::domain::{JobResult, Page, PageRequest, RigId, StudyId};
 
 /// Part of a study's checkpoints that holds its report so far, as JSON.
 pub const STUDY_PART: &str = "study";
@@ -40,21 +39,6 @@ macro_rules! select_studies {
 }
 
 impl Store {
-    /// Queues a study.
-    ///
-    /// # Errors
-    /// The store's failures.
-    pub async fn insert_study_job(
-        &self,
-        rig: &RigId,
-        request: &StudyRequest,
-        asker: Asker,
-        key: Option<&IdempotencyKey>,
-        now: Timestamp,
-    ) -> Result<JobInsert, StoreError> {
-        self.insert_requested_job(rig, JobKind::Study, request, asker, key, now).await
-    }
-
     /// Stores what a study has found, publishes its model, and ends its job, in one transaction, if the lease still
     /// holds. `None`: the lease is lost, and nothing was changed. `stage` makes the job's last stage text from the
     /// model's version and whether it became active.
@@ -101,19 +85,9 @@ impl Store {
         rig: &RigId,
         page: &PageRequest,
     ) -> Result<Option<Page<StudySummary>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        if rig_in(&mut tx, rig).await?.is_none() {
-            return Ok(None);
-        }
-        let rows: Vec<StudyRow> =
-            sqlx::query_as(select_studies!("(?2 IS NULL OR jobs.id < ?2) ORDER BY jobs.id DESC LIMIT ?3"))
-                .bind(rig.as_str())
-                .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
-                .bind(i64::from(page.limit) + 1)
-                .fetch_all(&mut *tx)
-                .await?;
-        let found = all::<_, StoredStudy>(rows)?.into_iter().map(|one| one.summary).collect();
-        Ok(Some(Page::cut(found, page.limit, |one: &StudySummary| one.id.to_string())))
+        let sql = select_studies!("(?2 IS NULL OR jobs.id < ?2) ORDER BY jobs.id DESC LIMIT ?3");
+        let found = self.newest::<StudyRow, StoredStudy>(sql, rig, page, |one| one.summary.id.to_string());
+        Ok(found.await?.map(|page| page.map(|one| one.summary)))
     }
 
     /// One study of a rig, with what it has found so far.
@@ -165,9 +139,10 @@ mod tests {
     use serde_json::json;
 
     use super::super::testing::{TestStore, draft, now};
-    use super::super::{Checkpoint, Outcome};
+    use super::super::{Asker, Checkpoint, JobInsert, Outcome};
     use super::*;
-    use crate::domain::{JobState, Rig};
+    use crate::domain::study::StudyRequest;
+    use crate::domain::{JobKind, JobState, Rig};
 
     fn request() -> StudyRequest {
         serde_json::from_value(json!({"kind": "search", "fit": {"kind": "lstm"}})).unwrap()
@@ -179,8 +154,7 @@ mod tests {
 
     async fn claimed(store: &TestStore, rig: &Rig) -> Lease {
         let asker = Asker { token: None, max_waiting: 9 };
-        let JobInsert::Queued(job) =
-            store.insert_study_job(&rig.id, &request(), asker, None, now()).await.unwrap()
+        let JobInsert::Queued(job) = store.insert_job(&rig.id, &request(), asker, None, now()).await.unwrap()
         else {
             panic!("not queued")
         };

@@ -8,6 +8,7 @@ use jiff::Timestamp;
 use tempfile::TempDir;
 
 use super::{Activation, Asker, Digest, JobInsert, NewModel, PreparedRun, RunInsert, Store, StoreError};
+use crate::domain::fits::FitRequest;
 use crate::domain::{
     Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
     Span, Split,
@@ -165,9 +166,9 @@ impl TestStore {
     }
 
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {
-        let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+        let request: FitRequest = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
         let asker = Asker { token: None, max_waiting: u64::MAX };
-        match self.insert_fit_job(&rig.id, &request, asker, None, now()).await.unwrap() {
+        match self.insert_job(&rig.id, &request, asker, None, now()).await.unwrap() {
             JobInsert::Queued(job) => *job,
             other => panic!("{other:?}"),
         }

@@ -12,6 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::testing::{TestStore, draft, imported, now};
 use super::{Activation, Asker, Beat, Checkpoint, JobInsert, JobQuery, Lease, Outcome, StoreError};
+use crate::domain::fits::FitRequest;
 use crate::domain::job::MAX_ATTEMPTS;
 use crate::domain::{Job, JobId, JobState, Model, PageRequest, Problem, Rig, TokenId, new_id};
 
@@ -68,11 +69,10 @@ impl World {
         let problem = || Problem::new(500, "job.crashed", "died", "");
         match self.random.random_range(0..100) {
             0..15 => {
-                let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+                let request: FitRequest = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
                 let token = self.tokens[self.random.random_range(0..2)];
                 let asker = Asker { token: Some(token), max_waiting: 1000 };
-                let inserted =
-                    self.store.insert_fit_job(&self.rig.id, &request, asker, None, self.now).await?;
+                let inserted = self.store.insert_job(&self.rig.id, &request, asker, None, self.now).await?;
                 let JobInsert::Queued(job) = inserted else { panic!("{inserted:?}") };
                 self.known.insert(job.id);
             }

@@ -199,16 +199,18 @@ mod tests {
     use super::super::testing::{TestStore, draft, now};
     use super::super::{Asker, JobInsert, Outcome};
     use super::*;
-    use crate::domain::{JobId, JobKind, Rig, TokenId, new_id};
+    use crate::domain::fits::FitRequest;
+    use crate::domain::study::StudyRequest;
+    use crate::domain::{DiagnosisRequest, JobId, JobKind, Rig, TokenId, new_id};
 
     async fn rig(store: &TestStore, id: &str) -> Rig {
         store.insert_rig(&draft(id), None, now()).await.unwrap().unwrap()
     }
 
     async fn fit(store: &Store, rig: &Rig, token: Option<TokenId>) -> JobId {
-        let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+        let request: FitRequest = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
         let asker = Asker { token, max_waiting: 10_000 };
-        match store.insert_fit_job(&rig.id, &request, asker, None, now()).await.unwrap() {
+        match store.insert_job(&rig.id, &request, asker, None, now()).await.unwrap() {
             JobInsert::Queued(job) => job.id,
             other => panic!("{other:?}"),
         }
@@ -289,9 +291,9 @@ mod tests {
         let rig = store.insert_rig(&draft, None, now()).await.unwrap().unwrap();
         let by_policy = store.upload(&rig, &[1.0, 2.0]).await.jobs[0];
         let fit = fit(&store, &rig, None).await;
-        let request = serde_json::from_value(serde_json::json!({"runs": []})).unwrap();
+        let request: DiagnosisRequest = serde_json::from_value(serde_json::json!({"runs": []})).unwrap();
         let asker = Asker { token: Some(new_id(now())), max_waiting: 1 };
-        let diagnosis = store.insert_diagnosis_job(&rig.id, &request, asker, None, now()).await.unwrap();
+        let diagnosis = store.insert_job(&rig.id, &request, asker, None, now()).await.unwrap();
         let JobInsert::Queued(diagnosis) = diagnosis else { panic!("{diagnosis:?}") };
         assert_eq!(diagnosis.kind, JobKind::Diagnosis);
         // The token of the diagnosis has used more time than the others.
@@ -311,15 +313,15 @@ mod tests {
         let rig = rig(&store, "bench").await;
         let asker = Asker { token: None, max_waiting: 9 };
         let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
-        let study = serde_json::from_value(study).unwrap();
-        store.insert_study_job(&rig.id, &study, asker, None, now()).await.unwrap();
+        let study: StudyRequest = serde_json::from_value(study).unwrap();
+        store.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
         let claimed = claim(&store, now()).await;
         let later = now() + 50.minutes();
         assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), None);
         let fit = fit(&store, &rig, None).await;
         assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), Some(Urgency::Requested));
-        let request = serde_json::from_value(serde_json::json!({"runs": []})).unwrap();
-        store.insert_diagnosis_job(&rig.id, &request, asker, None, now()).await.unwrap();
+        let request: DiagnosisRequest = serde_json::from_value(serde_json::json!({"runs": []})).unwrap();
+        store.insert_job(&rig.id, &request, asker, None, now()).await.unwrap();
         assert_eq!(store.goes_before(&claimed.lease, later).await.unwrap(), Some(Urgency::Awaited));
         let lost = Lease { token: claimed.lease.token + 1, ..claimed.lease.clone() };
         assert_eq!(store.goes_before(&lost, later).await.unwrap(), None);
@@ -348,10 +350,10 @@ mod tests {
         let store = TestStore::open().await;
         let rig = rig(&store, "bench").await;
         let [full, other] = [new_id(now()), new_id(now())];
-        let request = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
+        let request: FitRequest = serde_json::from_value(serde_json::json!({"kind": "frf"})).unwrap();
         let queue = async |token| {
             let asker = Asker { token: Some(token), max_waiting: 2 };
-            store.insert_fit_job(&rig.id, &request, asker, None, now()).await.unwrap()
+            store.insert_job(&rig.id, &request, asker, None, now()).await.unwrap()
         };
         for _ in 0..2 {
             assert!(matches!(queue(full).await, JobInsert::Queued(_)));

@@ -2,7 +2,7 @@
 
 use maud::html;
 
-use super::frame::{Frame, Section};
+use super::frame::{Frame, Section, Visitor};
 
 /// A problem in words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,8 +19,8 @@ pub struct Refusal<'a> {
     pub request_id: &'a str,
 }
 
-/// The page.
-pub fn page(of: &Refusal<'_>) -> String {
+/// The page; with the navigation for somebody who is known.
+pub fn page(of: &Refusal<'_>, visitor: Option<&Visitor>) -> String {
     let main = html! {
         h1 { (of.title) }
         div.refused role="alert" { p { (of.detail) } }
@@ -42,7 +42,7 @@ pub fn page(of: &Refusal<'_>) -> String {
         title: of.title,
         section: Section::Elsewhere,
         way: Vec::new(),
-        visitor: None,
+        visitor,
         class: "narrow",
         scripts: &[],
     };

@@ -15,7 +15,7 @@ use axum::http::header::{AUTHORIZATION, COOKIE, WWW_AUTHENTICATE};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::middleware::Next;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use jiff::Timestamp;
 
 use super::paths::no_rig;
@@ -165,7 +165,8 @@ fn foreign_form() -> Problem {
     Problem::new(codes::CSRF_INVALID, detail)
 }
 
-/// Passes on a request whose caller has the right to the operation, and tells the handler the caller.
+/// Passes on a request whose caller has the right to the operation, and tells the handler the caller. An answer that is a
+/// problem carries the caller too: its page shows who is signed in.
 pub async fn guard(
     State((http, right)): State<(Shared, Right)>,
     request: Request,
@@ -176,14 +177,27 @@ pub async fn guard(
     }
     let (mut parts, body) = request.into_parts();
     let identity = http.auth.identify(&parts, http.now()).await?;
-    right.check(&identity.caller)?;
-    in_reach(&mut parts, &identity.caller).await?;
-    // No handler needs the secrets, so none can leak them.
-    parts.headers.remove(AUTHORIZATION);
-    parts.headers.remove(COOKIE);
-    parts.extensions.insert(identity.caller.clone());
-    parts.extensions.insert(identity);
-    Ok(next.run(Request::from_parts(parts, body)).await)
+    let mut response = match allow(right, &mut parts, &identity.caller).await {
+        Ok(()) => {
+            // No handler needs the secrets, so none can leak them.
+            parts.headers.remove(AUTHORIZATION);
+            parts.headers.remove(COOKIE);
+            parts.extensions.insert(identity.caller.clone());
+            parts.extensions.insert(identity.clone());
+            next.run(Request::from_parts(parts, body)).await
+        }
+        Err(problem) => problem.into_response(),
+    };
+    if response.extensions().get::<Problem>().is_some() {
+        response.extensions_mut().insert(identity);
+    }
+    Ok(response)
+}
+
+/// Refuses a caller without the right, or a path beyond its token's scope.
+async fn allow(right: Right, parts: &mut Parts, caller: &Caller) -> Answer<()> {
+    right.check(caller)?;
+    in_reach(parts, caller).await
 }
 
 /// Refuses a path into a rig beyond the token's scope as if the rig did not exist.

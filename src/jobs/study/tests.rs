@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use crate::domain::study::SearchReport;
-use crate::domain::{Job, JobId, JobState, Rig, StudyReport, StudyRequest};
+use crate::domain::{DiagnosisRequest, Job, JobId, JobState, Rig, StudyReport, StudyRequest};
 use crate::engine::model::fit_resumable;
 use crate::jobs::Jobs;
 use crate::jobs::tests::{noise, start};
@@ -113,9 +113,8 @@ async fn a_diagnosis_that_somebody_waits_for_goes_before_a_running_study() {
     let before = bench.with_trials(id, 1).await;
     // It names no run of the rig, so it fails as soon as it is its turn.
     let asker = Asker { token: None, max_waiting: 9 };
-    let diagnosis = serde_json::from_value(json!({"runs": []})).unwrap();
-    let queued =
-        bench.store.insert_diagnosis_job(&bench.rig.id, &diagnosis, asker, None, now()).await.unwrap();
+    let diagnosis: DiagnosisRequest = serde_json::from_value(json!({"runs": []})).unwrap();
+    let queued = bench.store.insert_job(&bench.rig.id, &diagnosis, asker, None, now()).await.unwrap();
     let JobInsert::Queued(diagnosis) = queued else { panic!("{queued:?}") };
     assert_eq!(bench.ended(diagnosis.id).await.state, JobState::Failed);
     let between = bench.job(id).await;

@@ -64,6 +64,25 @@ async fn a_browser_without_a_session_is_led_to_the_form_and_back() {
 }
 
 #[tokio::test]
+async fn a_refusal_shows_a_person_who_is_signed_in_the_way_on_and_a_stranger_nothing() {
+    let (app, _) = closed().await;
+    let (secret, _) = app.token(&json!({"role": "reader", "rigs": ["bench"], "name": "Marta"})).await;
+    let session = sign_in(&app, &secret).await;
+    // Deleted, beyond the token's scope, and beyond its role.
+    for (path, status) in [("/rigs/bench/runs/none", 404), ("/rigs/other", 404), ("/tokens", 403)] {
+        let reply = browse(&app, "GET", path).header("cookie", &session).send().await.expect(status);
+        strict(&reply);
+        let text = reply.text();
+        assert!(
+            text.contains("Marta") && text.contains("Sign out") && text.contains("href=\"/jobs\""),
+            "{text}"
+        );
+    }
+    let stranger = page(&app, "/no-such-page").await.expect(404);
+    assert!(!stranger.text().contains("/jobs"), "{}", stranger.text());
+}
+
+#[tokio::test]
 async fn a_wrong_token_and_a_foreign_form_begin_no_session() {
     let (app, token) = closed().await;
     let form = page(&app, "/sign-in").await.expect(200);

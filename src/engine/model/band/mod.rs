@@ -249,8 +249,11 @@ impl OutputBand {
     /// falls there, at most the first, since residuals that grow faster than the square of the level are none of a rig.
     fn growth(&self) -> f64 {
         let louder = &self.by_scale[self.by_scale.len() / 2..];
-        let points: Vec<[f64; 2]> =
-            louder.iter().filter(|[_, ratio]| *ratio > 0.0).map(|[scale, ratio]| [scale.ln(), ratio.ln()]).collect();
+        let points: Vec<[f64; 2]> = louder
+            .iter()
+            .filter(|[_, ratio]| *ratio > 0.0)
+            .map(|[scale, ratio]| [scale.ln(), ratio.ln()])
+            .collect();
         if points.len() < LEAST_FOR_GROWTH {
             return 0.0;
         }
