@@ -113,7 +113,7 @@ pub fn errors(drift: &Drift, width: f64) -> Drawing {
         title: "Errors of the active model by run".into(),
         description: format!("{} in the order of their time.", count(drift.runs.len(), "run", "runs")),
         size: (width, 300.0),
-        x: (Axis::exact(Scale::Linear, first as f64 - 0.5, last + 0.5), "Run in the order of time".into()),
+        x: (Axis::exact(Scale::Count, first as f64 - 0.5, last + 0.5), "Run in the order of time".into()),
         y: (
             Axis::around(Scale::Log, all.into_iter().chain(floor)),
             if ratios { "Error over its limit" } else { "Relative RMS error" }.into(),

@@ -137,7 +137,7 @@ pub fn steps(of: &StoredIteration, width: f64) -> Drawing {
         title: "Error by iteration".into(),
         description: "Relative to the RMS of the wanted response.".into(),
         size: (width.min(900.0), 300.0),
-        x: (Axis::exact(Scale::Linear, 0.0, x.last().copied().unwrap_or(1.0).max(1.0)), "Iteration".into()),
+        x: (Axis::exact(Scale::Count, 0.0, x.last().copied().unwrap_or(1.0).max(1.0)), "Iteration".into()),
         y: (Axis::around(Scale::Log, values), "RMS error, relative".into()),
         key: Key::Above,
         marks,

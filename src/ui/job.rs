@@ -120,7 +120,7 @@ pub fn losses(of: &JobLosses, width: f64) -> Drawing {
         title: "Loss by epoch".into(),
         description: format!("{} of up to {last} epochs.", count(of.curves.len(), "training", "trainings")),
         size: (width, 280.0),
-        x: (Axis::exact(Scale::Linear, 0.0, last as f64), "Epoch".into()),
+        x: (Axis::exact(Scale::Count, 0.0, last as f64), "Epoch".into()),
         y: (Axis::around(Scale::Log, values.copied()), "Mean squared error".into()),
         key: Key::Above,
         marks,

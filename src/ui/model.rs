@@ -215,7 +215,7 @@ pub fn loss(report: &FitReport, width: f64) -> Drawing {
         title: "Learning curves".into(),
         description: format!("{} of up to {last} epochs.", count(report.seeds.len(), "seed", "seeds")),
         size: (width, TALL),
-        x: (Axis::exact(Scale::Linear, 0.0, last), "Epoch".into()),
+        x: (Axis::exact(Scale::Count, 0.0, last), "Epoch".into()),
         y: (Axis::around(Scale::Log, all.flat_map(|point| [point.1, point.2])), "Mean squared error".into()),
         key: Key::Above,
         marks,

@@ -246,17 +246,46 @@ fn direction(of: [f64; 3]) -> String {
     format!("({:.2}, {:.2}, {:.2})", of[0], of[1], of[2]).replace('-', "−")
 }
 
+/// The spans in which one channel is outside in one way.
+struct WayOutside<'a> {
+    first: &'a TrustSpan,
+    spans: usize,
+    total_s: f64,
+}
+
+/// The ways in which channels are outside, those that last longest first.
+fn ways_outside(spans: &[TrustSpan]) -> Vec<WayOutside<'_>> {
+    let mut ways: Vec<WayOutside<'_>> = Vec::new();
+    for span in spans {
+        let lasts = span.to_s - span.from_s;
+        let same = |way: &&mut WayOutside<'_>| {
+            (&way.first.channel, &way.first.reason) == (&span.channel, &span.reason)
+        };
+        match ways.iter_mut().find(same) {
+            Some(way) => (way.spans, way.total_s) = (way.spans + 1, way.total_s + lasts),
+            None => ways.push(WayOutside { first: span, spans: 1, total_s: lasts }),
+        }
+    }
+    ways.sort_by(|a, b| b.total_s.total_cmp(&a.total_s));
+    ways
+}
+
 fn trust(of: &Result<'_>) -> Markup {
     html! {
         @match of.inside {
             Some(inside) if of.spans.is_empty() => p { span.tag.good { "inside" } " All drives stay inside what the model was fitted on (" (percent(inside)) ")." },
             Some(inside) => div.notes {
                 p { (percent(inside)) " of the samples are inside what the model was fitted on. Outside:" }
+                @let ways = ways_outside(of.spans);
                 ul {
-                    @for span in of.spans.iter().take(LISTED) {
-                        li { (number(span.from_s)) " to " (number(span.to_s)) " s, " (clamped(&span.channel)) ": " (span.reason) }
+                    @for way in ways.iter().take(LISTED) {
+                        li {
+                            (clamped(&way.first.channel)) ": " (way.first.reason) ", "
+                            @if way.spans == 1 { "from " (number(way.first.from_s)) " to " (number(way.first.to_s)) " s" }
+                            @else { (number(way.total_s)) " s in all, first at " (number(way.first.from_s)) " s" }
+                        }
                     }
-                    @if of.spans.len() > LISTED { li { "and " (of.spans.len() - LISTED) " more spans" } }
+                    @if ways.len() > LISTED { li { "and in " (ways.len() - LISTED) " more ways, for less time each" } }
                 }
             },
             None => p.soft { "The weights do not say what they were fitted on." },

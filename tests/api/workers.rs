@@ -221,7 +221,12 @@ async fn workers_end_with_a_server_that_is_killed_frozen_ones_too() {
         let lab = Lab::start(&[]).await;
         let job = lab.fit("bench", &endless()).await;
         lab.once(&job, 0.0).await;
-        let children = lab.program.children();
+        // A job is claimed a moment before its worker starts.
+        let mut children = lab.program.children();
+        while children.is_empty() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            children = lab.program.children();
+        }
         assert_eq!(children.len(), 1);
         // Its first act is to tie its life to the server's; what it does next shows that it has.
         let tied = format!("/proc/{}/oom_score_adj", children[0]);

@@ -104,7 +104,7 @@ function tell(body) {
   columns.replaceChildren();
   for (const column of body.columns) {
     const unit = column.unit ? ` in ${column.unit}` : '';
-    row(columns, [column.name + unit, column.channel ?? 'left out', column.factor === 1 ? '' : `times ${column.factor}`]);
+    row(columns, [column.name + unit, column.channel ?? 'left out', column.factor === 1 ? 'none' : `times ${column.factor}`]);
   }
   const warnings = understood.querySelector('ul');
   warnings.replaceChildren(...body.quality.warnings.map(text => {

@@ -10,6 +10,8 @@ const DECADES: f64 = 9.0;
 pub enum Scale {
     /// Linear.
     Linear,
+    /// Linear, for whole numbers: no tick lies between them.
+    Count,
     /// Logarithmic; values that are not positive lie below the axis.
     Log,
     /// For shares close to 1: linear in the logarithm of the difference from 1.
@@ -42,7 +44,7 @@ impl Axis {
             (false, false) => (1.0, 1.0),
         };
         match scale {
-            Scale::Linear if high - low <= 1e-12 * high.abs().max(low.abs()) => {
+            Scale::Linear | Scale::Count if high - low <= 1e-12 * high.abs().max(low.abs()) => {
                 let half = if low == 0.0 { 1.0 } else { 0.5 * low.abs() };
                 (low, high) = (low - half, high + half);
             }
@@ -53,7 +55,7 @@ impl Axis {
                 low = low.max(high / 10.0_f64.powf(DECADES));
             }
             Scale::ToOne => (low, high) = (0.0, high.clamp(0.5, 0.9999)),
-            Scale::Linear => {}
+            Scale::Linear | Scale::Count => {}
         }
         Self { scale, low, high }
     }
@@ -68,8 +70,8 @@ impl Axis {
         }
         let exact = Self::exact(scale, low, high);
         match scale {
-            Scale::Linear => {
-                let step = step(exact.high - exact.low, 8.0);
+            Scale::Linear | Scale::Count => {
+                let step = exact.step(8.0);
                 let (low, high) = ((exact.low / step).floor() * step, (exact.high / step).ceil() * step);
                 Self { low, high, ..exact }
             }
@@ -92,7 +94,7 @@ impl Axis {
     /// Position of a value, 0 at the low end and 1 at the high end, limited to the axis.
     pub fn place(&self, x: f64) -> f64 {
         let share = match self.scale {
-            Scale::Linear => (x - self.low) / (self.high - self.low),
+            Scale::Linear | Scale::Count => (x - self.low) / (self.high - self.low),
             Scale::Log if x > 0.0 => (x / self.low).ln() / (self.high / self.low).ln(),
             Scale::Log => 0.0,
             Scale::ToOne => (1.0 - x).max(1.0 - self.high).ln() / (1.0 - self.high).ln(),
@@ -109,7 +111,7 @@ impl Axis {
     /// About `wanted` ticks with names.
     pub fn ticks(&self, wanted: usize) -> Vec<Tick> {
         match self.scale {
-            Scale::Linear => self.linear_ticks(wanted.max(2) as f64),
+            Scale::Linear | Scale::Count => self.linear_ticks(wanted.max(2) as f64),
             Scale::Log => self.log_ticks(wanted.max(2) as f64),
             Scale::ToOne => [0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9999]
                 .into_iter()
@@ -120,8 +122,14 @@ impl Axis {
         }
     }
 
-    fn linear_ticks(&self, wanted: f64) -> Vec<Tick> {
+    /// The step of a linear axis with at most about `wanted` ticks.
+    fn step(&self, wanted: f64) -> f64 {
         let step = step(self.high - self.low, wanted);
+        if self.scale == Scale::Count { step.max(1.0) } else { step }
+    }
+
+    fn linear_ticks(&self, wanted: f64) -> Vec<Tick> {
+        let step = self.step(wanted);
         let first = (self.low / step - 1e-6).ceil() as i64;
         let last = (self.high / step + 1e-6).floor() as i64;
         (first..=last)
@@ -186,6 +194,8 @@ mod tests {
         for tick in axis.ticks(6) {
             assert!(axis.holds(tick.value));
         }
+        assert_eq!(labels(Axis::exact(Scale::Count, 0.5, 2.5), 16), ["1", "2"]);
+        assert_eq!(labels(Axis::exact(Scale::Count, 0.0, 40.0), 4), ["0", "10", "20", "30", "40"]);
         let tiny = Axis::exact(Scale::Linear, 0.0, 3e-7);
         assert_eq!(labels(tiny, 3)[1], "1·10⁻⁷");
     }
@@ -208,7 +218,7 @@ mod tests {
 
     #[test]
     fn no_range_is_too_odd_for_an_axis() {
-        for scale in [Scale::Linear, Scale::Log, Scale::ToOne] {
+        for scale in [Scale::Linear, Scale::Count, Scale::Log, Scale::ToOne] {
             for values in [
                 vec![],
                 vec![0.0],
