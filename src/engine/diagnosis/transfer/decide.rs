@@ -71,7 +71,16 @@ pub(super) fn verdict(
         because,
     };
     let mut because = vec![words::size(input, evidence)];
-    let verdict = if evidence.whole(r) < input.material_gap {
+    // What a model leaves of runs that it was fitted to says nothing of others.
+    let own = input.runs.iter().any(|run| input.baseline.iter().any(|own| own.name == run.name));
+    if own {
+        because.push(format!(
+            "the model was fitted to these runs; a linear part leaves {:.2} % of those that it was not fitted to",
+            100.0 * evidence.linear(r)
+        ));
+    }
+    let whole = if own { evidence.whole(r).max(evidence.linear(r)) } else { evidence.whole(r) };
+    let verdict = if whole < input.material_gap {
         bare(VerdictKind::NoMaterialGap, 0.97, because)
     } else if evidence.repeats() && evidence.at_most(r) < input.material_gap {
         because.push("repeats show that the rest is noise".into());
