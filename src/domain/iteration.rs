@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::ids::{IterationId, JobId, RigId, RunId};
 use super::job::{JobKind, JobRequest};
@@ -11,7 +11,7 @@ use super::model::UsedModel;
 use super::model_ref::ModelRef;
 use crate::engine::fatigue::{DamageRatio, DamageSettings};
 use crate::engine::iteration::{
-    DriveLimit, GainBand, IterationSettings, LinearPart, Outside, StopAt, Stopped,
+    DriveLimit, GainBand, IterationSettings, LinearPart, Outside, StepKind, StopAt, Stopped,
 };
 use crate::engine::metrics::ChannelErrors;
 
@@ -84,7 +84,10 @@ pub struct IterationRequest<Target = IterationTarget> {
     /// Time over which corrections fade to zero at both ends, s.
     #[serde(default)]
     pub taper_s: f64,
-    /// What happens to drives beyond the range of the model's training data.
+    /// Whether the model's own gradient takes over where the linear step leads no further.
+    #[serde(default = "gradient")]
+    pub gradient: bool,
+    /// What happens to drives outside what the model was fitted on.
     #[serde(default)]
     pub outside: Outside,
     /// When the search ends before the last iteration.
@@ -115,6 +118,10 @@ fn ridge() -> f64 {
     IterationSettings::default().ridge
 }
 
+fn gradient() -> bool {
+    IterationSettings::default().gradient
+}
+
 impl<Target> IterationRequest<Target> {
     /// The same request with another target, and its own.
     pub fn with_target<Other>(self, target: Other) -> (IterationRequest<Other>, Target) {
@@ -133,6 +140,7 @@ impl<Target> IterationRequest<Target> {
             weights: self.weights,
             limits: self.limits,
             taper_s: self.taper_s,
+            gradient: self.gradient,
             outside: self.outside,
             stop: self.stop,
             damage: self.damage,
@@ -150,6 +158,7 @@ impl<Target> IterationRequest<Target> {
             min_coherence: self.min_coherence,
             ridge: self.ridge,
             taper_s: self.taper_s,
+            gradient: self.gradient,
             outside: self.outside,
             stop: self.stop,
             damage: self.damage,
@@ -162,6 +171,9 @@ impl<Target> IterationRequest<Target> {
 pub struct IterationStep {
     /// 0 is the start drive.
     pub iteration: usize,
+    /// How this drive was found. Earlier versions knew the linear correction only, and did not say it.
+    #[serde(default = "linear")]
+    pub kind: StepKind,
     /// RMS error of each target channel, relative to its RMS; `null` where the target is zero.
     pub errors: BTreeMap<String, Option<f64>>,
     /// Weighted root mean square of these errors.
@@ -174,7 +186,7 @@ pub struct IterationStep {
     pub drive_peak: BTreeMap<String, f64>,
     /// Share of each drive's samples that its limits changed.
     pub limited: BTreeMap<String, f64>,
-    /// Mean factor on the gains with which this drive was found.
+    /// Mean factor on the gains with which this drive was found; of a step by gradient its length.
     pub gain: f64,
     /// Whether it is better than all before.
     pub better: bool,
@@ -198,7 +210,19 @@ pub struct IterationReport {
     /// What an engineer should know before the drive goes to the rig.
     pub warnings: Vec<String>,
     /// All iterations.
+    #[serde(deserialize_with = "steps")]
     pub steps: Vec<IterationStep>,
+}
+
+fn linear() -> StepKind {
+    StepKind::Linear
+}
+
+/// Steps of which the first is the start, in the reports of earlier versions too.
+fn steps<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<IterationStep>, D::Error> {
+    let mut steps = Vec::<IterationStep>::deserialize(from)?;
+    steps.iter_mut().filter(|step| step.iteration == 0).for_each(|step| step.kind = StepKind::Start);
+    Ok(steps)
 }
 
 /// An iteration in lists.

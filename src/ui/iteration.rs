@@ -25,7 +25,7 @@ pub(super) fn model_options(models: &[Model], chosen: Option<u32>) -> Markup {
 pub fn form(visitor: &Visitor, rig: &Rig, runs: &[Run], models: &[Model], chosen: Option<&str>) -> String {
     let main = html! {
         h1 { "Find a drive" }
-        p { "The drive that makes the rig answer with a wanted response is searched on the model: predicted, corrected by the inverse FRF, and predicted again. The rig stays still." }
+        p { "The drive that makes the rig answer with a wanted response is searched on the model: predicted, corrected by the inverse FRF or by the model's gradient, and predicted again. The rig stays still." }
         form.fields data-api={ "POST /v1/rigs/" (rig.id) "/iterations" } data-then="follow" {
             (csrf(visitor))
             label { "Wanted response, of the run"
@@ -106,9 +106,10 @@ pub fn page(visitor: &Visitor, rig: &Rig, of: &StoredIteration) -> String {
 fn table(steps: &[IterationStep]) -> Markup {
     html! {
         div.wide { table {
-            thead { tr { th.number { "Iteration" } th.number { "Error" } th { "Damage ratio" } th.number { "Inside the training range" } th { "Peak of the drives" } } }
+            thead { tr { th.number { "Iteration" } th { "Step" } th.number { "Error" } th { "Damage ratio" } th.number { "Inside the training range" } th { "Peak of the drives" } } }
             tbody { @for step in steps { tr {
                 td.number { (step.iteration) @if step.better { " ●" } }
+                td { (words::word(step.kind)) }
                 td.number { (percent(step.total_error)) }
                 td { @for (name, ratio) in &step.damage { (clamped(name)) " " (ratio.ratio.map_or_else(|| "–".to_owned(), number)) " " } }
                 td.number { (percent(step.inside)) }

@@ -1,5 +1,7 @@
 //! An FRF as a filter for signals of any length: overlap-save, no wrap-around.
 
+mod adjoint;
+
 use std::sync::Arc;
 
 use rayon::prelude::*;

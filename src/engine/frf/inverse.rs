@@ -40,7 +40,12 @@ pub struct FrfInverse {
     row: Vec<f64>,
     column: Vec<f64>,
     level: f64,
+    /// Share of each row of `A` that is uncertain, squared, `[line, output]`; none where no uncertainty damps.
+    uncertain: Option<Vec<f64>>,
 }
+
+/// Incoherent over coherent power that a response counts with at most: what is less coherent is noise altogether.
+const MOST_UNCERTAIN: f64 = 1.0;
 
 impl FrfInverse {
     /// Balances an FRF; without `quality`, every line of the usable band counts as excited.
@@ -78,7 +83,7 @@ impl FrfInverse {
         assert_eq!(row.len(), weights.len(), "one weight an output");
         row.iter_mut().zip(weights).for_each(|(row, weight)| *row *= weight);
         let tapers = tapers(&spans, frf.n_lines());
-        let mut inverse = Self { ridge, spans, tapers, row, column, level: 0.0 };
+        let mut inverse = Self { ridge, spans, tapers, row, column, level: 0.0, uncertain: None };
         let rank = frf.n_outputs.min(frf.n_inputs) as f64;
         let mut squares: Vec<f64> = inverse
             .excited()
@@ -86,6 +91,52 @@ impl FrfInverse {
             .collect();
         inverse.level = median(&mut squares).unwrap_or(0.0);
         Ok(inverse)
+    }
+
+    /// The same, damped line by line by what the FRF does not know, too. A row of `A` whose output has the multiple
+    /// coherence `g` is uncertain by `(1 - g) / g` of its square, and the mean of that over the inputs is added to
+    /// `ridge * level`. A combination of inputs is so damped by a half where its singular value is as small as the
+    /// uncertainty: where the condition number of the line times the root of `(1 - g) / g` is about 1, beyond which
+    /// corrections by the inverse may diverge.
+    ///
+    /// # Panics
+    /// If `quality` is that of another FRF.
+    #[must_use]
+    pub fn damped_by(mut self, quality: &FrfQuality) -> Self {
+        let of_output = |coherence: &f64| ((1.0 - coherence) / coherence).clamp(0.0, MOST_UNCERTAIN);
+        let uncertain: Vec<f64> = quality.multiple_coherence.iter().map(of_output).collect();
+        assert!(uncertain.len().is_multiple_of(self.row.len()), "one coherence a line and output");
+        self.uncertain = Some(uncertain);
+        self
+    }
+
+    /// Share of an error of each output that `H H^+` reaches, of what any input could: 1 where nothing is damped, 0 where
+    /// nothing excites, `[line, output]`.
+    ///
+    /// # Panics
+    /// If the FRF has other channels.
+    pub fn reach(&self, frf: &Frf) -> Vec<f64> {
+        let of_lines: Vec<Vec<f64>> =
+            (0..frf.n_lines()).into_par_iter().map(|line| self.reach_of(frf, line)).collect();
+        of_lines.into_iter().flatten().collect()
+    }
+
+    fn reach_of(&self, frf: &Frf, line: usize) -> Vec<f64> {
+        let nothing = vec![0.0; frf.n_outputs];
+        let Some((edge, share)) = self.nearest(line) else { return nothing };
+        let Some((u, singular, _)) = self.decomposed(frf, edge) else { return nothing };
+        let damping = self.damping(frf, edge);
+        let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
+        let of_output = |o: usize| {
+            let (mut reached, mut all) = (0.0, 0.0);
+            for (k, s) in singular.iter().enumerate().filter(|(_, s)| **s > floor) {
+                let part = u[(o, k)].norm_sqr();
+                reached += part * s * s / (s * s + damping);
+                all += part;
+            }
+            if all > 0.0 { share * reached / all } else { 0.0 }
+        };
+        (0..frf.n_outputs).map(of_output).collect()
     }
 
     /// `H^+` of some lines of the FRF that this was made of, input unit / output unit, `[line, input, output]`.
@@ -120,12 +171,12 @@ impl FrfInverse {
         let (nx, ny) = (frf.n_inputs, frf.n_outputs);
         let nothing = || vec![Complex64::default(); nx * ny];
         let Some((edge, share)) = self.nearest(line) else { return nothing() };
-        let scaled: Vec<Complex64> = self.scaled(frf, edge).collect();
-        let Some((u, singular, v)) = thin_svd(&Mat::from_fn(ny, nx, |o, i| scaled[o * nx + i])) else {
+        let Some((u, singular, v)) = self.decomposed(frf, edge) else {
             return vec![Complex64::new(f64::NAN, 0.0); nx * ny];
         };
+        let damping = self.damping(frf, edge);
         let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
-        let weight = |s: f64| if s > floor { s / (s * s + self.ridge * self.level) } else { 0.0 };
+        let weight = |s: f64| if s > floor { s / (s * s + damping) } else { 0.0 };
         let weights: Vec<f64> = singular.into_iter().map(weight).collect();
         let mut inverse = nothing();
         for (i, inverse) in inverse.chunks_mut(ny).enumerate() {
@@ -136,6 +187,23 @@ impl FrfInverse {
             }
         }
         inverse
+    }
+
+    /// `A` of a line as `U S V^H`.
+    fn decomposed(&self, frf: &Frf, line: usize) -> Option<(Mat<Complex64>, Vec<f64>, Mat<Complex64>)> {
+        let scaled: Vec<Complex64> = self.scaled(frf, line).collect();
+        thin_svd(&Mat::from_fn(frf.n_outputs, frf.n_inputs, |o, i| scaled[o * frf.n_inputs + i]))
+    }
+
+    /// The number that is added to the squares of a line's singular values.
+    fn damping(&self, frf: &Frf, line: usize) -> f64 {
+        let uncertain = self.uncertain.as_ref().map_or(0.0, |uncertain| {
+            let squares: Vec<f64> = self.scaled(frf, line).map(|a| a.norm_sqr()).collect();
+            let rows = squares.chunks(frf.n_inputs).zip(&uncertain[line * frf.n_outputs..]);
+            rows.map(|(row, uncertain)| uncertain * row.iter().sum::<f64>()).sum::<f64>()
+                / frf.n_inputs as f64
+        });
+        self.ridge * self.level + uncertain
     }
 
     /// The excited line that a line takes its inverse from, and what is left of it there.

@@ -7,7 +7,7 @@ use realfft::num_complex::Complex64;
 
 use super::linear::Linear;
 use super::{IterationSettings, Problem};
-use crate::frf::{Frf, FrfInverse};
+use crate::frf::{Frf, FrfFilter, FrfInverse};
 use crate::spectral::{Detrend, Welch, psd};
 use crate::{EngineError, Signal};
 
@@ -47,9 +47,14 @@ impl Correction {
         settings: &IterationSettings,
     ) -> Result<Self, EngineError> {
         let frf = &linear.frf;
-        let inverse = FrfInverse::weighted(frf, linear.quality.as_ref(), settings.ridge, problem.weights)?;
+        let mut inverse =
+            FrfInverse::weighted(frf, linear.quality.as_ref(), settings.ridge, problem.weights)?;
+        if let Some(quality) = &linear.quality {
+            inverse = inverse.damped_by(quality);
+        }
         let [first, last] = inverse.zero_outside();
-        let of_targets = (0..frf.n_outputs).map(|target| gains(linear, problem, settings, target));
+        let within = inverse.reach(frf);
+        let of_targets = (0..frf.n_outputs).map(|target| gains(linear, problem, settings, &within, target));
         let (reach, gain) = of_targets.unzip();
         let bands = bands(first, last);
         Ok(Self {
@@ -122,7 +127,7 @@ impl Correction {
     /// `x_mean + H^+ (target - y_mean)`: the drive that the linear part alone would take.
     pub fn start(&self, target: &Signal) -> Result<Signal, EngineError> {
         let once = |_, target: usize, line: usize| self.reach[target][line];
-        self.filter(once, self.frf.y_mean.clone(), self.frf.x_mean.clone(), target)
+        self.with_gains(once, self.frf.y_mean.clone(), self.frf.x_mean.clone()).filter()?.apply(target)
     }
 
     /// The correction of the drive for an error (target minus response).
@@ -130,16 +135,27 @@ impl Correction {
         let at = |band: Option<usize>, target: usize, line: usize| {
             self.gain[target][line] * band.map_or(0.0, |band| self.factor[target][band])
         };
-        self.filter(at, vec![0.0; self.frf.n_outputs], vec![0.0; self.frf.n_inputs], error)
+        self.about_zero(at).filter()?.apply(error)
     }
 
-    fn filter(
+    /// The inverse on the lines that corrections reach, whatever their gains. `square` is the weight of each target's
+    /// squared error.
+    pub fn reachable(&self, square: &[f64]) -> Result<Reachable, EngineError> {
+        let once = |_, target: usize, line: usize| self.reach[target][line];
+        Ok(Reachable { inverse: self.about_zero(once).filter()?, square: square.to_vec() })
+    }
+
+    fn about_zero(&self, gain: impl Fn(Option<usize>, usize, usize) -> f64) -> Frf {
+        self.with_gains(gain, vec![0.0; self.frf.n_outputs], vec![0.0; self.frf.n_inputs])
+    }
+
+    /// `H^+` with gains, as a response of its own: of a drive with the mean `y_mean` to a target with the mean `x_mean`.
+    fn with_gains(
         &self,
         gain: impl Fn(Option<usize>, usize, usize) -> f64,
         x_mean: Vec<f64>,
         y_mean: Vec<f64>,
-        x: &Signal,
-    ) -> Result<Signal, EngineError> {
+    ) -> Frf {
         let (n_inputs, n_targets) = (self.frf.n_inputs, self.frf.n_outputs);
         let mut h = self.inverse.clone();
         for (line, inverse) in h.chunks_mut(n_inputs * n_targets).enumerate() {
@@ -148,17 +164,43 @@ impl Correction {
                 *value *= gain(band, at % n_targets, line);
             }
         }
-        let inverse = Frf { n_inputs: n_targets, n_outputs: n_inputs, h, x_mean, y_mean, ..self.frf.clone() };
-        inverse.filter()?.apply(x)
+        Frf { n_inputs: n_targets, n_outputs: n_inputs, h, x_mean, y_mean, ..self.frf.clone() }
+    }
+}
+
+/// The inverse FRF as a preconditioner of gradients.
+pub(super) struct Reachable {
+    inverse: FrfFilter,
+    square: Vec<f64>,
+}
+
+impl Reachable {
+    /// `C (2 W)^-1 C^T g`, `[drive, sample]`, of a gradient of the square error by the drive; on either side of it
+    /// the factors of the taper.
+    ///
+    /// # Errors
+    /// A result that is not finite.
+    pub fn precondition(&self, gradient: &Signal, taper: &[f64]) -> Result<Signal, EngineError> {
+        let rate = gradient.sample_rate_hz();
+        let tapered = |x: &Signal| {
+            let of = |x: &Vec<f64>| x.iter().zip(taper).map(|(x, taper)| x * taper).collect();
+            Signal::new(rate, x.channels().iter().map(of).collect())
+        };
+        let mut by_target = self.inverse.adjoint(&tapered(gradient)?)?.into_channels();
+        for (samples, square) in by_target.iter_mut().zip(&self.square) {
+            samples.iter_mut().for_each(|v| *v /= 2.0 * square);
+        }
+        tapered(&self.inverse.apply(&Signal::new(rate, by_target)?)?)
     }
 }
 
 /// At every line of a target, how far the FRF can be relied on where a correction was asked for, and that times the gain
-/// asked for.
+/// asked for. `within` is the share of an error that the damped inverse reaches, `[line, target]`.
 fn gains(
     linear: &Linear,
     problem: &Problem<'_>,
     settings: &IterationSettings,
+    within: &[f64],
     target: usize,
 ) -> (Vec<f64>, Vec<f64>) {
     let df = linear.frf.df_hz();
@@ -172,7 +214,7 @@ fn gains(
         let bands = settings.gain_bands.iter().filter(|band| inside(band.from_hz, band.to_hz));
         settings.gain * problem.gains[target] * bands.map(|band| band.gain).product::<f64>()
     };
-    let reliable = |line: usize| match &linear.quality {
+    let coherent = |line: usize| match &linear.quality {
         None => {
             let [first, last] = linear.frf.usable_hz;
             let hz = line as f64 * df;
@@ -185,6 +227,8 @@ fn gains(
             if coherence < least { 0.0 } else { (2.0 * (coherence - least) / (1.0 - least)).min(1.0) }
         }
     };
+    // What is damped by less than a half is corrected all the same, in a few iterations.
+    let reliable = |line: usize| coherent(line) * (2.0 * within[line * n_targets + target]).min(1.0);
     let lines = 0..linear.frf.n_lines();
     let reach =
         smooth(&lines.clone().map(|l| if asked(l) > 0.0 { reliable(l) } else { 0.0 }).collect::<Vec<_>>());

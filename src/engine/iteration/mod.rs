@@ -3,11 +3,14 @@
 //! `u <- u + G H^+ (target - predicted(u))` (De Cuyper, "Linear feedback control for durability test rigs", 2006,
 //! chapter 2), with `H^+` the regularised inverse of the model's linear part and `G` a gain for each target and
 //! line. A correction that makes the weighted error grow is taken back and tried again with less gain where the
-//! error grew, so the best drive so far is never lost.
+//! error grew, so the best drive so far is never lost. Where that leads no further, a model with a network goes on by
+//! its own gradient.
 
 mod correction;
+mod gradient;
 mod limits;
 mod linear;
+mod outside;
 mod settings;
 #[cfg(test)]
 mod tests;
@@ -20,8 +23,10 @@ use super::model::Predictor;
 use super::progress::{Progress, Watch, report};
 use super::{EngineError, Signal};
 use correction::Correction;
-use limits::{excess, hold};
+use gradient::Descent;
+use limits::hold;
 use linear::Linear;
+use outside::{excess, taken_back};
 
 pub use linear::LinearPart;
 pub use settings::{DriveLimit, GainBand, IterationSettings, MAX_ITERATIONS, Outside, StopAt};
@@ -71,6 +76,8 @@ pub enum Start {
 pub struct Step {
     /// 0 is the start drive.
     pub iteration: usize,
+    /// How this drive was found.
+    pub kind: StepKind,
     /// RMS error of each target, relative to its RMS; none where a target is zero.
     pub error: Vec<Option<f64>>,
     /// Weighted root mean square over the targets of these errors.
@@ -83,10 +90,23 @@ pub struct Step {
     pub drive_peak: Vec<f64>,
     /// Share of each drive's samples that its limits changed.
     pub limited: Vec<f64>,
-    /// Mean factor on the gains asked for with which this drive was found; 1 for the start.
+    /// Mean factor on the gains asked for with which this drive was found; 1 for the start. Of a step by gradient, its
+    /// length: 1 is the linear correction where the model is its FRF.
     pub gain: f64,
     /// Whether it is better than all before.
     pub better: bool,
+}
+
+/// How a drive was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StepKind {
+    /// The search began with it.
+    Start,
+    /// By the inverse FRF of the best one's error.
+    Linear,
+    /// By the model's own gradient at the best one.
+    Gradient,
 }
 
 /// Why a search ended.
@@ -172,13 +192,16 @@ pub fn iterate(
         Start::Inverse => correction.start(&target)?,
         Start::Drive(drive) => drive.clone(),
     };
-    let mut best = search.look(0, drive, 1.0, &first)?;
+    let mut best = search.look((0, StepKind::Start, 1.0), drive, &first)?;
     best.step.better = true;
     let mut power = correction.powers(&best.error)?;
     let mut steps = vec![best.step.clone()];
     let (mut idle, mut worse) = (0, 0);
     // Error of the first of the last attempts that made it worse, relative to the best.
     let mut grew = 1.0_f64;
+    let mut descent: Option<Descent> = None;
+    // The best iteration when linear corrections diverged.
+    let mut diverged_at = None;
     let stopped = loop {
         let k = steps.len();
         if let Some(reached) = reached(&best.step, &settings.stop) {
@@ -187,23 +210,37 @@ pub fn iterate(
         if k > settings.iterations {
             break Stopped::Iterations;
         }
-        if worse == PATIENCE {
-            break if grew > GREW { Stopped::Diverged } else { Stopped::Settled };
-        }
-        if idle == PATIENCE {
-            break Stopped::Settled;
+        if worse == PATIENCE || idle == PATIENCE {
+            if descent.is_none() && worse == PATIENCE && grew > GREW {
+                diverged_at = Some(best.step.iteration);
+            }
+            let next = if descent.is_none() { search.descent(&correction)? } else { None };
+            if next.is_none() {
+                break stalled(diverged_at, &best.step);
+            }
+            (descent, idle, worse) = (next, 0, 0);
         }
         let stage = format!("iteration {k}, error {:.2} %", 100.0 * best.step.total_error);
         let fraction = k as f64 / (settings.iterations + 1) as f64;
         report(watch, &stage, fraction)?;
         let go_on = |_: Progress<'_>| watch(Progress::new(&stage, fraction));
-        let gain = correction.mean_factor();
-        let drive = search.corrected(&best, &correction)?;
-        let mut tried = match search.look(k, drive, gain, &go_on) {
+        let (kind, drive, gain) = match &mut descent {
+            None => (StepKind::Linear, search.corrected(&best, &correction)?, correction.mean_factor()),
+            Some(descent) => {
+                if descent.needs_gradient() && !descent.aim(search.gradient(&best, &go_on)?)? {
+                    break stalled(diverged_at, &best.step);
+                }
+                (StepKind::Gradient, descent.step(&best.drive)?, descent.length())
+            }
+        };
+        let mut tried = match search.look((k, kind, gain), drive, &go_on) {
             Ok(tried) => tried,
             // A drive so large that the model leaves all numbers; the best one is still there.
             Err(EngineError::NonFiniteResult { .. }) => {
-                correction.lower();
+                match &mut descent {
+                    None => correction.lower(),
+                    Some(descent) => descent.shorten(),
+                }
                 (worse, grew) = (worse + 1, f64::INFINITY);
                 continue;
             }
@@ -211,7 +248,15 @@ pub fn iterate(
         };
         let after = correction.powers(&tried.error)?;
         tried.step.better = tried.score < best.score;
-        correction.learn(&power, &after, tried.step.better);
+        match &mut descent {
+            Some(descent) => descent.learn(best.square, tried.square, tried.step.better),
+            None => {
+                correction.learn(&power, &after, tried.step.better);
+                if !tried.step.better {
+                    correction.lower();
+                }
+            }
+        }
         steps.push(tried.step.clone());
         if tried.step.better {
             idle = if tried.score > (1.0 - NOTHING_GAINED) * best.score { idle + 1 } else { 0 };
@@ -220,13 +265,18 @@ pub fn iterate(
             if worse == 0 {
                 grew = tried.step.total_error / best.step.total_error;
             }
-            correction.lower();
             worse += 1;
         }
     };
     let Tried { drive, response, step, .. } = best;
     let best = step.iteration;
     Ok(Found { drive, response, steps, best, stopped, band_hz, out_of_reach, linear: linear.part })
+}
+
+/// The reason to stop where no further step gains anything: the best drive may be the one at which the linear
+/// corrections diverged.
+fn stalled(diverged_at: Option<usize>, best: &Step) -> Stopped {
+    if diverged_at == Some(best.iteration) { Stopped::Diverged } else { Stopped::Settled }
 }
 
 /// How errors are weighed against each other.
@@ -251,6 +301,11 @@ impl Scale {
         Ok(Self { power, weight })
     }
 
+    /// Weight of each target's sum of squares in the weighted mean square error.
+    fn of_squares(&self) -> Vec<f64> {
+        self.weight.iter().zip(&self.power).map(|(weight, power)| weight / power).collect()
+    }
+
     /// Weighted mean square error.
     fn square(&self, error: &Signal) -> f64 {
         let each = error.channels().iter().zip(&self.power).zip(&self.weight);
@@ -264,7 +319,9 @@ struct Tried {
     response: Signal,
     /// Target minus response, `[target][sample]`.
     error: Signal,
-    /// What the search makes small: the weighted mean square error and what the drive leaves of the training range.
+    /// The weighted mean square error.
+    square: f64,
+    /// What the search makes small: the weighted mean square error and what the drive leaves of the training.
     score: f64,
     step: Step,
 }
@@ -280,20 +337,33 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Holds each drive within its limits; shares of changed samples.
+    /// Takes drives back towards what the model was fitted on, where that is asked for, and holds each within its limits;
+    /// shares of the samples that the limits changed.
     fn hold(&self, drive: Signal) -> Result<(Signal, Vec<f64>), EngineError> {
+        let predictor = self.problem.predictor;
+        let drive = match self.settings.outside {
+            Outside::Allowed => drive,
+            Outside::Penalised => {
+                let excursions = predictor.excursions(&predictor.begin(drive.clone())?);
+                let back = taken_back(drive.clone(), &predictor.model().range, &excursions)?;
+                self.tapered(&drive, &back)?
+            }
+        };
         let rate = drive.sample_rate_hz();
         let mut channels = drive.into_channels();
-        let limited = channels
-            .iter_mut()
-            .zip(self.problem.limits)
-            .enumerate()
-            .map(|(i, (samples, limit))| {
-                let range = self.problem.predictor.model().range.get(i);
-                hold(samples, rate, limit, range, self.settings.outside)
-            })
-            .collect();
+        let held = channels.iter_mut().zip(self.problem.limits);
+        let limited = held.map(|(samples, limit)| hold(samples, rate, limit)).collect();
         Ok((Signal::new(rate, channels)?, limited))
+    }
+
+    /// A drive that leaves another one as far as the taper allows.
+    fn tapered(&self, from: &Signal, to: &Signal) -> Result<Signal, EngineError> {
+        let of = |(from, to): (&Vec<f64>, &Vec<f64>)| {
+            let each = from.iter().zip(to).zip(&self.taper);
+            each.map(|((from, to), taper)| from + taper * (to - from)).collect()
+        };
+        let channels = from.channels().iter().zip(to.channels()).map(of).collect();
+        Signal::new(from.sample_rate_hz(), channels)
     }
 
     /// The next drive before its limits.
@@ -309,12 +379,34 @@ impl Search<'_> {
         Signal::new(best.drive.sample_rate_hz(), channels)
     }
 
-    /// What the model says to a drive.
+    /// The search by gradient; none where it is not asked for, and for a model that is linear or has effects.
+    fn descent(&self, correction: &Correction) -> Result<Option<Descent>, EngineError> {
+        let predictor = self.problem.predictor;
+        if !self.settings.gradient || predictor.model().lstm.is_none() || !predictor.has_adjoint() {
+            return Ok(None);
+        }
+        let reachable = correction.reachable(&self.scale.of_squares())?;
+        Ok(Some(Descent::new(reachable, self.taper.clone())))
+    }
+
+    /// Gradient of the weighted mean square error by the drive, `[drive, sample]`.
+    fn gradient(&self, at: &Tried, watch: Watch<'_>) -> Result<Signal, EngineError> {
+        let mut weights = vec![vec![0.0; at.drive.n_samples()]; at.response.n_channels()];
+        for ((output, error), square) in
+            self.problem.outputs.iter().zip(at.error.channels()).zip(self.scale.of_squares())
+        {
+            let of_sample = weights[*output].iter_mut().zip(error);
+            of_sample.for_each(|(weight, error)| *weight = -2.0 * square * error);
+        }
+        let weights = Signal::new(at.drive.sample_rate_hz(), weights)?;
+        self.problem.predictor.adjoint(&at.drive, &weights, watch)
+    }
+
+    /// What the model says to a drive: that of an iteration, how it was found, and with which gain.
     fn look(
         &self,
-        iteration: usize,
+        (iteration, kind, gain): (usize, StepKind, f64),
         drive: Signal,
-        gain: f64,
         watch: Watch<'_>,
     ) -> Result<Tried, EngineError> {
         let (drive, limited) = self.hold(drive)?;
@@ -333,10 +425,7 @@ impl Search<'_> {
         let beyond: f64 = match self.settings.outside {
             Outside::Allowed => 0.0,
             Outside::Penalised => {
-                let ranges = &predictor.model().range;
-                let each = drive.channels().iter().enumerate();
-                each.map(|(i, samples)| excess(samples, ranges.get(i))).sum::<f64>()
-                    / drive.n_channels() as f64
+                excess(&drive, &predictor.model().range, &predictor.excursions(&prediction))
             }
         };
         let each = self.target.channels().iter().zip(predicted.channels());
@@ -359,6 +448,7 @@ impl Search<'_> {
         let peak = |samples: &Vec<f64>| samples.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
         let step = Step {
             iteration,
+            kind,
             error: errors,
             total_error: square.sqrt(),
             damage: ratios,
@@ -368,7 +458,7 @@ impl Search<'_> {
             gain,
             better: false,
         };
-        Ok(Tried { drive, response, error, score: square + beyond, step })
+        Ok(Tried { drive, response, error, square, score: square + beyond, step })
     }
 }
 

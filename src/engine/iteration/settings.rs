@@ -32,7 +32,9 @@ pub struct IterationSettings {
     pub ridge: f64,
     /// Time over which corrections fade to zero at both ends, s.
     pub taper_s: f64,
-    /// What happens to drives beyond the range of the model's training data.
+    /// Whether the model's own gradient takes over where the linear step leads no further.
+    pub gradient: bool,
+    /// What happens to drives outside what the model was fitted on.
     pub outside: Outside,
     /// When the search ends before the last iteration.
     pub stop: StopAt,
@@ -52,11 +54,11 @@ pub struct GainBand {
     pub gain: f64,
 }
 
-/// What happens to drives beyond the range of the model's training data.
+/// What happens to drives outside what the model was fitted on, as its trust tells it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outside {
-    /// Half of what is beyond is taken back in each iteration, and counts as error in the choice of the best.
+    /// Each iteration takes them half of the way back, and what is left counts as error in the choice of the best.
     #[default]
     Penalised,
     /// Nothing.
@@ -85,6 +87,7 @@ impl Default for IterationSettings {
             min_coherence: 0.5,
             ridge: DEFAULT_RIDGE,
             taper_s: 0.0,
+            gradient: true,
             outside: Outside::default(),
             stop: StopAt::default(),
             damage: DamageSettings::default(),

@@ -10,7 +10,9 @@ use realfft::num_complex::Complex64;
 use super::*;
 use crate::frf::Frf;
 use crate::lstm::{LstmBlock, LstmNet, Recombine};
-use crate::model::{InputRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler};
+use crate::model::{
+    InputRange, JointRange, LocalRange, LstmPart, ModelKind, Preprocess, RigModel, Scaler, WindowRange,
+};
 use crate::progress::unwatched;
 
 const FS: f64 = 200.0;
@@ -231,6 +233,89 @@ fn drives_are_drawn_towards_what_the_model_was_fitted_on() {
     assert!(held < 0.8 * free && error > 2.0 * least, "{held} {free} {error} {least}");
 }
 
+fn mean(samples: &[f64]) -> f64 {
+    samples.iter().sum::<f64>() / samples.len() as f64
+}
+
+fn about_mean(samples: &[f64]) -> f64 {
+    let mean = mean(samples);
+    (samples.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / samples.len() as f64).sqrt()
+}
+
+/// The largest change from sample to sample, per second.
+fn fastest(samples: &[f64]) -> f64 {
+    samples.windows(2).fold(0.0_f64, |most, pair| most.max((pair[1] - pair[0]).abs() * FS))
+}
+
+/// RMS above 12 Hz.
+fn fast_part(samples: &[f64]) -> f64 {
+    let filter = Preprocess { low_pass_hz: Some(12.0), ..Preprocess::default() };
+    let slow = filter.apply_to(Signal::new(FS, vec![samples.to_vec()]).unwrap()).unwrap();
+    about_mean(&samples.iter().zip(slow.channel(0)).map(|(v, slow)| v - slow).collect::<Vec<_>>())
+}
+
+#[test]
+fn every_way_of_the_trust_draws_drives_back() {
+    let wide = WindowRange { window: 256, mean: [-9.0, 9.0], max_rms: 9.0, max_rate: 1e9, max_tone: 9.0 };
+    type Way = (&'static str, fn(&mut RigModel, WindowRange), fn(&[f64]) -> f64);
+    let ways: [Way; 6] = [
+        ("rate", |model, _| model.range[0].max_rate = 30.0, fastest),
+        (
+            "level of a drive",
+            |model, _| {
+                model.range[0].local = Some(LocalRange { window: 400, mean: [-1.0, 1.0], max_rms: 0.1 });
+            },
+            about_mean,
+        ),
+        (
+            "mean of a drive",
+            |model, _| {
+                model.range[0].local = Some(LocalRange { window: 400, mean: [0.8, 1.0], max_rms: 9.0 });
+            },
+            |u| (0.8 - mean(u)).abs(),
+        ),
+        ("spectrum", |model, _| model.range[0].band_hz = Some([0.0, 8.0]), fast_part),
+        (
+            "linear response",
+            |model, wide| {
+                let narrow = WindowRange { mean: [-2.0, -1.0], max_rms: 0.2, ..wide };
+                model.window_range = vec![narrow, wide];
+            },
+            about_mean,
+        ),
+        (
+            "all means together",
+            |model, _| {
+                model.joint_range = Some(JointRange {
+                    window: 256,
+                    middle: vec![0.5, 0.0],
+                    covariance: vec![vec![0.01, 0.0], vec![0.0, 0.01]],
+                    max_distance: 1.0,
+                });
+            },
+            |u| (0.5 - mean(u)).abs(),
+        ),
+    ];
+    for (name, narrow, measure) in ways {
+        let mut model = linear();
+        narrow(&mut model, wide);
+        let case = Case::of(model, Case::linear().target);
+        let search = |outside: Outside| {
+            let settings = IterationSettings { outside, ..IterationSettings::default() };
+            let found = case.search(&Start::Inverse, &settings).unwrap();
+            let best = &found.steps[found.best];
+            (measure(found.drive.channel(0)), best.total_error, best.inside)
+        };
+        let ((held, error, inside), (free, least, outside)) =
+            (search(Outside::Penalised), search(Outside::Allowed));
+        assert!(
+            outside < 0.9 && held < 0.9 * free && error > 2.0 * least,
+            "{name}: {held} {free} {error} {least}"
+        );
+        assert!(inside >= outside, "{name}: {inside} {outside}");
+    }
+}
+
 #[test]
 fn a_network_without_an_frf_is_asked_for_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -258,23 +343,30 @@ fn a_network_without_an_frf_is_asked_for_one() {
     assert!(matches!(refused, Err(EngineError::Setting { setting: "model", .. })), "{refused:?}");
 }
 
-/// The FRF says 1, the network takes 3 away: every correction goes the wrong way.
-#[test]
-fn a_search_that_diverges_keeps_its_start_and_says_so() {
-    let block = LstmBlock {
-        inputs: 2,
-        cells: 2,
+/// The FRF says 1 of both channels. By the model as a whole those that are `wrong` have about -2, so that every linear
+/// correction of theirs goes the wrong way.
+fn contrary(wrong: [bool; 2], kind: ModelKind) -> RigModel {
+    let inputs = if kind == ModelKind::Hybrid2 { 4 } else { 2 };
+    let weight_ih = (0..8 * inputs).map(|at| {
         // Gates i, f, g, o: only the cell's own gate sees its input.
-        weight_ih: (0..16).map(|at| if at == 8 || at == 11 { 0.1 } else { 0.0 }).collect(),
+        let (row, input) = (at / inputs, at % inputs);
+        if row >= 4 && row < 6 && input == row - 4 { 0.1 } else { 0.0 }
+    });
+    let block = LstmBlock {
+        inputs,
+        cells: 2,
+        weight_ih: weight_ih.collect(),
         weight_hh: vec![0.0; 16],
         bias: vec![0.0, 0.0, -20.0, -20.0, 0.0, 0.0, 0.0, 0.0],
     };
-    // A cell gives 0.5 tanh(0.5 tanh(0.1 x)), about 0.025 x.
-    let fc_weight = vec![-120.0, 0.0, 0.0, -120.0];
+    // A cell gives 0.5 tanh(0.5 tanh(0.1 x)), about 0.025 x. A hybrid 1 adds the FRF to it, a hybrid 2 does not.
+    let [right_way, wrong_way] = if kind == ModelKind::Hybrid2 { [40.0, -80.0] } else { [0.0, -120.0] };
+    let of = |wrong: bool| if wrong { wrong_way } else { right_way };
+    let fc_weight = vec![of(wrong[0]), 0.0, 0.0, of(wrong[1])];
     let net = LstmNet { blocks: vec![block], outputs: 2, fc_weight, fc_bias: vec![0.0; 2] };
-    let unit = Scaler { mean: vec![0.0; 2], std: vec![1.0; 2] };
+    let unit = |n: usize| Scaler { mean: vec![0.0; n], std: vec![1.0; n] };
     let mut model = linear();
-    model.kind = ModelKind::Hybrid1;
+    model.kind = kind;
     let frf = model.frf.as_mut().unwrap();
     (frf.x_mean, frf.y_mean) = (vec![0.0; 2], vec![0.0; 2]);
     for (at, h) in frf.h.iter_mut().enumerate() {
@@ -282,17 +374,115 @@ fn a_search_that_diverges_keeps_its_start_and_says_so() {
     }
     model.lstm = Some(LstmPart {
         net,
-        x: unit.clone(),
-        y: unit,
+        x: unit(inputs),
+        y: unit(2),
         window_len: 64,
         hop: 32,
         recombine: Recombine::Stream,
     });
-    let case = Case::of(model, drive());
-    let found = case.search(&Start::Zero, &IterationSettings::default()).unwrap();
+    model
+}
+
+fn linear_only() -> IterationSettings {
+    IterationSettings { gradient: false, iterations: 60, ..IterationSettings::default() }
+}
+
+#[test]
+fn a_search_that_diverges_keeps_its_start_and_says_so() {
+    let case = Case::of(contrary([true, true], ModelKind::Hybrid1), drive());
+    let found = case.search(&Start::Zero, &linear_only()).unwrap();
     assert_eq!((found.stopped, found.best, found.steps.len()), (Stopped::Diverged, 0, 5));
     assert!(found.drive.channels().iter().flatten().all(|v| *v == 0.0));
     assert!(found.steps[1].total_error > 2.0 && found.steps[4].gain < 0.2, "{:?}", found.steps);
+}
+
+#[test]
+fn the_gradient_goes_on_where_the_linear_step_stalls() {
+    for (wrong, stalled) in [([true, true], Stopped::Diverged), ([false, true], Stopped::Settled)] {
+        for (kind, recombine) in
+            [(ModelKind::Hybrid1, Recombine::Stream), (ModelKind::Hybrid2, Recombine::Welch)]
+        {
+            let mut model = contrary(wrong, kind);
+            model.lstm.as_mut().unwrap().recombine = recombine;
+            let case = Case::of(model, drive());
+            let linear = case.search(&Start::Zero, &linear_only()).unwrap();
+            let left = linear.steps[linear.best].total_error;
+            assert!(
+                linear.stopped == stalled && left > 0.5,
+                "{wrong:?} {kind:?}: {:?} {left}",
+                linear.stopped
+            );
+            assert!(linear.steps[1..].iter().all(|step| step.kind == StepKind::Linear));
+
+            let stop = StopAt { error: Some(0.01), damage_ratio: None };
+            let further = IterationSettings { gradient: true, stop, ..linear_only() };
+            let found = case.search(&Start::Zero, &further).unwrap();
+            assert_eq!(found.stopped, Stopped::Error, "{wrong:?} {kind:?}: {:?}", found.steps);
+            assert_eq!(found.steps[0].kind, StepKind::Start);
+            let (before, after) = found.steps.split_at(linear.steps.len());
+            assert_eq!(before, linear.steps, "it begins where the linear step stalls");
+            assert!(after.iter().all(|step| step.kind == StepKind::Gradient));
+            assert_eq!(found.response, case.predictor.predict(found.drive.clone()).unwrap());
+        }
+    }
+}
+
+#[test]
+fn a_gradient_that_leads_no_further_ends_the_search() {
+    let mut case = Case::of(contrary([true, true], ModelKind::Hybrid1), drive());
+    case.limits = [DriveLimit { peak: Some(1e-9), ..DriveLimit::default() }; 2];
+    let settings = IterationSettings { gradient: true, iterations: 60, ..linear_only() };
+    let found = case.search(&Start::Zero, &settings).unwrap();
+    assert!(found.stopped == Stopped::Settled && found.steps.len() < 60, "{:?}", found.stopped);
+    assert!(found.steps.iter().any(|step| step.kind == StepKind::Gradient));
+}
+
+#[test]
+fn a_search_by_gradient_has_the_same_bits_on_any_number_of_threads() {
+    let case = Case::of(contrary([true, true], ModelKind::Hybrid2), drive());
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let settings = IterationSettings { iterations: 8, ..IterationSettings::default() };
+        pool.install(|| case.search(&Start::Zero, &settings).unwrap())
+    };
+    let one = on(1);
+    assert_eq!(one.steps[8].kind, StepKind::Gradient);
+    assert_eq!(one, on(3));
+}
+
+/// What a whole search makes small, along a direction: its gradient is that of predictions.
+#[test]
+fn the_gradient_of_the_error_equals_differences_of_it() {
+    let case = Case::of(contrary([false, true], ModelKind::Hybrid2), drive());
+    let (weights, settings) = (vec![1.0, 3.0], IterationSettings::default());
+    let problem = Problem {
+        predictor: &case.predictor,
+        outputs: &[1, 0],
+        target: &case.target.select(&[1, 0]),
+        weights: &weights,
+        gains: &case.gains,
+        limits: &case.limits,
+    };
+    let search = Search {
+        problem: &problem,
+        settings: &settings,
+        target: problem.target,
+        target_damage: vec![1.0; 2],
+        scale: Scale::of(problem.target, &weights).unwrap(),
+        taper: vec![1.0; SAMPLES],
+    };
+    let at = Signal::new(FS, vec![noise(7, 20.0), noise(8, 20.0)]).unwrap();
+    let along = [noise(9, 20.0), noise(10, 20.0)];
+    let look = |by: f64| {
+        let of = |(u, d): (&Vec<f64>, &Vec<f64>)| u.iter().zip(d).map(|(u, d)| u + by * d).collect();
+        let drive = Signal::new(FS, at.channels().iter().zip(&along).map(of).collect()).unwrap();
+        search.look((0, StepKind::Start, 1.0), drive, &unwatched).unwrap()
+    };
+    let gradient = search.gradient(&look(0.0), &unwatched).unwrap();
+    let of = |(g, d): (&Vec<f64>, &Vec<f64>)| g.iter().zip(d).map(|(g, d)| g * d).sum::<f64>();
+    let found: f64 = gradient.channels().iter().zip(&along).map(of).sum();
+    let slope = (look(1e-2).square - look(-1e-2).square) / 2e-2;
+    assert!((found / slope - 1.0).abs() < 1e-3, "{found} {slope}");
 }
 
 #[test]

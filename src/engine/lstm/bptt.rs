@@ -4,11 +4,15 @@
 //! pass. The backward pass writes the errors of the gate pre-activations per step. The gradient of the
 //! weights is then one product of errors and step vectors over all steps and lanes.
 
+mod input_gradient;
+
 use super::activation::{TANH_SCALE, sigmoid, tanh};
 use super::forward::{Packed, connect};
 use super::params::{BlockShape, GATES, Shape};
 use super::product::{Steps, outer, pack, product};
 use crate::simd::{Kernel, LANES, Lanes, Simd};
+
+pub(super) use input_gradient::InputGradient;
 
 /// Kept per cell and step: gates i, f, g, o, the cell state and its tanh.
 const KEPT: usize = 6;
@@ -27,7 +31,8 @@ struct BackBlock<const R: usize> {
     /// `[cells / R][errors][R]`: from the errors of the next step's gates, and in the last block of
     /// this step's outputs, to those of this step's `h`.
     hidden: Vec<[f32; R]>,
-    /// `[inputs / R][gate rows][R]`: to the block below; empty in the first.
+    /// `[inputs / R][gate rows][R]`: to the block below; in the first, to the network's inputs, and empty unless those
+    /// are asked for.
     inputs: Vec<[f32; R]>,
 }
 
@@ -38,6 +43,16 @@ impl<const R: usize> TrainWeights<R> {
             shape.blocks.iter().map(|_| BackBlock { hidden: Vec::new(), inputs: Vec::new() }).collect();
         let mut weights = Self { forward: Packed::new(shape, row), back };
         weights.set(row);
+        weights
+    }
+
+    /// Packs a row of weights for gradients by the network's inputs.
+    pub(super) fn for_inputs(shape: &Shape, row: &[f32]) -> Self {
+        let mut weights = Self::new(shape, row);
+        let first = shape.blocks[0];
+        pack(first.inputs, first.rows(), &mut weights.back[0].inputs, |input, e| {
+            row[first.at + e * first.columns() + input]
+        });
         weights
     }
 
@@ -198,18 +213,7 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
     fn run<S: Simd>(self, s: S) {
         let Self { weights, group, scale } = self;
         let last = group.blocks.len() - 1;
-        for t in 0..group.steps {
-            for b in 0..=last {
-                let block = group.shape.blocks[b];
-                let (below, here) = group.blocks.split_at_mut(b);
-                if let Some(below) = below.last() {
-                    let from = group.shape.blocks[b - 1];
-                    let h = &below.z[(t + 1) * from.stride() + from.inputs + 1..][..from.cells];
-                    here[0].z[t * block.stride()..][..block.inputs].copy_from_slice(h);
-                }
-                keep_step::<S, R>(s, &weights.forward.gates[b], block, t, &mut here[0]);
-            }
-        }
+        keep_steps::<S, R>(s, &weights.forward, group);
         group.squared_error = output_errors::<S, R>(s, &weights.forward.fc, group, scale);
 
         group.gradient.fill(0.0);
@@ -227,13 +231,7 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                     if let Some(below) = below.last_mut() {
                         let gates = &kept.errors[t * width..][..block.rows()];
                         let to = &mut below.above[t * block.inputs..][..block.inputs];
-                        let groups = weights.back[b].inputs.chunks_exact(block.rows());
-                        for (w, to) in groups.zip(to.chunks_mut(R)) {
-                            let a = product::<S, R, 1>(s, w, gates.as_chunks().0);
-                            for (to, a) in to.iter_mut().zip(a) {
-                                s.store(to, a[0]);
-                            }
-                        }
+                        hand_down::<S, R>(s, &weights.back[b].inputs, gates, to);
                     }
                 }
                 let (columns, stride) = (block.columns(), block.stride());
@@ -257,6 +255,34 @@ impl<const R: usize, const WIDE: bool> Kernel for Backprop<'_, R, WIDE> {
                 }
                 end = begin;
             }
+        }
+    }
+}
+
+/// All steps of all blocks, keeping gates and states.
+#[inline(always)]
+fn keep_steps<S: Simd, const R: usize>(s: S, weights: &Packed<R>, group: &mut Group) {
+    for t in 0..group.steps {
+        for b in 0..group.blocks.len() {
+            let block = group.shape.blocks[b];
+            let (below, here) = group.blocks.split_at_mut(b);
+            if let Some(below) = below.last() {
+                let from = group.shape.blocks[b - 1];
+                let h = &below.z[(t + 1) * from.stride() + from.inputs + 1..][..from.cells];
+                here[0].z[t * block.stride()..][..block.inputs].copy_from_slice(h);
+            }
+            keep_step::<S, R>(s, &weights.gates[b], block, t, &mut here[0]);
+        }
+    }
+}
+
+/// Sends the errors of one step's gates to the block's inputs.
+#[inline(always)]
+fn hand_down<S: Simd, const R: usize>(s: S, weights: &[[f32; R]], gates: &[Lanes], to: &mut [Lanes]) {
+    for (w, to) in weights.chunks_exact(gates.len()).zip(to.chunks_mut(R)) {
+        let a = product::<S, R, 1>(s, w, gates.as_chunks().0);
+        for (to, a) in to.iter_mut().zip(a) {
+            s.store(to, a[0]);
         }
     }
 }

@@ -10,6 +10,7 @@
 //! the machine ([`Isa`](crate::simd::Isa)).
 
 mod activation;
+mod adjoint;
 mod bptt;
 mod forward;
 mod net;
@@ -29,6 +30,7 @@ mod torch_vectors;
 mod train;
 mod validate;
 
+pub use adjoint::adjoint;
 pub use net::{LstmBlock, LstmNet};
 pub use predict::{Streaming, predict, predict_watched};
 pub use settings::{

@@ -54,7 +54,7 @@ pub use scaler::Scaler;
 pub use score::{CONTEXT_SAMPLES, SectionScore, Squares, with_context};
 pub use settings::{FitSettings, LstmOptions, Preset, Task};
 pub use split::{FitSplit, RunLengths, Section, Sections, SplitRule, own_frf_sections};
-pub use trust::{InputRange, JointRange, LocalRange, Trust, TrustSpan, WindowRange};
+pub use trust::{Excursion, InputRange, JointRange, LocalRange, Remedy, Trust, TrustSpan, WindowRange};
 pub use weights::{from_safetensors, to_safetensors};
 
 /// The LSTM part of a model with everything that its prediction depends on.

@@ -12,13 +12,15 @@
 //! begin anew: with them the whole response is computed before its first piece is given. For the same reason
 //! the whole response of a core is computed before the network's first piece.
 
+mod adjoint;
+
 use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
 
 use super::fallback::{Fallback, FallbackUse};
-use super::trust::{self, SpectrumWatch, Trust};
+use super::trust::{self, Excursion, SpectrumWatch, Trust};
 use super::{LstmPart, ModelKind, RigModel, band, effect, network_inputs};
 use crate::frf::FrfFilter;
 use crate::lstm::{self, Recombine, Streaming};
@@ -184,6 +186,12 @@ impl Predictor {
     /// Where the inputs of a prediction leave the range that the model was fitted on.
     pub fn trust(&self, prediction: &Prediction) -> Trust {
         trust::trust(&self.model, self.watch.as_ref(), &prediction.x)
+    }
+
+    /// How far the inputs of a prediction leave it over short times, in numbers: window by window, with what would bring
+    /// them back. Single values and rates are not among them, for which the model's `range` has the limits.
+    pub fn excursions(&self, prediction: &Prediction) -> Vec<Excursion> {
+        trust::excursions(&self.model, self.watch.as_ref(), &prediction.x)
     }
 }
 

@@ -1,7 +1,9 @@
 //! The filter stored with a model: the same for fit and prediction.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
-use rigcast_numerics::fft::RealFftPlanner;
+use rigcast_numerics::fft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use serde::{Deserialize, Serialize};
 
 use crate::{EngineError, Signal, first_not_finite, rounded};
@@ -87,37 +89,42 @@ impl Preprocess {
         if n == 0 {
             return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
         }
-        let lowest_hz =
-            self.low_pass_hz.into_iter().chain(self.band_pass_hz.map(|b| b[0])).fold(f64::MAX, f64::min);
-        // Several periods of the slowest edge, but never more than the signal itself.
-        let ring_down = (4.0 / SLOPE * x.sample_rate_hz() / lowest_hz).ceil();
-        let pad = if ring_down < n as f64 { ring_down as usize } else { n };
-        let total = (n + 2 * pad).next_power_of_two();
-        let mut planner = RealFftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(total), planner.plan_fft_inverse(total));
-        let gains: Vec<f64> = (0..=total / 2)
-            .map(|line| self.gain(line as f64 * x.sample_rate_hz() / total as f64) / total as f64)
-            .collect();
+        let lines = Lines::new(self, n, sample_rate_hz);
         let mut channels = x.into_channels();
         channels.par_iter_mut().for_each(|samples| {
-            let (mut time, mut lines) = (forward.make_input_vec(), forward.make_output_vec());
-            extend(samples, pad, &mut time);
-            forward.process(&mut time, &mut lines).expect("buffers are the plan's own");
-            for (line, gain) in lines.iter_mut().zip(&gains) {
-                *line *= gain;
-            }
-            // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
-            lines[0].im = 0.0;
-            lines[total / 2].im = 0.0;
-            inverse.process(&mut lines, &mut time).expect("buffers are the plan's own");
+            let mut time = vec![0.0; lines.total];
+            extend(samples, lines.pad, &mut time);
+            lines.pass(&mut time);
             samples.copy_from_slice(&time[..n]);
         });
-        for (channel, samples) in channels.iter().enumerate() {
-            if let Some(sample) = first_not_finite(samples) {
-                return Err(EngineError::NonFiniteResult { what: "filtered signal", channel, sample });
-            }
+        finite(sample_rate_hz, channels)
+    }
+
+    /// `J^T w`, as long as `w`, where `J` is the derivative of the filtered signal by the signal: exactly that of
+    /// [`Preprocess::apply`], the continuations beyond either end included.
+    ///
+    /// # Errors
+    /// As [`Preprocess::apply`].
+    pub fn adjoint(&self, w: Signal) -> Result<Signal, EngineError> {
+        self.check(w.sample_rate_hz())?;
+        if self.is_none() {
+            return Ok(w);
         }
-        Signal::new(sample_rate_hz, channels)
+        let sample_rate_hz = w.sample_rate_hz();
+        let n = w.n_samples();
+        if n == 0 {
+            return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
+        }
+        let lines = Lines::new(self, n, sample_rate_hz);
+        let mut channels = w.into_channels();
+        channels.par_iter_mut().for_each(|samples| {
+            let mut time = vec![0.0; lines.total];
+            time[..n].copy_from_slice(samples);
+            // Gains are real and the same on either side of zero: their filter is its own adjoint.
+            lines.pass(&mut time);
+            fold_back(&time, lines.pad, samples);
+        });
+        finite(sample_rate_hz, channels)
     }
 
     /// Share of a frequency that passes, 0..=1.
@@ -127,6 +134,56 @@ impl Preprocess {
         let low_pass = self.low_pass_hz.map_or(1.0, below);
         low_pass * self.band_pass_hz.map_or(1.0, |[low, high]| above(low) * below(high))
     }
+}
+
+/// A filter made ready for signals of one length.
+struct Lines {
+    /// Samples of the continuation that reflect an end.
+    pad: usize,
+    /// Samples of the transform.
+    total: usize,
+    forward: Arc<dyn RealToComplex<f64>>,
+    inverse: Arc<dyn ComplexToReal<f64>>,
+    /// Gain of each line, `1 / total` included.
+    gains: Vec<f64>,
+}
+
+impl Lines {
+    fn new(filter: &Preprocess, n: usize, sample_rate_hz: f64) -> Self {
+        let edges = filter.low_pass_hz.into_iter().chain(filter.band_pass_hz.map(|band| band[0]));
+        // Several periods of the slowest edge, but never more than the signal itself.
+        let ring_down = (4.0 / SLOPE * sample_rate_hz / edges.fold(f64::MAX, f64::min)).ceil();
+        let pad = if ring_down < n as f64 { ring_down as usize } else { n };
+        let total = (n + 2 * pad).next_power_of_two();
+        let mut planner = RealFftPlanner::new();
+        let gains = (0..=total / 2)
+            .map(|line| filter.gain(line as f64 * sample_rate_hz / total as f64) / total as f64)
+            .collect();
+        let (forward, inverse) = (planner.plan_fft_forward(total), planner.plan_fft_inverse(total));
+        Self { pad, total, forward, inverse, gains }
+    }
+
+    /// Filters a period of a periodic signal.
+    fn pass(&self, time: &mut [f64]) {
+        let mut lines = self.forward.make_output_vec();
+        self.forward.process(time, &mut lines).expect("buffers are the plan's own");
+        for (line, gain) in lines.iter_mut().zip(&self.gains) {
+            *line *= gain;
+        }
+        // Rounding leaves a trace in what is real by symmetry; the inverse refuses it.
+        lines[0].im = 0.0;
+        lines[self.total / 2].im = 0.0;
+        self.inverse.process(&mut lines, time).expect("buffers are the plan's own");
+    }
+}
+
+fn finite(sample_rate_hz: f64, channels: Vec<Vec<f64>>) -> Result<Signal, EngineError> {
+    for (channel, samples) in channels.iter().enumerate() {
+        if let Some(sample) = first_not_finite(samples) {
+            return Err(EngineError::NonFiniteResult { what: "filtered signal", channel, sample });
+        }
+    }
+    Signal::new(sample_rate_hz, channels)
 }
 
 /// Half a cosine from 0 (at `0`) to 1 (at `1`).
@@ -149,6 +206,29 @@ fn extend(samples: &[f64], pad: usize, out: &mut [f64]) {
         *v = bridge
             + after * fade(1.0 - from_last as f64 / (pad + 1) as f64)
             + before * fade(1.0 - from_first as f64 / (pad + 1) as f64);
+    }
+}
+
+/// The adjoint of [`extend`]: adds to the samples what the continuation took from them.
+fn fold_back(time: &[f64], pad: usize, samples: &mut [f64]) {
+    let (n, gap) = (samples.len(), time.len() - samples.len());
+    samples.copy_from_slice(&time[..n]);
+    for (k, v) in time[n..].iter().enumerate() {
+        let from_last = k + 1;
+        let from_first = gap - k;
+        let to_first = fade(from_last as f64 / (gap + 1) as f64);
+        samples[n - 1] += (1.0 - to_first) * v;
+        samples[0] += to_first * v;
+        if from_last < n {
+            let share = fade(1.0 - from_last as f64 / (pad + 1) as f64);
+            samples[n - 1] += share * v;
+            samples[n - 1 - from_last] -= share * v;
+        }
+        if from_first < n {
+            let share = fade(1.0 - from_first as f64 / (pad + 1) as f64);
+            samples[0] += share * v;
+            samples[from_first] -= share * v;
+        }
     }
 }
 

@@ -102,6 +102,7 @@ fn report(plan: &IterationPlan, found: &Found, errors: &[ChannelErrors]) -> Iter
     let (targets, drives) = (&plan.channels, &plan.model.inputs);
     let step = |step: &Step| IterationStep {
         iteration: step.iteration,
+        kind: step.kind,
         errors: named(targets, step.error.clone()),
         total_error: step.total_error,
         damage: named(targets, step.damage.clone()),

@@ -143,3 +143,87 @@ fn a_ridge_that_is_no_share_is_refused_and_a_silent_channel_is_not() {
     silent.h.fill(Complex64::default());
     assert!(inverse(&silent, 0.0).iter().all(|z| z.norm() == 0.0));
 }
+
+/// The quality of an FRF with one multiple coherence everywhere.
+fn coherent(frf: &Frf, excited: [usize; 2], coherence: f64) -> FrfQuality {
+    let pairs = frf.n_lines() * frf.n_outputs * frf.n_inputs;
+    FrfQuality {
+        settings: FrfSettings::default(),
+        averages: 20,
+        effective_averages: 20.0,
+        excited: vec![excited],
+        input_hz: vec![frf.usable_hz; frf.n_inputs],
+        coherence: vec![coherence; pairs],
+        multiple_coherence: vec![coherence; frf.n_lines() * frf.n_outputs],
+        condition: vec![1.0; frf.n_lines()],
+        std_error: vec![0.0; pairs],
+    }
+}
+
+#[test]
+fn the_incoherent_share_of_a_line_damps_it() {
+    let (excited, ridge) = ([3, 31], 1e-3);
+    let frf = random_frf(1, 1, 34, excited);
+    let mut squares: Vec<f64> = (3..=31).map(|line| frf.at(line, 0, 0).norm_sqr()).collect();
+    squares.sort_by(f64::total_cmp);
+    let level = squares[14];
+    // All of what is less than half coherent is noise.
+    for (coherence, share) in [(1.0, 0.0), (0.8, 0.25), (0.5, 1.0), (0.2, 1.0), (0.0, 1.0)] {
+        let quality = coherent(&frf, excited, coherence);
+        let damped = FrfInverse::new(&frf, Some(&quality), ridge).unwrap().damped_by(&quality);
+        let (found, reach) = (damped.lines(&frf, 0..34).unwrap(), damped.reach(&frf));
+        for line in 3..=31 {
+            let h = frf.at(line, 0, 0);
+            let below = h.norm_sqr() * (1.0 + share) + ridge * level;
+            assert!((found[line] - h.conj() / below).norm() < 1e-12 * found[line].norm(), "{coherence}");
+            assert!((reach[line] - h.norm_sqr() / below).abs() < 1e-12, "{coherence}");
+        }
+        assert_eq!((reach[0], reach[33]), (0.0, 0.0));
+    }
+}
+
+/// Corrections by an inverse, of a rig that is off from the FRF by as much as its coherence leaves open: the largest growth
+/// of an error over as many iterations as a search has.
+fn growth(inverse: &[Complex64], rig: &Frf, line: usize) -> f64 {
+    let n = rig.n_outputs;
+    let mut error: Vec<Complex64> = (0..n).map(|o| Complex64::from_polar(1.0, o as f64)).collect();
+    let mut largest = 1.0_f64;
+    for _ in 0..15 {
+        let drive: Vec<Complex64> =
+            (0..n).map(|i| (0..n).map(|o| inverse[(line * n + i) * n + o] * error[o]).sum()).collect();
+        for (o, error) in error.iter_mut().enumerate() {
+            *error -= (0..n).map(|i| rig.at(line, o, i) * drive[i]).sum::<Complex64>();
+        }
+        let norm = error.iter().map(Complex64::norm_sqr).sum::<f64>() / n as f64;
+        largest = largest.max(norm.sqrt());
+    }
+    largest
+}
+
+#[test]
+fn lines_of_high_condition_and_low_coherence_do_not_diverge() {
+    let (n, excited, coherence) = (3, [4, 60], 0.8);
+    let mut frf = random_frf(n, n, 65, excited);
+    // The second drive nearly does what the first does: condition numbers of some 80.
+    for line in frf.h.chunks_exact_mut(n) {
+        line[1] = line[0] * 0.9 + line[1] * 0.05;
+    }
+    let uncertain: f64 = (1.0 - coherence) / coherence;
+    let off = random_frf(n, n, 65, excited);
+    let mut rig = frf.clone();
+    for (place, (row, off)) in rig.h.chunks_exact_mut(n).zip(off.h.chunks_exact(n).rev()).enumerate() {
+        let norm = |row: &[Complex64]| row.iter().map(Complex64::norm_sqr).sum::<f64>().sqrt();
+        let share = uncertain.sqrt() * norm(row) / norm(off);
+        assert!(share.is_finite(), "row {place}");
+        row.iter_mut().zip(off).for_each(|(h, off)| *h += off * share);
+    }
+    let quality = coherent(&frf, excited, coherence);
+    let plain = FrfInverse::new(&frf, Some(&quality), DEFAULT_RIDGE).unwrap();
+    let damped = plain.clone().damped_by(&quality);
+    let worst = |inverse: &FrfInverse| {
+        let lines = inverse.lines(&frf, 0..65).unwrap();
+        (4..=60).map(|line| growth(&lines, &rig, line)).fold(0.0, f64::max)
+    };
+    let (plain, damped) = (worst(&plain), worst(&damped));
+    assert!(plain > 1e3 && damped < 4.0, "{plain} {damped}");
+}

@@ -53,7 +53,7 @@ pub(super) struct OutOfBand {
 }
 
 /// Mean squares of an input over a window: of the lines outside its band, and of all.
-type Power = [f64; 2];
+pub(super) type Power = [f64; 2];
 
 /// The band of each input that a model knows.
 pub(super) fn of_model(model: &RigModel) -> Vec<[f64; 2]> {
@@ -73,6 +73,11 @@ impl Bands {
     pub fn new(bands: Vec<[f64; 2]>, fft: &ShortTime, sample_rate_hz: f64) -> Self {
         let outside = bands.iter().map(|band| Outside::new(*band, fft, sample_rate_hz)).collect();
         Self { bands, outside, window_s: fft.len() as f64 / sample_rate_hz }
+    }
+
+    /// First and last frequency of an input.
+    pub fn of_input(&self, input: usize) -> [f64; 2] {
+        self.bands[input]
     }
 
     /// Whether any line can be told to be outside.
@@ -102,12 +107,10 @@ impl Bands {
     pub fn find(&self, range: &[InputRange], windows: &[(Range<usize>, Vec<Power>)]) -> Vec<OutOfBand> {
         let mut found = Vec::new();
         for (input, range) in range.iter().enumerate().filter(|(input, _)| self.outside[*input].any()) {
-            let least = (LEVEL * (range.max - range.min) / 2.0).powi(2);
             let mut stretches = Vec::new();
             for (samples, powers) in windows {
                 let [out, all] = powers[input];
-                // Not a comparison of shares: a drive at rest has no power.
-                if out > least && out > SHARE * all {
+                if is_outside(powers[input], range) {
                     join(
                         &mut stretches,
                         samples,
@@ -131,6 +134,13 @@ impl Bands {
         }
         found
     }
+}
+
+/// Whether too much of an input's power over a window lies outside its band.
+pub(super) fn is_outside([out, all]: Power, range: &InputRange) -> bool {
+    let least = (LEVEL * (range.max - range.min) / 2.0).powi(2);
+    // Not a comparison of shares: a drive at rest has no power.
+    out > least && out > SHARE * all
 }
 
 /// Window that suits all bands.

@@ -15,16 +15,20 @@ pub(super) enum Way {
 }
 
 impl Way {
-    /// Whether the levels of a window, its mean, RMS about it, RMS of the rate and RMS of a tone, as far as the way goes, are
-    /// beyond the limit.
-    pub fn beyond(self, levels: &[f64], limit: f64) -> bool {
+    /// The one of the levels of a window that the way is about: its mean, RMS about it, RMS of the rate, RMS of a tone.
+    pub fn level(self, levels: &[f64]) -> f64 {
         match self {
-            Self::High => levels[0] > limit,
-            Self::Low => levels[0] < limit,
-            Self::Strong => levels[1] > limit,
-            Self::Fast => levels[2] > limit,
-            Self::Tonal => levels[3] > limit,
+            Self::High | Self::Low => levels[0],
+            Self::Strong => levels[1],
+            Self::Fast => levels[2],
+            Self::Tonal => levels[3],
         }
+    }
+
+    /// Whether the levels of a window, as far as the way goes, are beyond the limit.
+    pub fn beyond(self, levels: &[f64], limit: f64) -> bool {
+        let level = self.level(levels);
+        if self == Self::Low { level < limit } else { level > limit }
     }
 }
 

@@ -50,13 +50,7 @@ impl LocalRange {
     /// Stretches of an input outside; `values` are the smallest and the largest value of the training. An input
     /// shorter than a window is not judged.
     pub(super) fn find(&self, values: [f64; 2], samples: &[f64]) -> Vec<Beyond> {
-        let slack = MEAN_SLACK * (values[1] - values[0]) / 2.0;
-        let limits = [
-            (Way::High, self.mean[1] + slack),
-            (Way::Low, self.mean[0] - slack),
-            (Way::Strong, RMS_SLACK * self.max_rms + slack),
-        ];
-        let mut found = limits.map(|limit| (limit, Vec::new()));
+        let mut found = self.limits(values).map(|limit| (limit, Vec::new()));
         each_window(samples, self.window, |part, mean, rms| {
             for ((way, limit), stretches) in &mut found {
                 if way.beyond(&[mean, rms], *limit) {
@@ -69,11 +63,21 @@ impl LocalRange {
         });
         beyond.collect()
     }
+
+    /// The limits and the ways to pass them.
+    pub(super) fn limits(&self, values: [f64; 2]) -> [(Way, f64); 3] {
+        let slack = MEAN_SLACK * (values[1] - values[0]) / 2.0;
+        [
+            (Way::High, self.mean[1] + slack),
+            (Way::Low, self.mean[0] - slack),
+            (Way::Strong, RMS_SLACK * self.max_rms + slack),
+        ]
+    }
 }
 
 /// Calls `then` with the samples that each window speaks for, which are those nearest to its middle, its mean and its
 /// RMS about the mean. Windows share the moments of the blocks between their starts.
-fn each_window(samples: &[f64], window: usize, mut then: impl FnMut(Range<usize>, f64, f64)) {
+pub(super) fn each_window(samples: &[f64], window: usize, mut then: impl FnMut(Range<usize>, f64, f64)) {
     let n = samples.len();
     if n < window {
         return;

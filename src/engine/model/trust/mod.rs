@@ -3,6 +3,7 @@
 
 mod band;
 mod beyond;
+mod excursion;
 mod joint;
 mod levels;
 mod local;
@@ -20,6 +21,8 @@ use serde::Serialize;
 use super::RigModel;
 use crate::{Signal, rounded};
 
+pub(super) use excursion::excursions;
+pub use excursion::{Excursion, Remedy};
 pub use joint::JointRange;
 pub use local::LocalRange;
 pub use range::InputRange;

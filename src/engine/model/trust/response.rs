@@ -55,7 +55,7 @@ impl WindowRange {
     }
 
     /// The limits and the ways to pass them.
-    fn limits(&self) -> [(Way, f64); 5] {
+    pub(super) fn limits(&self) -> [(Way, f64); 5] {
         let slack = MEAN_SLACK * ((self.mean[1] - self.mean[0]) / 2.0 + self.max_rms);
         [
             (Way::High, self.mean[1] + slack),

@@ -1,11 +1,12 @@
 //! Watches a drive over short times: the spectrum of each input, and the linear response to all of them.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
-use super::band::{self, Bands, OutOfBand, WINDOW_LEN, window_len};
+use super::band::{self, Bands, OutOfBand, Power, WINDOW_LEN, window_len};
 use super::beyond::Beyond;
 use super::joint::{self, Apart, Distance, JointRange};
-use super::levels::LinearLevels;
+use super::levels::{Level, LinearLevels};
 use super::response::{self, WindowRange};
 use super::short_time::{ShortTime, WindowOfInputs};
 use crate::Signal;
@@ -32,6 +33,18 @@ pub(super) struct SeenOutside {
     pub apart: Vec<(Range<usize>, Apart)>,
 }
 
+/// What is seen of a drive in each window, with the samples that the window speaks for.
+pub(super) struct Seen<'a> {
+    /// The bands on the lines of the windows.
+    pub bands: Cow<'a, Bands>,
+    /// Power of each input outside its band, and all of it.
+    pub powers: Vec<(Range<usize>, Vec<Power>)>,
+    /// Levels of the linear response, by output; without an FRF of each input.
+    pub levels: Vec<(Range<usize>, Vec<Level>)>,
+    /// How far the means of all inputs together are from the middle of the training.
+    pub distances: Vec<(Range<usize>, Apart)>,
+}
+
 impl std::fmt::Debug for SpectrumWatch {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("SpectrumWatch").field("bands", &self.bands).field("window", &self.fft.len()).finish()
@@ -53,15 +66,31 @@ impl SpectrumWatch {
 
     /// Where the inputs of the model are outside.
     pub(super) fn find(&self, model: &RigModel, x: &Signal) -> SeenOutside {
+        let Some(Seen { bands, powers, levels, distances }) = self.look(x) else {
+            return SeenOutside::default();
+        };
+        let limit = model.joint_range.as_ref().map_or(f64::INFINITY, JointRange::limit);
+        SeenOutside {
+            out_of_band: bands.find(&model.range, &powers),
+            driven: response::find(&model.window_range, &levels),
+            apart: joint::find(limit, &distances),
+        }
+    }
+
+    /// What is seen of some inputs; none where they are shorter than the shortest window.
+    pub(super) fn look(&self, x: &Signal) -> Option<Seen<'_>> {
         let n = x.n_samples();
         if n < WINDOW_LEN.start {
-            return SeenOutside::default();
+            return None;
         }
         // The spectrum of a drive shorter than the window is looked at through a shorter one; the rest is not judged.
         let shorter = self.fft.shortened(n).map(|fft| (self.bands.on(&fft, x.sample_rate_hz()), fft));
-        let (fft, bands, levels, distance) = match &shorter {
-            Some((bands, fft)) => (fft, bands, None, None),
-            None => (&self.fft, &self.bands, self.levels.as_ref(), self.distance.as_ref()),
+        let (fft, bands, levels, distance) = match shorter {
+            Some((bands, fft)) => (Cow::Owned(fft), Cow::Owned(bands), None, None),
+            None => {
+                let of_whole = (self.levels.as_ref(), self.distance.as_ref());
+                (Cow::Borrowed(&self.fft), Cow::Borrowed(&self.bands), of_whole.0, of_whole.1)
+            }
         };
         let inputs: Vec<&[f64]> = x.channels().iter().map(Vec::as_slice).collect();
         let (mut powers, mut of_levels, mut distances) = (Vec::new(), Vec::new(), Vec::new());
@@ -77,12 +106,7 @@ impl SpectrumWatch {
             distances.extend(distance.map(|distance| (samples.clone(), distance)));
             powers.push((samples, power));
         }
-        let limit = model.joint_range.as_ref().map_or(f64::INFINITY, JointRange::limit);
-        SeenOutside {
-            out_of_band: bands.find(&model.range, &powers),
-            driven: response::find(&model.window_range, &of_levels),
-            apart: joint::find(limit, &distances),
-        }
+        Some(Seen { bands, powers, levels: of_levels, distances })
     }
 }
 
