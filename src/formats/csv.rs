@@ -92,6 +92,8 @@ struct Table {
     /// One column: the time of each sample, where the file has it.
     times: Spool,
     rounding: Rounding,
+    /// Digits of the first column of a file without names.
+    first_column: Rounding,
     /// Samples of each channel.
     samples: usize,
     /// Line of the first sample.
@@ -138,6 +140,7 @@ impl Table {
             channels,
             times,
             rounding,
+            first_column: rounding,
             samples: 0,
             first_row: rows.row(),
         })
@@ -153,7 +156,13 @@ impl Table {
             }
             let value = self.value(cell, rows.row(), column)?;
             match place {
-                Use::Channel(channel) => self.channels.push(channel, value)?,
+                Use::Channel(channel) => {
+                    // It may turn out to be the times of a file without names.
+                    if column == 0 && self.head.names.is_none() {
+                        self.first_column.add(number::digits(cell).unwrap_or_default());
+                    }
+                    self.channels.push(channel, value)?;
+                }
                 _ => {
                     self.rounding.add(number::digits(cell).unwrap_or_default());
                     self.times.push(0, value)?;
@@ -234,6 +243,7 @@ impl Table {
             sample_rate_error: rate.map_or(0.0, |(_, error)| error),
             names: names.map(of_channels),
             units: units.map(of_channels),
+            first_column: self.first_column,
             ..ParsedRun::of(self.channels)
         }
         .check()?)

@@ -26,6 +26,9 @@ mod unpacked;
 mod variables;
 
 use std::collections::HashSet;
+use std::io;
+
+use times::{Even, Rounding};
 
 pub use error::{ChannelAt, FormatError, ReadError, UffPlace};
 pub use format::Format;
@@ -59,7 +62,12 @@ pub struct ParsedRun<C = Vec<Vec<f64>>> {
     pub channels: C,
     /// What the reader left out, or what of the file may be meant otherwise: a sentence each.
     pub notes: Vec<String>,
+    /// The digits that the first column of a file without names is written with.
+    first_column: Rounding,
 }
+
+/// Fewest samples of a column that are told to be times.
+const TIMES: usize = 3;
 
 impl ParsedRun<Spool> {
     /// A run of which the file tells the samples only.
@@ -71,7 +79,23 @@ impl ParsedRun<Spool> {
             units: None,
             channels,
             notes: Vec::new(),
+            first_column: Rounding::NONE,
         }
+    }
+
+    /// Samples per unit of the first column, if it rises in even steps as times or numbers of samples do, and the largest
+    /// relative error of that by rounded values.
+    ///
+    /// # Errors
+    /// Those of the file of the samples.
+    pub fn even_first_column(&self) -> io::Result<Option<(f64, f64)>> {
+        if self.channels.n_columns() == 0 || self.channels.len(0) < TIMES {
+            return Ok(None);
+        }
+        Ok(match times::rate(&self.channels, self.first_column, 1.0)? {
+            Even::Rate { rate_hz, error } => Some((rate_hz, error)),
+            Even::Single | Even::Not { .. } => None,
+        })
     }
 
     /// Checks the rules that all formats share.
@@ -114,7 +138,7 @@ impl ParsedRun<Spool> {
 
     /// The run of a spool in memory.
     pub(crate) fn into_memory(self) -> ParsedRun {
-        let Self { sample_rate_hz, sample_rate_error, names, units, channels, notes } = self;
+        let Self { sample_rate_hz, sample_rate_error, names, units, channels, notes, first_column } = self;
         ParsedRun {
             sample_rate_hz,
             sample_rate_error,
@@ -122,6 +146,7 @@ impl ParsedRun<Spool> {
             units,
             channels: channels.into_columns(),
             notes,
+            first_column,
         }
     }
 }

@@ -167,9 +167,21 @@ impl FileQuery {
                 problem
             }
         })?;
-        let ParsedRun { sample_rate_hz, sample_rate_error, names, units, channels, notes } = parsed;
-        let names = self.names(format, names, channels.n_columns(), rig_names)?;
-        let columns = assign(&names, units.as_deref(), rig, &self.ignore).map_err(unassigned)?;
+        let time = self.time_column(&parsed, rig)?;
+        let ParsedRun {
+            mut sample_rate_hz, mut sample_rate_error, names, units, channels, mut notes, ..
+        } = parsed;
+        let named_columns = channels.n_columns() - usize::from(time.is_some());
+        let names = self.names(format, names, named_columns, rig_names)?;
+        let mut columns = assign(&names, units.as_deref(), rig, &self.ignore).map_err(unassigned)?;
+        notes.extend(left_out(&columns));
+        if let Some(time) = time {
+            if let (None, Some((rate, error))) = (sample_rate_hz, time.rate) {
+                (sample_rate_hz, sample_rate_error) = (Some(rate), error);
+            }
+            notes.push(time.note());
+            columns.insert(0, time.column());
+        }
         let taken = taken(&columns, &channels)?;
         let rate = self.rate(sample_rate_hz, sample_rate_error, rig)?;
         let sha256 = upload.sha256();
@@ -196,6 +208,30 @@ impl FileQuery {
             // The file's own faults come first.
             ColumnFault::Unsuitable(_) => Ok(()),
         })
+    }
+
+    /// The first column of a file that names none, where it is one column more than there are names for and rises in even
+    /// steps. Its unit is the one that gives the sample rate wanted, else s; steps of 1 that give none count samples.
+    fn time_column(&self, parsed: &ParsedRun<Spool>, rig: &Rig) -> Answer<Option<TimeColumn>> {
+        let names = self.channels.as_ref().map_or(rig.channels.len(), Vec::len);
+        if parsed.names.is_some() || parsed.channels.n_columns() != names + 1 {
+            return Ok(None);
+        }
+        let Some((per_unit, error)) = parsed.even_first_column().map_err(upload::disk)? else {
+            return Ok(None);
+        };
+        let wanted = parsed.sample_rate_hz.or(self.sample_rate_hz).unwrap_or(rig.sample_rate_hz);
+        let is_wanted = |rate: f64| (rate - wanted).abs() <= error.max(1e-6) * wanted;
+        let (unit, rate) = if is_wanted(per_unit) {
+            ("s", Some(per_unit))
+        } else if is_wanted(1e3 * per_unit) {
+            ("ms", Some(1e3 * per_unit))
+        } else if per_unit == 1.0 {
+            ("samples", None)
+        } else {
+            ("s", Some(per_unit))
+        };
+        Ok(Some(TimeColumn { unit, rate: rate.map(|rate| (rate, error)) }))
     }
 
     /// Names of the columns: the file's own, else the query's, else the rig's. Descriptions of RPC III and UFF 58 are
@@ -248,6 +284,28 @@ impl FileQuery {
     }
 }
 
+/// The first column of a file without names, taken for the time.
+struct TimeColumn {
+    unit: &'static str,
+    /// Sample rate and its largest relative error; none of a number of the sample.
+    rate: Option<(f64, f64)>,
+}
+
+impl TimeColumn {
+    /// As a column that is no channel.
+    fn column(&self) -> Column {
+        Column { name: "time".to_owned(), unit: Some(self.unit.to_owned()), channel: None, factor: 1.0 }
+    }
+
+    fn note(&self) -> String {
+        let taken = match self.rate {
+            Some(_) => format!("the time in {}", self.unit),
+            None => "the number of the sample".to_owned(),
+        };
+        format!("The first of the columns without names rises in even steps and was taken for {taken}.")
+    }
+}
+
 /// The samples at another rate, in a spool of their own.
 fn resampled(
     mut samples: SpooledSamples,
@@ -287,7 +345,7 @@ fn changes(
     notes: Vec<String>,
     sample_rate_error: f64,
 ) -> Vec<String> {
-    let of_columns = columns.iter().filter_map(|column| column.conversion(rig)).chain(left_out(columns));
+    let of_columns = columns.iter().filter_map(|column| column.conversion(rig));
     let of_rate = resampled_from.map(|rate| {
         format!("Resampled from {} Hz to {} Hz.", rounded(rate, 10), rounded(rig.sample_rate_hz, 10))
     });

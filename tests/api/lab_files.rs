@@ -188,3 +188,56 @@ async fn columns_are_found_by_the_aliases_of_the_rigs_channels() {
         assert_eq!(problem["errors"][0]["pointer"], pointer);
     }
 }
+
+/// A matrix without names that has one column more than the rig has channels.
+#[tokio::test]
+async fn a_first_column_of_even_steps_is_the_time_of_a_matrix_without_header() {
+    let app = TestApp::start();
+    app.rig(&bench()).await;
+    let matrix = |first: &dyn Fn(u32) -> String| -> String {
+        (0..40).map(|i| format!("{},{},{}\n", first(i), i % 7, 3 * (i % 5))).collect()
+    };
+    let seconds = |i: u32| format!("{:.2}", 5.0 + 0.01 * f64::from(i));
+    let path = format!("{RUNS}?dry_run=true");
+    for (first, unit) in [
+        (&seconds as &dyn Fn(u32) -> String, "s"),
+        (&|i| (10 * i).to_string(), "ms"),
+        (&|i| (i + 1).to_string(), "samples"),
+    ] {
+        let understood = app.post_file(&path, "text/csv", matrix(first)).await.expect(200).json();
+        assert_eq!(understood["sample_rate_hz"], 100.0, "{understood}");
+        let column = |name: &str, unit: Value, channel: Value| json!({"name": name, "unit": unit, "channel": channel, "factor": 1.0});
+        assert_eq!(
+            understood["columns"],
+            json!([
+                column("time", json!(unit), Value::Null),
+                column("u", Value::Null, json!("u")),
+                column("y", Value::Null, json!("y")),
+            ])
+        );
+        let warnings = understood["quality"]["warnings"].to_string();
+        let words = if unit == "samples" { "the number of the sample" } else { "the time in" };
+        assert!(warnings.contains(words) && !warnings.contains("left out"), "{warnings}");
+    }
+    let stored = app.post_file(RUNS, "text/csv", matrix(&seconds)).await.expect(201);
+    let data = app.get(&format!("{}/data", stored.header("location"))).await.expect(200).json();
+    assert_eq!((&data["channels"]["u"][8], &data["channels"]["y"][8]), (&json!(1.0), &json!(9.0)));
+    // As an array, and with the names of the query.
+    let array: Vec<f64> = (0..40).flat_map(|i| [0.01 * f64::from(i), 1.5, f64::from(i * i)]).collect();
+    let array = npy("<f8", false, "(40, 3)", &f8(&array));
+    let named = format!("{path}&channels=y,u");
+    let understood = app.post_file(&named, "application/x-npy", array).await.expect(200).json();
+    assert_eq!(
+        (&understood["columns"][0]["name"], &understood["columns"][1]["channel"]),
+        (&json!("time"), &json!("y"))
+    );
+    // Times of another rate are told, and a column that does not rise evenly is no time.
+    let slow = |i: u32| format!("{:.2}", 0.02 * f64::from(i));
+    app.post_file(&path, "text/csv", matrix(&slow)).await.problem(422, "run.sample_rate");
+    let resampled = app.post_file(&format!("{path}&resample=true"), "text/csv", matrix(&slow)).await;
+    assert_eq!(resampled.expect(200).json()["sample_rate_hz"], 50.0);
+    let uneven = |i: u32| format!("{:.2}", 0.01 * f64::from(i + i / 20));
+    for first in [&uneven as &dyn Fn(u32) -> String, &|_| "1".to_owned(), &|i| (40 - i).to_string()] {
+        app.post_file(&path, "text/csv", matrix(first)).await.problem(422, "run.channel_count");
+    }
+}
