@@ -25,6 +25,30 @@ json.dump({
 }, sys.stdout)
 ";
 
+/// Names, units and samples of a file, as JSON.
+const RPC3_FILE: &str = "
+import json, sys
+import rpc3
+channels, parameters = rpc3.read(sys.argv[1])
+json.dump({
+    'names': [channel.name for channel in channels], 'units': [channel.unit for channel in channels],
+    'step_s': channels[0].dt, 'samples': [channel.data.tolist() for channel in channels],
+}, sys.stdout)
+";
+
+/// A file of two channels at 1000 Hz, as counts or as floats, whose samples it prints as JSON.
+const RPC3_FILE_WRITES: &str = "
+import json, sys
+import numpy as np
+import rpc3
+time = np.arange(5003) / 1000
+samples = {'u': 3.5 * np.sin(40 * time), 'y': 1e-3 * np.cos(70 * time) - 2.0}
+units = {'u': 'kN', 'y': 'mm'}
+channels = [rpc3.Channel(name, units[name], 1e-3, values) for name, values in samples.items()]
+rpc3.write(sys.argv[1], channels, datatype={'counts': int, 'floats': float}[sys.argv[2]])
+json.dump({name: values.tolist() for name, values in samples.items()}, sys.stdout)
+";
+
 /// Names, units, rate and samples of a MAT file, as JSON.
 const SCIPY: &str = "
 import json, sys
@@ -158,35 +182,63 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[tokio::test]
-async fn rpc_reader_reads_our_rpc3_within_half_a_count() {
+async fn two_foreign_readers_read_our_rpc3_within_half_a_count() {
     let app = TestApp::start();
     app.rig(&bench()).await;
     // More than a group of 2,048 samples.
     let created = app.post_file("/v1/rigs/bench/runs", "text/csv", noise_csv(5000, 1)).await.expect(201);
     let data = format!("{}/data", created.header("location"));
     let run = app.get(&data).await.expect(200).json();
-    let file = app.call("GET", &data).header("accept", "application/x-rpc3").send().await.expect(200).bytes;
-    let Some(read) = read_with(RPC_READER, &file) else { return };
-    assert_eq!(read["names"], serde_json::json!(["u", "y"]));
-    assert_eq!(read["step_s"], 0.01);
-    for (index, name) in ["u", "y"].into_iter().enumerate() {
-        let expected = numbers(&run["channels"][name]);
-        // That reader takes the scale for one of 32,768 counts where it is one of INT_FULL_SCALE; the format's
-        // description and nCode's files have it as the unit of one count.
-        let found: Vec<f64> =
-            numbers(&read["samples"][index]).iter().map(|v| v * 32768.0 / 32752.0).collect();
-        assert!(found.len() >= expected.len(), "{name}: the last frame is filled");
-        let half_a_count = 0.5 * expected.iter().fold(0.0_f64, |most, v| most.max(v.abs())) / 32752.0;
-        let off = found.iter().zip(&expected).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
-        assert!(off <= 1.01 * half_a_count, "{name}: off by {off}, half a count is {half_a_count}");
-    }
+    let counts = app.call("GET", &data).header("accept", "application/x-rpc3").send().await.expect(200).bytes;
     let floats = "application/x-rpc3; numbers=floats";
-    let file = app.call("GET", &data).header("accept", floats).send().await.expect(200).bytes;
-    let Some(read) = read_with(RPC_READER, &file) else { return };
-    for (index, name) in ["u", "y"].into_iter().enumerate() {
-        let (found, expected) = (numbers(&read["samples"][index]), numbers(&run["channels"][name]));
-        let is_same = |(found, expected): (&f64, &f64)| *found as f32 == *expected as f32;
-        assert!(found.len() >= expected.len() && found.iter().zip(&expected).all(is_same), "{name}");
+    let floats = app.call("GET", &data).header("accept", floats).send().await.expect(200).bytes;
+    // rpc-reader takes the scale for one of 32,768 counts where it is one of INT_FULL_SCALE; the format's description,
+    // nCode's files and rpc3-file have it as the unit of one count. It also leaves the last frame as it was filled.
+    for (reader, scale, knows_length) in [(RPC_READER, 32768.0 / 32752.0, false), (RPC3_FILE, 1.0, true)] {
+        let Some(read) = read_with(reader, &counts) else { return };
+        assert_eq!(read["names"], serde_json::json!(["u", "y"]));
+        assert_eq!(read["step_s"], 0.01);
+        assert!(!knows_length || read["units"] == serde_json::json!(["kN", "mm"]), "{}", read["units"]);
+        for (index, name) in ["u", "y"].into_iter().enumerate() {
+            let expected = numbers(&run["channels"][name]);
+            let found: Vec<f64> = numbers(&read["samples"][index]).iter().map(|v| v * scale).collect();
+            let is_whole =
+                if knows_length { found.len() == expected.len() } else { found.len() >= expected.len() };
+            assert!(is_whole, "{name}: {} samples", found.len());
+            let half_a_count = 0.5 * expected.iter().fold(0.0_f64, |most, v| most.max(v.abs())) / 32752.0;
+            let off = found.iter().zip(&expected).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
+            assert!(off <= 1.01 * half_a_count, "{name}: off by {off}, half a count is {half_a_count}");
+        }
+        let Some(read) = read_with(reader, &floats) else { return };
+        for (index, name) in ["u", "y"].into_iter().enumerate() {
+            let (found, expected) = (numbers(&read["samples"][index]), numbers(&run["channels"][name]));
+            let is_same = |(found, expected): (&f64, &f64)| *found as f32 == *expected as f32;
+            assert!(found.len() >= expected.len() && found.iter().zip(&expected).all(is_same), "{name}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn files_of_rpc3_file_come_in_with_the_samples_that_it_wrote() {
+    let app = TestApp::start();
+    let mut rig = bench();
+    rig["sample_rate_hz"] = 1000.0.into();
+    app.rig(&rig).await;
+    for (form, rounding) in [("counts", 0.5 / 32752.0), ("floats", f64::from(f32::EPSILON))] {
+        let directory = tempfile::tempdir().expect("a directory");
+        let path = directory.path().join("run.rsp");
+        let Some(written) = printed(RPC3_FILE_WRITES, &path, &[form]) else { return };
+        let file = std::fs::read(path).expect("written");
+        let created = app.post_file("/v1/rigs/bench/runs", "application/x-rpc3", file).await.expect(201);
+        let run = created.json();
+        assert_eq!((&run["units"], &run["samples"]), (&serde_json::json!(["kN", "mm"]), &5003.into()));
+        let data = app.get(&format!("{}/data", created.header("location"))).await.expect(200).json();
+        for name in ["u", "y"] {
+            let (found, expected) = (numbers(&data["channels"][name]), numbers(&written[name]));
+            let most = expected.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+            let off = found.iter().zip(&expected).fold(0.0_f64, |off, (a, b)| off.max((a - b).abs()));
+            assert!(off <= 1.01 * rounding * most, "{form}, {name}: off by {off} of {most}");
+        }
     }
 }
 
