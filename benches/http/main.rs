@@ -7,6 +7,8 @@
 //! - `cargo bench --bench http -- whole`: 20 s in JSON with six targets, errors, damage and Multi-Rain of two groups;
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
+//! - `cargo bench --bench http -- upload`: 1 h of nine channels as RPC III, from the request to the stored run, and the
+//!   peak resident memory above that of the idle service;
 //! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
 //! - `cargo bench --bench http -- load` (`fair`, `slow`, `soak`): overload, and hours of load.
 
@@ -18,8 +20,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group};
+use rigcast::engine::Signal;
 use rigcast::engine::lstm::Recombine;
 use rigcast::formats::npy::{Dtype, Order, write};
+use rigcast::formats::rpc3::Rpc3Pieces;
 use serde_json::json;
 
 use rig::{
@@ -59,6 +63,7 @@ fn main() {
         Some("whole") => whole(),
         Some("hour") => hour(),
         Some("beside") => beside(),
+        Some("upload") => upload(),
         Some("fit") => fit(),
         Some("load") => load::load(),
         Some("fair") => load::fair(),
@@ -171,6 +176,38 @@ fn beside() {
     }
 }
 
+/// Drives, and responses that follow from them with a nonlinearity.
+fn measured(samples: usize, seed: u64) -> Vec<Vec<f64>> {
+    let x = noise(samples, DRIVES.len(), seed);
+    let y = (0..RESPONSES.len()).map(|o| {
+        let (a, b) = (&x[o % 3], &x[(o + 1) % 3]);
+        a.iter().zip(b).map(|(a, b)| 0.7 * a + 0.2 * b + 0.05 * a * a * a).collect()
+    });
+    x.iter().cloned().chain(y).collect()
+}
+
+/// One service per repetition, so that each peak is its own.
+fn upload() {
+    let names: Vec<String> = DRIVES.iter().chain(&RESPONSES).map(|name| (*name).to_owned()).collect();
+    let units = vec!["kN".to_owned(); names.len()];
+    let signal = Signal::new(RATE_HZ, measured(HOUR, 300)).expect("a run");
+    let pieces: Result<Vec<Vec<u8>>, _> = Rpc3Pieces::new(names, units, false, signal).collect();
+    let file = pieces.expect("samples in memory").concat();
+    let head = "POST /v1/rigs/bench/runs?kind=noise HTTP/1.1\r\nContent-Type: application/x-rpc3";
+    let (mut seconds, mut resident) = (Vec::new(), Vec::new());
+    for _ in 0..5 {
+        let service = Service::start();
+        create(&service);
+        let (idle, mut connection) = (service.resident(), service.connect());
+        let started = Instant::now();
+        connection.call(head, &file, 201);
+        seconds.push(started.elapsed().as_secs_f64());
+        resident.push(service.peak_resident().saturating_sub(idle) as f64);
+    }
+    tell("http_upload_1h_rpc3_time", "s", seconds);
+    tell("http_upload_1h_rpc3_resident_above_idle", "bytes", resident);
+}
+
 /// Two hours in eight runs, the service's default settings but for the number of epochs, which
 /// takes time and no memory.
 fn fit() {
@@ -179,13 +216,7 @@ fn fit() {
     let mut connection = service.connect();
     let names = [&DRIVES[..], &RESPONSES[..]].concat().join(",");
     for run in 0..8 {
-        let x = noise(HOUR / 4, DRIVES.len(), 100 + run);
-        // Responses that follow from the drives, with a nonlinearity.
-        let y = (0..RESPONSES.len()).map(|o| {
-            let (a, b) = (&x[o % 3], &x[(o + 1) % 3]);
-            a.iter().zip(b).map(|(a, b)| 0.7 * a + 0.2 * b + 0.05 * a * a * a).collect()
-        });
-        let channels: Vec<Vec<f64>> = x.iter().cloned().chain(y).collect();
+        let channels = measured(HOUR / 4, 100 + run);
         let head = format!(
             "POST /v1/rigs/bench/runs?name=run-{run}&kind=noise&channels={names}&sample_rate_hz={RATE_HZ} HTTP/1.1\r\n\
              Content-Type: application/x-npy"
