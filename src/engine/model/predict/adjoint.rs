@@ -136,6 +136,8 @@ mod tests {
                 let mut model = RigModel { preprocess, ..made_up(kind) };
                 if let Some(part) = &mut model.lstm {
                     part.recombine = recombine;
+                    // A stream's gradient looks two windows ahead, which the made-up weights do not forget in 40 samples.
+                    part.window_len = 80;
                 }
                 let predictor = Predictor::new(model).unwrap();
                 let (x, w) = (numbers(2, 700, 1), numbers(3, 700, 2));
@@ -144,12 +146,12 @@ mod tests {
                     let along = numbers(2, 700, seed);
                     let at = |by: f64| product(&predictor.predict(moved(&x, by, &along)).unwrap(), &w);
                     // Large enough for the roundings of f32, small enough for the terms of third order.
-                    let h = 1e-2;
+                    let h = 1e-3;
                     let slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
                     let found = product(&gradient, &along);
                     let size = product(&gradient, &gradient).sqrt() * product(&along, &along).sqrt();
                     let apart = (slope - found).abs() / size;
-                    assert!(apart < 2e-5, "{kind:?} {recombine:?} {preprocess:?}: {slope} {found} {apart:e}");
+                    assert!(apart < 5e-4, "{kind:?} {recombine:?} {preprocess:?}: {slope} {found} {apart:e}");
                 }
             }
         }
