@@ -236,7 +236,7 @@ async fn a_first_column_of_even_steps_is_the_time_of_a_matrix_without_header() {
     app.post_file(&path, "text/csv", matrix(&slow)).await.problem(422, "run.sample_rate");
     let resampled = app.post_file(&format!("{path}&resample=true"), "text/csv", matrix(&slow)).await;
     assert_eq!(resampled.expect(200).json()["sample_rate_hz"], 50.0);
-    let uneven = |i: u32| format!("{:.2}", 0.01 * f64::from(i + i / 20));
+    let uneven = |i: u32| format!("{:.2}", 0.01 * f64::from(i + i * i / 20));
     for first in [&uneven as &dyn Fn(u32) -> String, &|_| "1".to_owned(), &|i| (40 - i).to_string()] {
         app.post_file(&path, "text/csv", matrix(first)).await.problem(422, "run.channel_count");
     }

