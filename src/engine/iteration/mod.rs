@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fatigue::{DamageRatio, damage};
 use super::metrics::rms;
-use super::model::Predictor;
+use super::model::{InputRange, Predictor};
 use super::progress::{Progress, Watch, report};
 use super::{EngineError, Signal};
 use correction::Correction;
@@ -344,6 +344,9 @@ impl Search<'_> {
         let drive = match self.settings.outside {
             Outside::Allowed => drive,
             Outside::Penalised => {
+                self.tapered(&drive, &taken_back(drive.clone(), &self.values_alone(), &[])?)?
+            }
+            Outside::Strict => {
                 let excursions = predictor.excursions(&predictor.begin(drive.clone())?);
                 let back = taken_back(drive.clone(), &predictor.model().range, &excursions)?;
                 self.tapered(&drive, &back)?
@@ -354,6 +357,12 @@ impl Search<'_> {
         let held = channels.iter_mut().zip(self.problem.limits);
         let limited = held.map(|(samples, limit)| hold(samples, rate, limit)).collect();
         Ok((Signal::new(rate, channels)?, limited))
+    }
+
+    /// The ranges of the training's values; rates are free.
+    fn values_alone(&self) -> Vec<InputRange> {
+        let ranges = self.problem.predictor.model().range.iter();
+        ranges.map(|range| InputRange { max_rate: f64::INFINITY, ..range.clone() }).collect()
     }
 
     /// A drive that leaves another one as far as the taper allows.
@@ -424,9 +433,8 @@ impl Search<'_> {
         }
         let beyond: f64 = match self.settings.outside {
             Outside::Allowed => 0.0,
-            Outside::Penalised => {
-                excess(&drive, &predictor.model().range, &predictor.excursions(&prediction))
-            }
+            Outside::Penalised => excess(&drive, &self.values_alone(), &[]),
+            Outside::Strict => excess(&drive, &predictor.model().range, &predictor.excursions(&prediction)),
         };
         let each = self.target.channels().iter().zip(predicted.channels());
         let errors = each.clone().map(|(t, y)| rms(t, y)).collect();

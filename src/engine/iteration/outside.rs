@@ -1,7 +1,7 @@
 //! Drives outside what the model was fitted on: how far they are, and the way back.
 //!
 //! The model's trust says where: values and rates sample by sample, means, levels and spectra of each drive over short
-//! times, and those of the linear response and of all means together.
+//! times, and those of the linear response and of all means together. Unless all of it is asked for, only values count.
 
 use crate::model::{Excursion, InputRange, Preprocess, Remedy};
 use crate::{EngineError, Signal};

@@ -58,9 +58,12 @@ pub struct GainBand {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outside {
-    /// Each iteration takes them half of the way back, and what is left counts as error in the choice of the best.
+    /// Each iteration takes values beyond the range half of the way back, and what is left counts as error in the choice
+    /// of the best.
     #[default]
     Penalised,
+    /// The same of all that the trust tells: values, rates, windows, spectra, and all drives together.
+    Strict,
     /// Nothing.
     Allowed,
 }
