@@ -362,7 +362,7 @@ impl Search<'_> {
     /// The ranges of the training's values; rates are free.
     fn values_alone(&self) -> Vec<InputRange> {
         let ranges = self.problem.predictor.model().range.iter();
-        ranges.map(|range| InputRange { max_rate: f64::INFINITY, ..range.clone() }).collect()
+        ranges.map(|range| InputRange { max_rate: f64::INFINITY, ..*range }).collect()
     }
 
     /// A drive that leaves another one as far as the taper allows.
