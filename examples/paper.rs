@@ -183,18 +183,21 @@ fn lines(preset: Preset, task: Task, rows: &[Row]) -> Result<String, Box<dyn Err
     Ok(text)
 }
 
+/// The groups of channels that the rows have averages of.
+fn group_keys(rows: &[Row]) -> impl Iterator<Item = &String> {
+    rows.first().into_iter().flat_map(|row| row.average.groups.keys())
+}
+
 /// Writes the RMS errors, over those of the FRF, and the damage ratios, one row a group, class and kind.
 fn plot(args: &Args, preset: Preset, task: Task, rows: &[Row]) -> Result<(), Box<dyn Error>> {
-    let groups: Vec<&String> =
-        rows.first().map(|row| row.average.groups.keys().collect()).unwrap_or_default();
     let all = |of: &dyn Fn(&Row, &str) -> Option<f64>| -> Vec<(String, Option<f64>)> {
-        let of_group = |group: &&String| {
+        let of_group = |group: &String| {
             let name = |row: &Row| format!("{group}, {}, {}", row.class, row.kind.as_str());
             let mut in_order: Vec<&Row> = rows.iter().collect();
             in_order.sort_by_key(|row| CLASSES.iter().position(|(class, _)| *class == row.class));
             in_order.iter().map(|row| (name(row), of(row, group))).collect::<Vec<_>>()
         };
-        groups.iter().flat_map(of_group).collect()
+        group_keys(rows).flat_map(of_group).collect()
     };
     let over_frf = |row: &Row, group: &str| {
         let frf = rows.iter().find(|r| r.class == row.class && r.kind == ModelKind::Frf)?;
@@ -220,9 +223,7 @@ fn findings(preset: Preset, task: Task, rows: &[Row]) {
         let verdict = if holds { "as in the paper" } else { "FINDING, differs from the paper" };
         println!("# {preset:?} {task:?} {class} {group}: {what}: {verdict} ({detail})");
     };
-    let groups: Vec<&String> =
-        rows.first().map(|row| row.average.groups.keys().collect()).unwrap_or_default();
-    for group in groups {
+    for group in group_keys(rows) {
         let of = |class: &str, figure: fn(&GroupAverage) -> Option<f64>| -> Vec<(ModelKind, f64)> {
             let in_class = rows.iter().filter(|row| row.class == class);
             in_class.filter_map(|row| Some((row.kind, figure(&row.average.groups[group])?))).collect()

@@ -128,22 +128,27 @@ impl FrfFilter {
     /// # Errors
     /// Another channel count or sample rate, no samples, a result that is not finite.
     pub fn apply(&self, x: &Signal) -> Result<Signal, EngineError> {
-        const WHAT: &str = "input of the FRF";
-        let (nx, n) = (self.x_mean.len(), x.n_samples());
-        if x.n_channels() != nx {
-            return Err(EngineError::ChannelCount { what: WHAT, expected: nx, found: x.n_channels() });
-        }
-        if !Signal::same_rate(self.sample_rate_hz, x.sample_rate_hz()) {
-            let (expected_hz, found_hz) = (self.sample_rate_hz, x.sample_rate_hz());
-            return Err(EngineError::SampleRate { what: WHAT, expected_hz, found_hz });
-        }
-        if n == 0 {
-            return Err(EngineError::TooShort { what: WHAT, needed: 1, found: 0 });
-        }
+        self.check("input of the FRF", x, self.x_mean.len())?;
+        let n = x.n_samples();
         let large = self.spectra.len() * size_of::<Complex64>() > LARGE_BYTES;
         let blocks = n.div_ceil(self.block - self.taps + 1);
         let at_once = if large { SHARING.min(blocks.div_ceil(rayon::current_num_threads())) } else { 1 };
         self.apply_in_blocks(x, at_once)
+    }
+
+    /// Whether a signal has so many channels, the FRF's sample rate and any samples.
+    fn check(&self, what: &'static str, signal: &Signal, channels: usize) -> Result<(), EngineError> {
+        if signal.n_channels() != channels {
+            return Err(EngineError::ChannelCount { what, expected: channels, found: signal.n_channels() });
+        }
+        if !Signal::same_rate(self.sample_rate_hz, signal.sample_rate_hz()) {
+            let (expected_hz, found_hz) = (self.sample_rate_hz, signal.sample_rate_hz());
+            return Err(EngineError::SampleRate { what, expected_hz, found_hz });
+        }
+        if signal.n_samples() == 0 {
+            return Err(EngineError::TooShort { what, needed: 1, found: 0 });
+        }
+        Ok(())
     }
 
     /// So many blocks share each reading of the spectra; no bit depends on how many.

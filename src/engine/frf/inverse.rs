@@ -126,10 +126,9 @@ impl FrfInverse {
         let Some((edge, share)) = self.nearest(line) else { return nothing };
         let Some((u, singular, _)) = self.decomposed(frf, edge) else { return nothing };
         let damping = self.damping(frf, edge);
-        let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
         let of_output = |o: usize| {
             let (mut reached, mut all) = (0.0, 0.0);
-            for (k, s) in singular.iter().enumerate().filter(|(_, s)| **s > floor) {
+            for (k, s) in singular.iter().enumerate().filter(|(_, s)| **s > 0.0) {
                 let part = u[(o, k)].norm_sqr();
                 reached += part * s * s / (s * s + damping);
                 all += part;
@@ -175,8 +174,7 @@ impl FrfInverse {
             return vec![Complex64::new(f64::NAN, 0.0); nx * ny];
         };
         let damping = self.damping(frf, edge);
-        let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
-        let weight = |s: f64| if s > floor { s / (s * s + damping) } else { 0.0 };
+        let weight = |s: f64| if s > 0.0 { s / (s * s + damping) } else { 0.0 };
         let weights: Vec<f64> = singular.into_iter().map(weight).collect();
         let mut inverse = nothing();
         for (i, inverse) in inverse.chunks_mut(ny).enumerate() {
@@ -189,10 +187,14 @@ impl FrfInverse {
         inverse
     }
 
-    /// `A` of a line as `U S V^H`.
+    /// `A` of a line as `U S V^H`; singular values that are rounding are zero.
     fn decomposed(&self, frf: &Frf, line: usize) -> Option<(Mat<Complex64>, Vec<f64>, Mat<Complex64>)> {
         let scaled: Vec<Complex64> = self.scaled(frf, line).collect();
-        thin_svd(&Mat::from_fn(frf.n_outputs, frf.n_inputs, |o, i| scaled[o * frf.n_inputs + i]))
+        let (u, mut singular, v) =
+            thin_svd(&Mat::from_fn(frf.n_outputs, frf.n_inputs, |o, i| scaled[o * frf.n_inputs + i]))?;
+        let floor = ROUNDING * singular.first().copied().unwrap_or(0.0);
+        singular.iter_mut().filter(|s| **s <= floor).for_each(|s| *s = 0.0);
+        Some((u, singular, v))
     }
 
     /// The number that is added to the squares of a line's singular values.

@@ -7,10 +7,7 @@ use super::DriveLimit;
 pub(super) fn hold(samples: &mut [f64], sample_rate_hz: f64, limit: &DriveLimit) -> f64 {
     let free = samples.to_vec();
     if let Some(rate) = limit.rate {
-        let step = rate / sample_rate_hz;
-        for i in 1..samples.len() {
-            samples[i] = samples[i].clamp(samples[i - 1] - step, samples[i - 1] + step);
-        }
+        samples.copy_from_slice(&slowed(samples, rate / sample_rate_hz));
     }
     if let Some(most) = limit.rms {
         let mean = samples.iter().sum::<f64>() / samples.len() as f64;
@@ -24,6 +21,16 @@ pub(super) fn hold(samples: &mut [f64], sample_rate_hz: f64, limit: &DriveLimit)
     }
     let changed = samples.iter().zip(&free).filter(|(held, free)| held != free).count();
     changed as f64 / samples.len() as f64
+}
+
+/// A drive that changes by at most `step` from sample to sample, as it would follow another.
+pub(super) fn slowed(samples: &[f64], step: f64) -> Vec<f64> {
+    let mut at = samples.first().copied().unwrap_or_default();
+    let follow = |v: &f64| {
+        at = v.clamp(at - step, at + step);
+        at
+    };
+    samples.iter().map(follow).collect()
 }
 
 #[cfg(test)]

@@ -184,7 +184,8 @@ pub fn iterate(
     let target_damage =
         target.channels().iter().map(|t| damage(t, &settings.damage)).collect::<Result<_, _>>()?;
     let taper = taper(settings, &target);
-    let search = Search { problem, settings, target: &target, target_damage, scale, taper };
+    let ranges = counted(&model.range, settings.outside);
+    let search = Search { problem, settings, target: &target, target_damage, scale, taper, ranges };
     let drive = match start {
         Start::Zero => {
             Signal::new(model.sample_rate_hz, vec![vec![0.0; target.n_samples()]; model.inputs.len()])?
@@ -279,6 +280,17 @@ fn stalled(diverged_at: Option<usize>, best: &Step) -> Stopped {
     if diverged_at == Some(best.iteration) { Stopped::Diverged } else { Stopped::Settled }
 }
 
+/// What of the training's ranges counts: nothing, the values alone, or all of it.
+fn counted(ranges: &[InputRange], outside: Outside) -> Vec<InputRange> {
+    match outside {
+        Outside::Allowed => Vec::new(),
+        Outside::Penalised => {
+            ranges.iter().map(|range| InputRange { max_rate: f64::INFINITY, ..*range }).collect()
+        }
+        Outside::Strict => ranges.to_vec(),
+    }
+}
+
 /// How errors are weighed against each other.
 struct Scale {
     /// Sum of squares of each target; of a target that is zero, the largest of the others'.
@@ -334,6 +346,8 @@ struct Search<'a> {
     scale: Scale,
     /// Factors on the corrections, sample by sample.
     taper: Vec<f64>,
+    /// What of the training's range of each drive counts; nothing of drives beyond these.
+    ranges: Vec<InputRange>,
 }
 
 impl Search<'_> {
@@ -341,15 +355,16 @@ impl Search<'_> {
     /// shares of the samples that the limits changed.
     fn hold(&self, drive: Signal) -> Result<(Signal, Vec<f64>), EngineError> {
         let predictor = self.problem.predictor;
+        let excursions = if self.settings.outside == Outside::Strict {
+            predictor.excursions(&predictor.begin(drive.clone())?)
+        } else {
+            Vec::new()
+        };
         let drive = match self.settings.outside {
             Outside::Allowed => drive,
-            Outside::Penalised => {
-                self.tapered(&drive, &taken_back(drive.clone(), &self.values_alone(), &[])?)?
-            }
-            Outside::Strict => {
-                let excursions = predictor.excursions(&predictor.begin(drive.clone())?);
-                let back = taken_back(drive.clone(), &predictor.model().range, &excursions)?;
-                self.tapered(&drive, &back)?
+            Outside::Penalised | Outside::Strict => {
+                let back = taken_back(drive.clone(), &self.ranges, &excursions)?;
+                self.changed(&drive, |channel, t| back.channel(channel)[t] - drive.channel(channel)[t])?
             }
         };
         let rate = drive.sample_rate_hz();
@@ -359,33 +374,20 @@ impl Search<'_> {
         Ok((Signal::new(rate, channels)?, limited))
     }
 
-    /// The ranges of the training's values; rates are free.
-    fn values_alone(&self) -> Vec<InputRange> {
-        let ranges = self.problem.predictor.model().range.iter();
-        ranges.map(|range| InputRange { max_rate: f64::INFINITY, ..*range }).collect()
-    }
-
-    /// A drive that leaves another one as far as the taper allows.
-    fn tapered(&self, from: &Signal, to: &Signal) -> Result<Signal, EngineError> {
-        let of = |(from, to): (&Vec<f64>, &Vec<f64>)| {
-            let each = from.iter().zip(to).zip(&self.taper);
-            each.map(|((from, to), taper)| from + taper * (to - from)).collect()
+    /// A drive changed by `by(drive, sample)` as far as the taper allows.
+    fn changed(&self, drive: &Signal, by: impl Fn(usize, usize) -> f64) -> Result<Signal, EngineError> {
+        let of = |(channel, samples): (usize, &Vec<f64>)| {
+            let each = samples.iter().zip(&self.taper).enumerate();
+            each.map(|(t, (u, taper))| u + by(channel, t) * taper).collect()
         };
-        let channels = from.channels().iter().zip(to.channels()).map(of).collect();
-        Signal::new(from.sample_rate_hz(), channels)
+        let channels = drive.channels().iter().enumerate().map(of).collect();
+        Signal::new(drive.sample_rate_hz(), channels)
     }
 
     /// The next drive before its limits.
     fn corrected(&self, best: &Tried, correction: &Correction) -> Result<Signal, EngineError> {
         let step = correction.of(&best.error)?;
-        let channels = best
-            .drive
-            .channels()
-            .iter()
-            .zip(step.channels())
-            .map(|(u, du)| u.iter().zip(du).zip(&self.taper).map(|((u, du), taper)| u + du * taper).collect())
-            .collect();
-        Signal::new(best.drive.sample_rate_hz(), channels)
+        self.changed(&best.drive, |channel, t| step.channel(channel)[t])
     }
 
     /// The search by gradient; none where it is not asked for, and for a model that is linear or has effects.
@@ -431,11 +433,12 @@ impl Search<'_> {
         if !square.is_finite() {
             return Err(EngineError::NonFiniteResult { what: "error", channel: 0, sample: 0 });
         }
-        let beyond: f64 = match self.settings.outside {
-            Outside::Allowed => 0.0,
-            Outside::Penalised => excess(&drive, &self.values_alone(), &[]),
-            Outside::Strict => excess(&drive, &predictor.model().range, &predictor.excursions(&prediction)),
+        let excursions = if self.settings.outside == Outside::Strict {
+            predictor.excursions(&prediction)
+        } else {
+            Vec::new()
         };
+        let beyond = excess(&drive, &self.ranges, &excursions);
         let each = self.target.channels().iter().zip(predicted.channels());
         let errors = each.clone().map(|(t, y)| rms(t, y)).collect();
         let ratios = predicted

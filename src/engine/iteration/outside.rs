@@ -3,6 +3,7 @@
 //! The model's trust says where: values and rates sample by sample, means, levels and spectra of each drive over short
 //! times, and those of the linear response and of all means together. Unless all of it is asked for, only values count.
 
+use super::limits::slowed;
 use crate::model::{Excursion, InputRange, Preprocess, Remedy};
 use crate::{EngineError, Signal};
 
@@ -118,16 +119,6 @@ fn out_of_band(samples: &[f64], rate: f64, [from, to]: [f64; 2]) -> Result<Vec<f
     };
     let inside = filter.apply_to(Signal::new(rate, vec![about.clone()])?)?;
     Ok(about.iter().zip(inside.channel(0)).map(|(v, inside)| v - inside).collect())
-}
-
-/// The drive as one that changes by at most `step` from sample to sample would follow it.
-fn slowed(samples: &[f64], step: f64) -> Vec<f64> {
-    let mut at = samples[0];
-    let follow = |v: &f64| {
-        at = v.clamp(at - step, at + step);
-        at
-    };
-    samples.iter().map(follow).collect()
 }
 
 /// How far a value lies beyond the training range, with its sign.

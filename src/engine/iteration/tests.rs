@@ -470,6 +470,7 @@ fn the_gradient_of_the_error_equals_differences_of_it() {
         target_damage: vec![1.0; 2],
         scale: Scale::of(problem.target, &weights).unwrap(),
         taper: vec![1.0; SAMPLES],
+        ranges: counted(&case.predictor.model().range, settings.outside),
     };
     let at = Signal::new(FS, vec![noise(7, 20.0), noise(8, 20.0)]).unwrap();
     let along = [noise(9, 20.0), noise(10, 20.0)];

@@ -80,16 +80,8 @@ impl Preprocess {
     /// # Errors
     /// As [`Preprocess::apply`].
     pub fn apply_to(&self, x: Signal) -> Result<Signal, EngineError> {
-        self.check(x.sample_rate_hz())?;
-        if self.is_none() {
-            return Ok(x);
-        }
-        let sample_rate_hz = x.sample_rate_hz();
-        let n = x.n_samples();
-        if n == 0 {
-            return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
-        }
-        let lines = Lines::new(self, n, sample_rate_hz);
+        let Some(lines) = self.lines_for(&x)? else { return Ok(x) };
+        let (sample_rate_hz, n) = (x.sample_rate_hz(), x.n_samples());
         let mut channels = x.into_channels();
         channels.par_iter_mut().for_each(|samples| {
             let mut time = vec![0.0; lines.total];
@@ -106,16 +98,8 @@ impl Preprocess {
     /// # Errors
     /// As [`Preprocess::apply`].
     pub fn adjoint(&self, w: Signal) -> Result<Signal, EngineError> {
-        self.check(w.sample_rate_hz())?;
-        if self.is_none() {
-            return Ok(w);
-        }
-        let sample_rate_hz = w.sample_rate_hz();
-        let n = w.n_samples();
-        if n == 0 {
-            return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
-        }
-        let lines = Lines::new(self, n, sample_rate_hz);
+        let Some(lines) = self.lines_for(&w)? else { return Ok(w) };
+        let (sample_rate_hz, n) = (w.sample_rate_hz(), w.n_samples());
         let mut channels = w.into_channels();
         channels.par_iter_mut().for_each(|samples| {
             let mut time = vec![0.0; lines.total];
@@ -125,6 +109,18 @@ impl Preprocess {
             fold_back(&time, lines.pad, samples);
         });
         finite(sample_rate_hz, channels)
+    }
+
+    /// The filter for signals like this one; none where nothing is filtered.
+    fn lines_for(&self, signal: &Signal) -> Result<Option<Lines>, EngineError> {
+        self.check(signal.sample_rate_hz())?;
+        if self.is_none() {
+            return Ok(None);
+        }
+        if signal.n_samples() == 0 {
+            return Err(EngineError::TooShort { what: "signal to filter", needed: 1, found: 0 });
+        }
+        Ok(Some(Lines::new(self, signal.n_samples(), signal.sample_rate_hz())))
     }
 
     /// Share of a frequency that passes, 0..=1.

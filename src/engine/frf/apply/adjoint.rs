@@ -16,18 +16,8 @@ impl FrfFilter {
     /// # Errors
     /// Another channel count or sample rate, no samples, a result that is not finite.
     pub fn adjoint(&self, w: &Signal) -> Result<Signal, EngineError> {
-        const WHAT: &str = "weights of the FRF's outputs";
-        let (nx, ny, n) = (self.x_mean.len(), self.y_mean.len(), w.n_samples());
-        if w.n_channels() != ny {
-            return Err(EngineError::ChannelCount { what: WHAT, expected: ny, found: w.n_channels() });
-        }
-        if !Signal::same_rate(self.sample_rate_hz, w.sample_rate_hz()) {
-            let (expected_hz, found_hz) = (self.sample_rate_hz, w.sample_rate_hz());
-            return Err(EngineError::SampleRate { what: WHAT, expected_hz, found_hz });
-        }
-        if n == 0 {
-            return Err(EngineError::TooShort { what: WHAT, needed: 1, found: 0 });
-        }
+        self.check("weights of the FRF's outputs", w, self.y_mean.len())?;
+        let (nx, n) = (self.x_mean.len(), w.n_samples());
         // Outputs depend on held inputs up to half the taps beyond either end. Those are computed as samples of their own
         // and then added to the value that is held there.
         let (reach, step) = (self.taps / 2, self.block - self.taps + 1);
