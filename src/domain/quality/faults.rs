@@ -156,6 +156,34 @@ fn a_delay_is_measured_to_a_sample_and_told_where_a_response_leads_or_lags_too_f
 }
 
 #[test]
+fn a_delay_longer_than_the_segments_of_the_spectra_is_found_too() {
+    let lagging = |u: &[f64], delay: i64, noise: f64| -> Vec<f64> {
+        let late = |i: i64| -0.3 * u[(i - delay).rem_euclid(N as i64) as usize];
+        (0..N as i64).map(late).zip(gaussian(N, 9)).map(|(y, e)| y + noise * e).collect()
+    };
+    let u = mode(&mode(&gaussian(N, 1), 40.0, 0.7), 40.0, 0.7);
+    let rms = (u.iter().map(|v| v * v).sum::<f64>() / N as f64).sqrt();
+    for delay in [1_030, 1_500, 3_000, 5_000, -5_000, 7_900] {
+        // Noise of a tenth of the response, and of as much.
+        for noise in [0.03 * rms, 0.3 * rms] {
+            let quality = assess(u.clone(), lagging(&u, delay, noise));
+            let found = quality.channels[1].delay.as_ref().unwrap_or_else(|| panic!("{delay} {noise}"));
+            assert!((found.delay_ms - delay as f64).abs() < 3.0, "{delay} {noise}: {found:?}");
+            assert!(!faults(&quality).is_empty(), "{:?}", quality.warnings);
+        }
+    }
+    // Every period of a cyclic drive is a lag: the shortest is the delay.
+    let period = 9_000;
+    let u: Vec<f64> = (0..N).map(|i| u[i % period]).collect();
+    for delay in [0, 2_000] {
+        let late = |i: usize| if i < delay { 0.0 } else { u[i - delay] };
+        let quality = assess(u.clone(), (0..N).map(late).collect());
+        let found = quality.channels[1].delay.as_ref().unwrap();
+        assert!((found.delay_ms - delay as f64).abs() < 1.0, "{delay}: {found:?}");
+    }
+}
+
+#[test]
 fn the_repeats_of_a_cyclic_drive_are_found_with_the_noise_of_the_response() {
     for (period, share) in [(1_000, 0.02), (7_919, 0.2), (30_000, 0.05)] {
         let block = mode(&mode(&gaussian(period, 1), 40.0, 0.7), 40.0, 0.7);

@@ -17,6 +17,9 @@ const SEGMENT: f64 = 4096.0;
 /// 0.95 there.
 const LOSES_5_PERCENT: f64 = 0.088;
 
+/// Longest segment of an FRF that is advised, samples: of longer ones a usual run leaves too few averages.
+const LONGEST_ADVISED: usize = 16_384;
+
 /// Warnings about one channel of a run with this sample rate.
 pub(super) fn warnings(channel: &ChannelQuality, role: Role, sample_rate_hz: f64) -> Vec<String> {
     let found = [
@@ -95,9 +98,14 @@ pub(super) fn delay(channel: &ChannelQuality, sample_rate_hz: f64) -> Option<Str
     }
     if samples > LOSES_5_PERCENT * SEGMENT {
         let needed = ((samples / LOSES_5_PERCENT).ceil() as usize).next_power_of_two();
+        let or_fit = if needed <= LONGEST_ADVISED {
+            format!(", or fit with frf.segment_len {needed}")
+        } else {
+            String::new()
+        };
         return Some(format!(
             "{name} follows {drive} by {ms} ms: an FRF with segments of {SEGMENT} samples is too low by more than 5 %. Shift the \
-             channel into line, or fit with frf.segment_len {needed}."
+             channel into line{or_fit}."
         ));
     }
     None

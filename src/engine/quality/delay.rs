@@ -3,19 +3,22 @@
 //! The cross spectrum of a drive and a response, each of its lines weighted by its coherence alone (the maximum
 //! likelihood weight `g^2 / (1 - g^2)` of Hannan and Thomson, on the phase), is transformed back to time. Its
 //! envelope has its maximum at the delay. The envelope does not change with a constant phase: a velocity or an
-//! acceleration, or a sign, is no delay.
+//! acceleration, or a sign, is no delay. A response without such a maximum is sought further away ([`far`]), shifted by
+//! what was found there, and estimated again.
 
 use std::io;
+use std::ops::Range;
 
 use realfft::num_complex::Complex64;
 use rigcast_numerics::fft::RealFftPlanner;
 
 use super::FALSE_ALARM;
 use super::excerpt::spread;
+use super::long_delay::{Far, far};
 use crate::Samples;
 use crate::spectral::{Detrend, Means, Record, Welch, cross_spectra};
 
-/// Longest segment of the spectra; the delay is sought up to a quarter of it, beyond which the window hides it.
+/// Longest segment of the spectra; a delay of more than a quarter of it is hidden by the window.
 const SEGMENT: usize = 4096;
 /// Shortest segment.
 const SHORTEST: usize = 128;
@@ -28,6 +31,15 @@ const AT_ONCE: usize = 2;
 /// Drives, and responses, whose spectra are summed at once: bounds the memory.
 const DRIVES: usize = 2;
 const RESPONSES: usize = 4;
+/// Fewest excerpts of a response that is shifted far: the coherence of fewer is high by chance.
+const FEWEST_FAR: usize = 3;
+/// Share of the highest maximum, at any lag, below which the one within reach is no delay. Of a drive that repeats, every
+/// period has a maximum that is nearly as high.
+const TAIL: f64 = 0.5;
+/// Segments over their resolution below which a longer delay is sought too.
+const COARSE: f64 = 50.0;
+/// How much more of a response must be coherent with the drive at a longer delay.
+const FARTHER: f64 = 1.2;
 /// Highest coherence that a line counts with: one line of an exact copy would outweigh all others.
 const HIGHEST: f64 = 0.999;
 
@@ -67,7 +79,7 @@ pub fn delays(
     let welch = Welch { segment_len: len, overlap: 0.5, detrend: Detrend::Constant };
     for drives in drives.chunks(DRIVES) {
         for (group, responses) in responses.chunks(RESPONSES).enumerate() {
-            let Some(sums) = summed(samples, drives, responses, &ranges, &welch)? else { continue };
+            let Some(sums) = summed(samples, drives, responses, &ranges, &welch, 0)? else { continue };
             for o in 0..responses.len() {
                 for (i, &drive) in drives.iter().enumerate() {
                     let found = sums.delay(i, o, drive);
@@ -81,7 +93,27 @@ pub fn delays(
             }
         }
     }
+    let open: Vec<usize> = (0..responses.len()).filter(|o| is_open(best[*o], len)).collect();
+    let open_channels: Vec<usize> = open.iter().map(|o| responses[*o]).collect();
+    for (&o, far) in open.iter().zip(far(samples, drives, &open_channels)?) {
+        let Some(Far { drive, lag, .. }) = far else { continue };
+        let ranges = spread(n - lag.unsigned_abs().min(n), 2 * len, EXCERPTS);
+        if ranges.len() < FEWEST_FAR {
+            continue;
+        }
+        let Some(sums) = summed(samples, &[drive], &[responses[o]], &ranges, &welch, lag)? else { continue };
+        if let Some((share, delay)) = sums.delay(0, 0, drive)
+            && best[o].is_none_or(|(near, _)| share > FARTHER * near)
+        {
+            best[o] = Some((share, Delay { samples: delay.samples + lag as f64, ..delay }));
+        }
+    }
     Ok(best.into_iter().map(|found| found.map(|(_, delay)| delay)).collect())
+}
+
+/// Whether a delay may be longer than what segments of `len` show: few lines are coherent, or none.
+fn is_open(found: Option<(f64, Delay)>, len: usize) -> bool {
+    found.is_none_or(|(_, delay)| delay.resolution > len as f64 / COARSE)
 }
 
 /// Spectra of some drives and responses over all excerpts, sums.
@@ -94,12 +126,15 @@ struct Sums {
     syy: Vec<f64>,
 }
 
+/// Sums over excerpts of the drives at `ranges`, and of the responses `lag` samples later. Negative lags are those of the
+/// drives, so that all of it lies in the run where the ranges leave out as many samples at its end.
 fn summed(
     samples: &mut impl Samples,
     drives: &[usize],
     responses: &[usize],
-    ranges: &[std::ops::Range<usize>],
+    ranges: &[Range<usize>],
     welch: &Welch,
+    lag: isize,
 ) -> io::Result<Option<Sums>> {
     let (lines, nx, ny) = (welch.n_lines(), drives.len(), responses.len());
     let mut sums = Sums {
@@ -114,12 +149,20 @@ fn summed(
     for ranges in ranges.chunks(AT_ONCE) {
         let mut parts: Vec<Vec<Vec<f64>>> = Vec::new();
         for range in ranges {
-            let mut read = |channel: &usize| -> io::Result<Vec<f64>> {
+            let mut read = |channel: usize, later: isize| -> io::Result<Vec<f64>> {
                 let mut part = Vec::with_capacity(range.len());
-                samples.read(*channel, range.clone(), &mut part)?;
+                let later = usize::try_from(later).unwrap_or(0);
+                samples.read(channel, range.start + later..range.end + later, &mut part)?;
                 Ok(part)
             };
-            parts.push(drives.iter().chain(responses).map(&mut read).collect::<io::Result<_>>()?);
+            let mut part = Vec::with_capacity(nx + ny);
+            for &drive in drives {
+                part.push(read(drive, -lag)?);
+            }
+            for &response in responses {
+                part.push(read(response, lag)?);
+            }
+            parts.push(part);
         }
         let records: Vec<Record<'_>> = parts
             .iter()
@@ -184,7 +227,9 @@ impl Sums {
         let reach = (len / 4) as isize;
         // Of equal lags the shortest.
         let lag = (-reach..=reach).min_by(|a, b| at(*b).total_cmp(&at(*a)).then(a.abs().cmp(&b.abs())))?;
-        if lag.abs() == reach {
+        // A higher maximum beyond the reach: the delay is longer, and what is found here is its tail.
+        let is_tail = envelope.iter().any(|far| *far > at(lag) / TAIL);
+        if lag.abs() == reach || is_tail {
             return None;
         }
         let [before, top, after] = [at(lag - 1), at(lag), at(lag + 1)];
@@ -199,7 +244,7 @@ impl Sums {
 }
 
 /// Magnitude of the analytic signal, `len` samples, whose spectrum above DC and below Nyquist is given.
-fn envelope(spectrum: &[Complex64], len: usize) -> Vec<f64> {
+pub(super) fn envelope(spectrum: &[Complex64], len: usize) -> Vec<f64> {
     let inverse = RealFftPlanner::new().plan_fft_inverse(len);
     let turned = |by: Complex64| -> Vec<f64> {
         let mut input: Vec<Complex64> = spectrum.iter().map(|z| z * by).collect();

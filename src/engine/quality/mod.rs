@@ -9,6 +9,7 @@ mod delay;
 mod dropouts;
 mod excerpt;
 mod hum;
+mod long_delay;
 mod quantisation;
 mod repeats;
 mod scan;
