@@ -15,6 +15,9 @@ const MOST_CHANGE: f64 = 4.0;
 /// Shares between which a length that made it worse is shortened.
 const SHORTER: [f64; 2] = [0.1, 0.5];
 
+/// Share of the square error that a step must promise to take away.
+const WORTH: f64 = 0.01;
+
 /// The search along the model's gradient.
 pub(super) struct Descent {
     reachable: Reachable,
@@ -51,11 +54,12 @@ impl Descent {
         !self.aimed
     }
 
-    /// Takes the gradient of the square error at the best drive, `[drive, sample]`. False where it leads nowhere.
+    /// Takes the gradient of the square error at the best drive, `[drive, sample]`, and that error. False where a step
+    /// is not worth its time: the Gauss-Newton model promises next to nothing, half of the slope at length 1.
     ///
     /// # Errors
     /// A result that is not finite.
-    pub fn aim(&mut self, gradient: Signal) -> Result<bool, EngineError> {
+    pub fn aim(&mut self, gradient: Signal, square: f64) -> Result<bool, EngineError> {
         let conditioned = self.reachable.precondition(&gradient, &self.taper)?;
         let steepest = product(&gradient, &conditioned);
         if steepest <= 0.0 {
@@ -74,7 +78,7 @@ impl Descent {
         let slope = product(&gradient, &direction);
         self.line = Some(Line { gradient, conditioned, direction, slope });
         self.aimed = true;
-        Ok(slope < 0.0)
+        Ok(-0.5 * slope > WORTH * square)
     }
 
     /// The drive one step from the best one.

@@ -228,7 +228,7 @@ pub fn iterate(
         let (kind, drive, gain) = match &mut descent {
             None => (StepKind::Linear, search.corrected(&best, &correction)?, correction.mean_factor()),
             Some(descent) => {
-                if descent.needs_gradient() && !descent.aim(search.gradient(&best, &go_on)?)? {
+                if descent.needs_gradient() && !descent.aim(search.gradient(&best, &go_on)?, best.square)? {
                     break stalled(diverged_at, &best.step);
                 }
                 (StepKind::Gradient, descent.step(&best.drive)?, descent.length())
