@@ -113,9 +113,9 @@ fn health(args: &HealthArgs) -> Result<(), Failure> {
 }
 
 fn backup(args: &BackupArgs) -> Result<(), Failure> {
-    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous } = args;
-    let (previous, now) = (previous.as_deref(), jiff::Timestamp::now());
-    let work = storage::backup::backup(data_dir, backup, previous, now, told_each_second());
+    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous, objects } = args;
+    let (previous, bucket, now) = (previous.as_deref(), objects.bucket(), jiff::Timestamp::now());
+    let work = storage::backup::backup(data_dir, bucket.as_ref(), backup, previous, now, told_each_second());
     let made = runtime()?.block_on(work)?;
     println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
     Ok(())
@@ -145,7 +145,8 @@ fn recover(args: &RecoverArgs) -> Result<(), Failure> {
     /// Longer lists are cut; the whole of them is seldom read.
     const LISTED: usize = 50;
     telemetry::init_logging("warn", LogFormat::Text)?;
-    let done = runtime()?.block_on(storage::recover(&args.data_dir, jiff::Timestamp::now()))?;
+    let done =
+        runtime()?.block_on(storage::recover(&args.data_dir, args.objects.bucket().as_ref(), app::now()))?;
     let list = |title: &str, items: Vec<String>| {
         if items.is_empty() {
             return;

@@ -114,7 +114,7 @@ impl App {
             // A missing directory holds no token, and a refused start must not create it.
             return Err(AppError::OpenToNetwork(config.listen));
         }
-        let store = Store::open(&config.data_dir).await?;
+        let store = Store::open_with(&config.data_dir, config.bucket.as_ref()).await?;
         if !on_loopback && !has_admin(&store).await? {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::ObjectArgs;
+
 /// Arguments of `rigcast backup`.
 #[derive(Debug, Clone, Args)]
 pub struct BackupArgs {
@@ -14,6 +16,10 @@ pub struct BackupArgs {
     /// An earlier backup; what it has is linked and not copied again.
     #[arg(long)]
     pub previous: Option<PathBuf>,
+
+    /// Objects.
+    #[command(flatten)]
+    pub objects: ObjectArgs,
 }
 
 /// Arguments of `rigcast restore`, and some of `rigcast backup`.
@@ -33,4 +39,8 @@ pub struct RecoverArgs {
     /// Directory of the registry, the signals and the weights.
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
+
+    /// Objects.
+    #[command(flatten)]
+    pub objects: ObjectArgs,
 }

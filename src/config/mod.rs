@@ -6,6 +6,7 @@ mod demo;
 mod health;
 mod jobs;
 mod load;
+mod objects;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -16,6 +17,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::compute::ComputeSettings;
 use crate::http::{AdmissionSettings, Limits};
 use crate::jobs::JobSettings;
+use crate::storage::BucketSettings;
 use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
@@ -25,6 +27,7 @@ pub use demo::DemoArgs;
 pub use health::HealthArgs;
 pub use jobs::JobArgs;
 pub use load::LoadArgs;
+pub use objects::ObjectArgs;
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]
@@ -82,6 +85,10 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
 
+    /// Objects.
+    #[command(flatten)]
+    pub objects: ObjectArgs,
+
     /// Jobs.
     #[command(flatten)]
     pub jobs: JobArgs,
@@ -112,6 +119,8 @@ pub struct ServeArgs {
 pub struct Config {
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
+    /// Bucket of the objects; `None`: they are in the data directory.
+    pub bucket: Option<BucketSettings>,
     /// Address to listen on. Without a token the service answers on loopback only.
     pub listen: SocketAddr,
     /// Settings of jobs.
@@ -131,6 +140,7 @@ impl Config {
     pub fn new(data_dir: PathBuf, listen: SocketAddr) -> Self {
         Self {
             data_dir,
+            bucket: None,
             listen,
             jobs: JobSettings::default(),
             limits: Limits::default(),
@@ -187,6 +197,7 @@ impl ServeArgs {
     pub fn check(&self) -> Result<Config, ConfigError> {
         Ok(Config {
             data_dir: self.data_dir.clone(),
+            bucket: self.objects.bucket(),
             listen: self.listen,
             jobs: self.jobs.check(&self.log)?,
             limits: Limits {

@@ -16,6 +16,10 @@ struct Ready {
     status: &'static str,
     /// `ok`, or `full`: reads and predictions go on, and only deletions and changes of the active model are taken.
     store: &'static str,
+    /// `ok`, or why the bucket of the objects cannot be used: models that are loaded and what the data directory has
+    /// copies of are still there, and uploads are refused. Absent where the objects are in the data directory.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bucket: Option<String>,
     /// Objects that were put aside because no row names them.
     quarantined: Vec<String>,
     degraded: Vec<Degraded>,
@@ -40,7 +44,13 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     let degraded_models = degraded.len();
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
     let quarantined = http.store.quarantined().await?;
-    json::answer(&Ready { status: "ready", store, quarantined, degraded, degraded_models, checks })
+    let bucket = match http.store.bucket_settings() {
+        None => None,
+        Some(_) => {
+            Some(http.store.ping_bucket().await.map_or_else(|away| away.to_string(), |()| "ok".into()))
+        }
+    };
+    json::answer(&Ready { status: "ready", store, bucket, quarantined, degraded, degraded_models, checks })
 }
 
 /// Checks that requests should be sent here; returns whether the store has room for more.

@@ -81,7 +81,7 @@ mod tests {
         let mut bare = from_safetensors(WEIGHTS).unwrap();
         bare.effects.clear();
         std::fs::create_dir(dir.path().join("objects")).unwrap();
-        let objects = Objects::open(&dir.path().join("objects")).unwrap();
+        let objects = Objects::open(&dir.path().join("objects"), None).unwrap();
         let (effect, bare) = (Bytes::from_static(WEIGHTS), Bytes::from(to_safetensors(&bare)));
         let digests = [Digest::of(&bare), Digest::of(&effect), Digest::of(b"lost")];
         objects.put(&digests[0], bare).await.unwrap();

@@ -16,6 +16,11 @@ impl CorruptObjects {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Whether an object was found corrupt.
+    pub(super) fn has(&self, digest: &str) -> bool {
+        self.names().contains(digest)
+    }
+
     /// Notes that an object was found corrupt, or intact.
     pub(super) fn note(&self, digest: &str, damaged: bool) {
         let mut names = self.names();

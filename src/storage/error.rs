@@ -51,6 +51,14 @@ pub enum StoreError {
     /// The object files.
     #[error("object files: {0}")]
     Objects(#[from] object_store::Error),
+    /// The bucket of the objects.
+    #[error("the bucket {bucket} cannot be used: {what}")]
+    Bucket {
+        /// Its URL.
+        bucket: String,
+        /// What is wrong with it.
+        what: String,
+    },
     /// The data directory, a backup, or a file in one.
     #[error("cannot use {path}: {}", in_words(.source))]
     DataDir {
@@ -217,7 +225,11 @@ impl StoreError {
         match self {
             Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
             Self::Database(error) => sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff))),
-            Self::Objects(_) | Self::DataDir { .. } | Self::JournalStopped { .. } | Self::Stopped => true,
+            Self::Objects(_)
+            | Self::Bucket { .. }
+            | Self::DataDir { .. }
+            | Self::JournalStopped { .. }
+            | Self::Stopped => true,
             _ => false,
         }
     }

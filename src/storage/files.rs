@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
+use rustix::fs::{AtFlags, CWD, Timespec, Timestamps, UTIME_NOW, utimensat};
+
 use super::StoreError;
 
 /// The error of a failed step on a path.
@@ -29,4 +31,27 @@ pub(super) fn remove(path: &Path) -> Result<(), StoreError> {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(failed(path)(error)),
         _ => Ok(()),
     }
+}
+
+/// Writes a file atomically: it is complete or not there.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    use std::io::Write;
+    let directory = path.parent().unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(directory).map_err(failed(directory))?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(failed(path))?;
+    file.persist(path).map_err(|error| failed(path)(error.error))?;
+    sync_directory(directory)
+}
+
+/// Sets the times of a file to now, by the clock of the file system.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn touch(path: &Path) -> Result<(), StoreError> {
+    let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
+    let times = Timestamps { last_access: now, last_modification: now };
+    utimensat(CWD, path, &times, AtFlags::empty()).map_err(|error| failed(path)(error.into()))
 }

@@ -1,10 +1,11 @@
-//! The store: rows in SQLite, signals and weights as objects named by their SHA-256.
+//! The store: rows in SQLite, signals and weights as objects named by their SHA-256, on the local disk or in a bucket.
 //!
 //! Every SQL string of the program is in this folder. A missing row is `None`, a failure is `Err`. An
 //! update says whether it found its row in the expected state.
 
 mod adoptions;
 pub mod backup;
+mod bucket;
 mod checkpoints;
 mod corruption;
 mod diagnoses;
@@ -44,6 +45,7 @@ mod turns;
 mod usage;
 mod write;
 
+pub use bucket::BucketSettings;
 pub use checkpoints::Checkpoint;
 pub use corruption::CorruptObject;
 pub use diagnoses::NewDiagnosis;

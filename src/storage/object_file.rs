@@ -43,6 +43,11 @@ impl ObjectFile {
         &self.digest
     }
 
+    /// Where it is now.
+    pub(super) fn path(&self) -> &Path {
+        self.file.path()
+    }
+
     /// Its bytes.
     pub(super) fn size(&self) -> u64 {
         self.size

@@ -13,9 +13,11 @@ use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
 use tokio::sync::RwLockReadGuard;
 
+use super::bucket::Bucket;
 use super::corruption::CorruptObjects;
 use super::files::{self, failed};
 use super::object_file::ObjectFile;
+use super::store::SCRATCH;
 use super::write::Write;
 use super::{Store, StoreError, quarantine};
 
@@ -38,6 +40,11 @@ impl Digest {
     pub fn as_str(&self) -> &str {
         &self.0
     }
+
+    /// Whether a file's name is that of an object.
+    pub(super) fn is_name(name: &str) -> bool {
+        name.len() == 64 && name.bytes().all(|c| c.is_ascii_hexdigit())
+    }
 }
 
 /// Bytes as lower-case hex digits.
@@ -50,24 +57,26 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     hex
 }
 
-/// The object files of a data directory.
+/// The object files of a data directory; with a bucket, the copies of those that were used last.
 #[derive(Debug, Clone)]
 pub struct Objects {
     files: Arc<LocalFileSystem>,
     root: PathBuf,
+    bucket: Option<Bucket>,
     corrupt: CorruptObjects,
-    /// Size of all objects together; counted by the sweep at the start and kept up to date.
+    /// Size of all files together; counted by the sweep at the start and kept up to date.
     bytes: Arc<AtomicU64>,
 }
 
 impl Objects {
-    /// Opens an existing directory of objects.
-    pub(super) fn open(root: &Path) -> Result<Self, StoreError> {
+    /// Opens an existing directory of objects, and the bucket that they are in.
+    pub(super) fn open(root: &Path, bucket: Option<Bucket>) -> Result<Self, StoreError> {
         // With fsync a put returns after the file, its rename and its directory are on disk.
         let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true);
         Ok(Self {
             files: Arc::new(files),
             root: root.to_owned(),
+            bucket,
             corrupt: CorruptObjects::default(),
             bytes: Arc::default(),
         })
@@ -77,27 +86,95 @@ impl Objects {
     /// and otherwise changes nothing.
     ///
     /// # Errors
-    /// The file system's refusals; a half-written object is never visible.
+    /// The file system's refusals, a bucket out of reach; a half-written object is never visible.
     pub async fn put(&self, digest: &Digest, bytes: Bytes) -> Result<(), StoreError> {
+        if let Some(bucket) = &self.bucket {
+            bucket.put(digest.as_str(), bytes.clone(), self.corrupt.has(digest.as_str())).await?;
+        }
         let (before, after) = (self.size(digest.as_str()).await, bytes.len() as u64);
         self.files.put(&key(digest.as_str()), bytes.into()).await?;
         self.bytes.fetch_add(after.wrapping_sub(before), Ordering::Relaxed);
         self.corrupt.note(digest.as_str(), false);
-        Ok(())
+        self.make_room(digest.as_str()).await
     }
 
     /// Stores an object as [`Objects::put`] does.
     ///
     /// # Errors
-    /// The file system's refusals; a half-written object is never visible.
+    /// The file system's refusals, a bucket out of reach; a half-written object is never visible.
     pub(super) async fn put_file(&self, file: ObjectFile) -> Result<(), StoreError> {
+        let digest = file.digest().clone();
+        if let Some(bucket) = &self.bucket {
+            let mend = self.corrupt.has(digest.as_str());
+            bucket.put_file(digest.as_str(), file.path(), file.size(), mend).await?;
+        }
+        self.take_in(file).await?;
+        self.corrupt.note(digest.as_str(), false);
+        self.make_room(digest.as_str()).await
+    }
+
+    /// Puts the file of a whole object in its place.
+    async fn take_in(&self, file: ObjectFile) -> Result<(), StoreError> {
         let (digest, after) = (file.digest().clone(), file.size());
         let before = self.size(digest.as_str()).await;
         let place = self.path_of(digest.as_str());
         off_thread(move || file.persist(&place)).await?;
         self.bytes.fetch_add(after.wrapping_sub(before), Ordering::Relaxed);
-        self.corrupt.note(digest.as_str(), false);
         Ok(())
+    }
+
+    /// Brings an object from the bucket to the local disk, in place of a file that is there; `false` without a bucket.
+    ///
+    /// # Errors
+    /// [`StoreError::ObjectMissing`] and [`StoreError::ObjectDamaged`], which are noted; a bucket out of reach.
+    pub(super) async fn bring(&self, digest: &str) -> Result<bool, StoreError> {
+        let Some(bucket) = &self.bucket else { return Ok(false) };
+        let scratch = self.root.with_file_name(SCRATCH);
+        let fetched = bucket.fetch(digest, &scratch).await;
+        if let Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. }) = fetched {
+            self.corrupt.note(digest, true);
+        }
+        self.take_in(fetched?).await?;
+        self.make_room(digest).await?;
+        Ok(true)
+    }
+
+    /// Removes the local copies of objects that were not used for the longest time, where they take more than they may.
+    /// That of `kept` is about to be used.
+    async fn make_room(&self, kept: &str) -> Result<(), StoreError> {
+        let Some(bucket) = &self.bucket else { return Ok(()) };
+        let (most, root, held) = (bucket.cache_bytes(), self.root.clone(), Arc::clone(&self.bytes));
+        let kept = self.path_of(kept);
+        if held.load(Ordering::Relaxed) <= most {
+            return Ok(());
+        }
+        off_thread(move || {
+            let mut files = Vec::new();
+            for path in all_below(&root)? {
+                // Another request may remove it meanwhile.
+                if let Ok(file) = std::fs::metadata(&path) {
+                    files.push((file.modified().ok(), file.len(), path));
+                }
+            }
+            files.sort();
+            // A tenth more, so that this is seldom done.
+            let (mut bytes, enough) = (files.iter().map(|file| file.1).sum::<u64>(), most - most / 10);
+            for (_, size, path) in files.into_iter().filter(|(.., path)| *path != kept) {
+                if bytes <= enough {
+                    break;
+                }
+                files::remove(&path)?;
+                bytes -= size;
+            }
+            held.store(bytes, Ordering::Relaxed);
+            Ok(())
+        })
+        .await
+    }
+
+    /// The bucket.
+    pub(super) fn bucket(&self) -> Option<&Bucket> {
+        self.bucket.as_ref()
     }
 
     /// Reads an object and verifies its digest.
@@ -128,6 +205,19 @@ impl Objects {
         digest: &str,
         make: impl FnOnce(Bytes) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
+        let found = match self.read(digest).await {
+            Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. })
+                if self.bring(digest).await? =>
+            {
+                self.read(digest).await?
+            }
+            found => found?,
+        };
+        off_thread(move || make(found)).await
+    }
+
+    /// The verified bytes of the local file of an object.
+    async fn read(&self, digest: &str) -> Result<Bytes, StoreError> {
         let found = match self.files.get(&key(digest)).await {
             Err(object_store::Error::NotFound { .. }) => {
                 self.corrupt.note(digest, true);
@@ -135,6 +225,7 @@ impl Objects {
             }
             found => found?.bytes().await?,
         };
+        let (path, is_copy) = (self.path_of(digest), self.bucket.is_some());
         let (digest, damaged) = (digest.to_owned(), self.corrupt.clone());
         off_thread(move || {
             let actual = Digest::of(&found);
@@ -142,7 +233,11 @@ impl Objects {
             if actual.as_str() != digest {
                 return Err(StoreError::ObjectDamaged { digest, found: actual.0 });
             }
-            make(found)
+            if is_copy {
+                // Only a guess at what will be used again: another request may have removed it.
+                let _ = files::touch(&path);
+            }
+            Ok(found)
         })
         .await
     }
@@ -175,7 +270,7 @@ impl Objects {
     ) -> Result<(), StoreError> {
         self.keep(wanted, |file| {
             let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            if name.len() == 64 && name.bytes().all(|c| c.is_ascii_hexdigit()) {
+            if Digest::is_name(name) {
                 tracing::warn!(object.digest = name, "put an object aside that no row names");
                 return quarantine::put_aside(data_dir, file);
             }
@@ -214,6 +309,9 @@ impl Objects {
 
     /// Removes an object; a missing one is no error.
     pub(super) async fn remove(&self, digest: &str) -> Result<(), StoreError> {
+        if let Some(bucket) = &self.bucket {
+            bucket.remove(digest).await?;
+        }
         let size = self.size(digest).await;
         match self.files.delete(&key(digest)).await {
             Ok(()) => {
@@ -255,7 +353,7 @@ pub(super) fn place(root: &Path, digest: &str) -> PathBuf {
 }
 
 /// Spreads the objects over 256 directories, to keep each of them small.
-fn key(digest: &str) -> Key {
+pub(super) fn key(digest: &str) -> Key {
     Key::from_iter([digest.get(..2).unwrap_or("xx"), digest])
 }
 
@@ -359,13 +457,50 @@ impl Store {
     /// while no one else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
         let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
+        let wanted: BTreeSet<String> = rows.into_iter().collect();
         let (objects, data_dir) = (self.objects().clone(), self.data_dir().to_owned());
+        let names = wanted.clone();
         off_thread(move || {
-            let wanted = rows.into_iter().collect();
-            quarantine::bring_back(&data_dir, &wanted)?;
-            objects.put_others_aside(&wanted, &data_dir)
+            quarantine::bring_back(&data_dir, &names)?;
+            objects.put_others_aside(&names, &data_dir)
         })
-        .await
+        .await?;
+        self.fill_bucket(&wanted).await
+    }
+
+    /// Stores those of `wanted` in the bucket that only the local disk has: all of them when a bucket is new.
+    async fn fill_bucket(&self, wanted: &BTreeSet<String>) -> Result<(), StoreError> {
+        let objects = self.objects();
+        let Some(bucket) = objects.bucket() else { return Ok(()) };
+        let there = bucket.list().await?;
+        let sizes = wanted.iter().map(|digest| (digest, objects.path_of(digest)));
+        let mut filled = 0;
+        for (digest, path) in sizes {
+            let Ok(file) = std::fs::metadata(&path) else { continue };
+            if there.get(digest).is_some_and(|there| there.bytes == file.len()) {
+                continue;
+            }
+            // Only what is whole goes into the bucket, where nobody has looked at it.
+            match objects.read(digest).await {
+                Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. }) => continue,
+                read => drop(read?),
+            }
+            bucket.put_file(digest, &path, file.len(), true).await?;
+            filled += 1;
+        }
+        if filled > 0 {
+            tracing::info!(objects = filled, "stored objects in the bucket that only the data directory had");
+        }
+        objects.make_room("").await
+    }
+
+    /// Removes objects of the bucket that no row has named for a week. For an orderly stop, never after a crash.
+    pub(super) async fn sweep_bucket(&self, now: jiff::Timestamp) -> Result<(), StoreError> {
+        let Some(bucket) = self.objects().bucket() else { return Ok(()) };
+        let old = bucket.list().await?.into_iter().filter(|(_, listed)| listed.is_old(now));
+        let old: Vec<String> = old.map(|(digest, _)| digest).collect();
+        self.discard_unreferenced(old).await;
+        Ok(())
     }
 }
 

@@ -6,14 +6,13 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use jiff::{SignedDuration, Timestamp};
-use rustix::fs::{AtFlags, CWD, Timespec, Timestamps, UTIME_NOW, utimensat};
 
 use super::files::{self, failed};
 use super::objects::{off_thread, place};
 use super::{Store, StoreError};
 
 /// How long an object is kept after it was put aside.
-const KEPT: SignedDuration = SignedDuration::from_hours(7 * 24);
+pub(super) const KEPT: SignedDuration = SignedDuration::from_hours(7 * 24);
 
 fn directory(data_dir: &Path) -> PathBuf {
     data_dir.join("quarantine")
@@ -27,9 +26,7 @@ pub(super) fn put_aside(data_dir: &Path, object: &Path) -> Result<(), StoreError
     let directory = directory(data_dir);
     std::fs::create_dir_all(&directory).map_err(failed(&directory))?;
     let Some(name) = object.file_name() else { return Ok(()) };
-    let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
-    let times = Timestamps { last_access: now, last_modification: now };
-    utimensat(CWD, object, &times, AtFlags::empty()).map_err(|error| failed(object)(error.into()))?;
+    files::touch(object)?;
     std::fs::rename(object, directory.join(name)).map_err(failed(object))
 }
 
@@ -78,11 +75,13 @@ impl Store {
         off_thread(move || Ok(files(&data_dir)?.into_iter().map(|(name, _)| name).collect())).await
     }
 
-    /// Deletes what was put aside more than a week before `now`. For an orderly stop, never after a crash.
+    /// Deletes what was put aside more than a week before `now`, in the bucket what no row names and was stored before
+    /// then. For an orderly stop, never after a crash.
     ///
     /// # Errors
-    /// The file system's errors.
+    /// The file system's errors, a bucket out of reach.
     pub async fn empty_quarantine(&self, now: Timestamp) -> Result<(), StoreError> {
+        self.sweep_bucket(now).await?;
         let data_dir = self.data_dir().to_owned();
         off_thread(move || {
             for (name, path) in files(&data_dir)? {

@@ -8,7 +8,7 @@ use std::os::unix::fs::FileExt;
 
 use sha2::{Digest as _, Sha256};
 
-use super::files::failed;
+use super::files::{self, failed};
 use super::objects::off_thread;
 use super::{Digest, Store, StoreError, npy};
 use crate::domain::Run;
@@ -106,10 +106,29 @@ impl Store {
     /// The file of an object, and its size, once its bytes were found to have their digest. It stops when
     /// its caller goes away.
     async fn verified(&self, digest: &str) -> Result<(File, u64), StoreError> {
+        match self.verified_here(digest).await {
+            Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. })
+                if self.objects().bring(digest).await? =>
+            {
+                self.verified_here(digest).await
+            }
+            found => found,
+        }
+    }
+
+    /// As [`Store::verified`], of the local disk.
+    async fn verified_here(&self, digest: &str) -> Result<(File, u64), StoreError> {
         let path = self.objects().path_of(digest);
         let opened = {
-            let path = path.clone();
-            off_thread(move || Ok(File::open(path))).await?
+            let (path, is_copy) = (path.clone(), self.objects().bucket().is_some());
+            off_thread(move || {
+                if is_copy {
+                    // Only a guess at what will be used again; a missing file is told below.
+                    let _ = files::touch(&path);
+                }
+                Ok(File::open(path))
+            })
+            .await?
         };
         let mut file = match opened {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {

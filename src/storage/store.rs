@@ -10,6 +10,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, S
 use sqlx::{SqliteConnection, SqlitePool};
 use tokio::sync::RwLock;
 
+use super::bucket::{self, Bucket, BucketSettings};
 use super::error::sqlite_code;
 use super::files::{self, failed, sync_directory};
 use super::journal::{self, Journal};
@@ -22,6 +23,9 @@ pub(super) const DATABASE: &str = "rigcast.db";
 
 /// The database, its write-ahead log, and the index of that log.
 pub(super) const DATABASE_FILES: [&str; 3] = [DATABASE, "rigcast.db-wal", "rigcast.db-shm"];
+
+/// Directory of unfinished files in a data directory.
+pub(super) const SCRATCH: &str = "scratch";
 
 /// How long a start waits for the lock of a process that is about to end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
@@ -45,6 +49,8 @@ struct Inner {
     writer: SqlitePool,
     readers: SqlitePool,
     objects: Objects,
+    /// For the worker processes, which open the bucket themselves.
+    bucket_settings: Option<BucketSettings>,
     /// A store that only reads has none.
     journal: Option<Journal>,
     reserve: Option<Reserve>,
@@ -64,8 +70,30 @@ impl Store {
     /// [`StoreError::Locked`] if another process uses it; a damaged or newer database, or one that lacks acknowledged
     /// changes; the file system's errors.
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
+        Self::open_with(data_dir, None).await
+    }
+
+    /// As [`Store::open`], with the objects in a bucket. Objects that only the data directory has are stored in it.
+    ///
+    /// # Errors
+    /// As of [`Store::open`]; a bucket that cannot be used, or belongs to another service.
+    pub async fn open_with(data_dir: &Path, bucket: Option<&BucketSettings>) -> Result<Self, StoreError> {
+        let opened = bucket.map(Bucket::open).transpose()?;
+        Self::open_in(data_dir, opened, bucket.cloned()).await
+    }
+
+    /// As [`Store::open_with`], with an opened bucket.
+    pub(super) async fn open_in(
+        data_dir: &Path,
+        bucket: Option<Bucket>,
+        bucket_settings: Option<BucketSettings>,
+    ) -> Result<Self, StoreError> {
         let lock = lock(data_dir)?;
         prepare_directory(data_dir)?;
+        match &bucket {
+            None => bucket::refuse_without(data_dir)?,
+            Some(bucket) => bucket.claim(data_dir).await?,
+        }
         let database = data_dir.join(DATABASE);
         never_empty(&database, data_dir)?;
         let options = options(&database).create_if_missing(true);
@@ -85,7 +113,8 @@ impl Store {
             data_dir: data_dir.to_owned(),
             writer,
             readers: readers(&database).await?,
-            objects: Objects::open(&data_dir.join("objects"))?,
+            objects: Objects::open(&data_dir.join("objects"), bucket)?,
+            bucket_settings,
             journal: Some(Journal::open(data_dir, last)?),
             reserve: Some(Reserve::of(data_dir)),
             objects_gate: Arc::default(),
@@ -107,13 +136,16 @@ impl Store {
     ///
     /// # Errors
     /// No database; the file system's errors.
-    pub async fn open_to_read(data_dir: &Path) -> Result<Self, StoreError> {
+    pub async fn open_to_read(data_dir: &Path, bucket: Option<&BucketSettings>) -> Result<Self, StoreError> {
+        let bucket_settings = bucket.cloned();
+        let bucket = bucket.map(Bucket::open).transpose()?;
         let readers = readers(&data_dir.join(DATABASE)).await?;
         let inner = Inner {
             data_dir: data_dir.to_owned(),
             writer: readers.clone(),
             readers,
-            objects: Objects::open(&data_dir.join("objects"))?,
+            objects: Objects::open(&data_dir.join("objects"), bucket)?,
+            bucket_settings,
             journal: None,
             reserve: None,
             objects_gate: Arc::default(),
@@ -144,6 +176,17 @@ impl Store {
         }
     }
 
+    /// Checks that the bucket answers. Without it what the local disk has is still read, and no upload is taken.
+    ///
+    /// # Errors
+    /// [`StoreError::Bucket`].
+    pub async fn ping_bucket(&self) -> Result<(), StoreError> {
+        match self.objects().bucket() {
+            None => Ok(()),
+            Some(bucket) => bucket.ping().await,
+        }
+    }
+
     /// The data directory.
     pub fn data_dir(&self) -> &Path {
         &self.inner.data_dir
@@ -151,7 +194,12 @@ impl Store {
 
     /// A directory inside the data directory for unfinished files; emptied by [`Store::open`].
     pub fn scratch_dir(&self) -> PathBuf {
-        self.inner.data_dir.join("scratch")
+        self.inner.data_dir.join(SCRATCH)
+    }
+
+    /// Where the bucket of the objects is, if they are in one.
+    pub fn bucket_settings(&self) -> Option<&BucketSettings> {
+        self.inner.bucket_settings.as_ref()
     }
 
     /// The objects.
@@ -248,7 +296,7 @@ pub(super) fn lock(data_dir: &Path) -> Result<File, StoreError> {
 
 /// Makes the directories, empties the scratch directory.
 fn prepare_directory(data_dir: &Path) -> Result<(), StoreError> {
-    let scratch = data_dir.join("scratch");
+    let scratch = data_dir.join(SCRATCH);
     match std::fs::remove_dir_all(&scratch) {
         Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(failed(data_dir)(source)),
         _ => {}
@@ -341,7 +389,7 @@ mod tests {
     async fn a_worker_reads_beside_the_service_and_cannot_write() {
         let store = TestStore::open().await;
         store.insert_rig(&draft("bench"), None, now()).await.unwrap();
-        let reader = Store::open_to_read(store.data_dir()).await.unwrap();
+        let reader = Store::open_to_read(store.data_dir(), None).await.unwrap();
         assert!(reader.rig(&"bench".parse().unwrap()).await.unwrap().is_some());
         assert!(matches!(
             reader.insert_rig(&draft("other"), None, now()).await,
@@ -350,7 +398,7 @@ mod tests {
         store.insert_rig(&draft("third"), None, now()).await.unwrap();
         assert!(reader.rig(&"third".parse().unwrap()).await.unwrap().is_some());
         let nowhere = tempfile::tempdir().unwrap();
-        assert!(Store::open_to_read(nowhere.path()).await.is_err());
+        assert!(Store::open_to_read(nowhere.path(), None).await.is_err());
         assert!(!nowhere.path().join("rigcast.db").exists());
     }
 

@@ -7,6 +7,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use tempfile::TempDir;
 
+use super::bucket::Bucket;
 use super::{Activation, Asker, Digest, JobInsert, NewModel, PreparedRun, RunInsert, Store, StoreError};
 use crate::domain::fits::FitRequest;
 use crate::domain::{
@@ -103,6 +104,20 @@ impl TestStore {
     pub(crate) async fn open() -> Self {
         let dir = tempfile::tempdir().unwrap();
         Self { store: Store::open(dir.path()).await.unwrap(), _dir: dir }
+    }
+
+    /// A new one whose objects are in a bucket.
+    pub(super) async fn open_in(bucket: Bucket) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        Self { store: Store::open_in(dir.path(), Some(bucket), None).await.unwrap(), _dir: dir }
+    }
+
+    /// As [`TestStore::reopened`], with the objects in a bucket.
+    pub(super) async fn reopened_in(self, bucket: Bucket) -> Self {
+        let Self { store, _dir } = self;
+        store.close().await;
+        drop(store);
+        Self { store: Store::open_in(_dir.path(), Some(bucket), None).await.unwrap(), _dir }
     }
 
     /// The same data after an orderly stop and a new start.

@@ -7,6 +7,7 @@ mod bad_input;
 mod bad_runs;
 mod bands;
 mod browser;
+mod bucket;
 mod choice;
 mod command_line;
 mod comparisons;

@@ -13,13 +13,13 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::jobs::control::NewLosses;
 use crate::jobs::problem::JobError;
 use crate::jobs::spec::{JobOutput, JobSpec};
-use crate::storage::Checkpoint;
+use crate::storage::{BucketSettings, Checkpoint};
 
 /// From the server to the worker. An end of the stream means that the server is gone.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Tell {
     /// The one piece of work of this process.
-    Begin(Begin),
+    Begin(Box<Begin>),
     /// Stop, store a checkpoint, and end.
     Stop,
 }
@@ -28,6 +28,7 @@ pub(super) enum Tell {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(in crate::jobs) struct Begin {
     pub data_dir: PathBuf,
+    pub bucket: Option<BucketSettings>,
     pub spec: JobSpec,
     pub checkpoint_every: Duration,
     pub memory_bytes: u64,

@@ -158,7 +158,7 @@ impl WorkerProgram {
 /// Sends a worker its work and later, if needed, the message to stop. The input stays open, because its
 /// end would mean that the server is gone. A worker that is gone is noticed by its silence.
 async fn tell(mut ears: ChildStdin, begin: Begin, stop: oneshot::Receiver<()>) {
-    if frames::write(&mut ears, &Tell::Begin(begin), &[]).await.is_ok() && stop.await.is_ok() {
+    if frames::write(&mut ears, &Tell::Begin(Box::new(begin)), &[]).await.is_ok() && stop.await.is_ok() {
         let _ = frames::write(&mut ears, &Tell::Stop, &[]).await;
     }
     std::future::pending().await

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
+use tokio::runtime::Handle;
 
+use crate::storage::bucket::Bucket;
 use crate::storage::files::{self, failed};
 use crate::storage::objects::{off_thread, place};
 use crate::storage::{Digest, StoreError};
@@ -16,9 +18,10 @@ use crate::storage::{Digest, StoreError};
 pub type Progress = Arc<dyn Fn(u64, u64) + Send + Sync>;
 
 /// Copies objects and returns their size in bytes. Each is verified when it is read, and all are durable when this
-/// returns. Those that `to` has already are only verified.
+/// returns. What `from` lacks, or has damaged, comes from the bucket. Those that `to` has already are only verified.
 pub(super) async fn copy_objects(
     from: &Path,
+    bucket: Option<&Bucket>,
     previous: Option<&Path>,
     to: &Path,
     wanted: &BTreeSet<String>,
@@ -26,10 +29,11 @@ pub(super) async fn copy_objects(
 ) -> Result<u64, StoreError> {
     let (from, previous, to) = (from.to_owned(), previous.map(Path::to_owned), to.to_owned());
     let (wanted, progress) = (wanted.clone(), Arc::clone(progress));
+    let bucket = bucket.map(|bucket| (bucket.clone(), Handle::current()));
     off_thread(move || {
         let (done, all) = (AtomicU64::new(0), wanted.len() as u64);
         let sizes = wanted.par_iter().map(|name| {
-            let bytes = copy(&from, previous.as_deref(), &to, name)?;
+            let bytes = copy(&from, bucket.as_ref(), previous.as_deref(), &to, name)?;
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             Ok(bytes)
         });
@@ -43,7 +47,13 @@ pub(super) async fn copy_objects(
 }
 
 /// Brings one object over. Returns its size.
-fn copy(from: &Path, previous: Option<&Path>, to: &Path, name: &str) -> Result<u64, StoreError> {
+fn copy(
+    from: &Path,
+    bucket: Option<&(Bucket, Handle)>,
+    previous: Option<&Path>,
+    to: &Path,
+    name: &str,
+) -> Result<u64, StoreError> {
     let target = place(to, name);
     if let Some(bytes) = intact(&target, name)? {
         return Ok(bytes.len() as u64);
@@ -59,6 +69,14 @@ fn copy(from: &Path, previous: Option<&Path>, to: &Path, name: &str) -> Result<u
         }
     }
     let path = place(from, name);
+    if let Some((bucket, runtime)) = bucket
+        && !matches!(intact(&path, name), Ok(Some(_)))
+    {
+        let file = runtime.block_on(bucket.fetch(name, to))?;
+        let size = file.size();
+        file.persist(&target)?;
+        return Ok(size);
+    }
     let bytes = match std::fs::read(&path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             return Err(StoreError::ObjectMissing { digest: name.to_owned() });

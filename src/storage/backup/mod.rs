@@ -16,6 +16,7 @@ use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, SqliteConnection};
 
+use super::bucket::{Bucket, BucketSettings};
 use super::files::{self, failed, sync_directory};
 use super::objects::{Objects, REFERENCED, off_thread};
 use super::store::{BUSY_TIMEOUT, DATABASE, check_integrity, check_references};
@@ -33,13 +34,14 @@ const UNFINISHED: &str = "unfinished";
 const SNAPSHOTS: usize = 5;
 
 /// Backs a data directory up into `target`, which is empty, missing, or an incomplete backup. A service may run on
-/// it. Objects that `previous`, an earlier backup, has are linked to it, or copied from it if its file system cannot.
+/// it. Objects come from the data directory, or from its `bucket`. Those that `previous`, an earlier backup, has are linked to it, or copied from it if its file system cannot.
 ///
 /// # Errors
 /// A missing or damaged database; a missing or damaged object, by name; a target that holds something else; a
 /// `previous` that is no backup; the file system's errors.
 pub async fn backup(
     data_dir: &Path,
+    bucket: Option<&BucketSettings>,
     target: &Path,
     previous: Option<&Path>,
     now: Timestamp,
@@ -52,6 +54,7 @@ pub async fn backup(
     if let Some(previous) = previous {
         manifest::of(previous)?;
     }
+    let bucket = Bucket::of_data_dir(data_dir, bucket)?;
     begin(target)?;
     let objects = target.join("objects");
     std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
@@ -61,12 +64,12 @@ pub async fn backup(
     for attempt in 1.. {
         snapshot(&data_dir.join(DATABASE), &copy).await?;
         let wanted = referenced(&copy).await?;
-        match copy_objects(&from, previous.as_deref(), &objects, &wanted, &progress).await {
+        match copy_objects(&from, bucket.as_ref(), previous.as_deref(), &objects, &wanted, &progress).await {
             // A run or model was deleted after the copy; a new copy does not name it.
             Err(StoreError::ObjectMissing { .. }) if attempt < SNAPSHOTS => {}
             Err(error) => return Err(error),
             Ok(bytes) => {
-                Objects::open(&objects)?.retain(&wanted)?;
+                Objects::open(&objects, None)?.retain(&wanted)?;
                 let manifest = Manifest {
                     created_at: now,
                     code_version: crate::VERSION.into(),
@@ -75,7 +78,7 @@ pub async fn backup(
                     bytes,
                 };
                 let json = serde_json::to_vec_pretty(&manifest).expect("text and numbers always serialise");
-                write(&target.join(MANIFEST), &json)?;
+                files::write(&target.join(MANIFEST), &json)?;
                 end(target)?;
                 return Ok(manifest);
             }
@@ -101,10 +104,10 @@ pub async fn restore(source: &Path, data_dir: &Path, progress: Progress) -> Resu
     // Opening a database may write files beside it, and the backup must stay as it is.
     let copy = data_dir.join("rigcast.db.restoring");
     let bytes = std::fs::read(&database).map_err(failed(&database))?;
-    write(&copy, &bytes)?;
+    files::write(&copy, &bytes)?;
     let wanted = referenced(&copy).await?;
-    copy_objects(&source.join("objects"), None, &objects, &wanted, &progress).await?;
-    Objects::open(&objects)?.retain(&wanted)?;
+    copy_objects(&source.join("objects"), None, None, &objects, &wanted, &progress).await?;
+    Objects::open(&objects, None)?.retain(&wanted)?;
     let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&copy)).await?;
     journal::rewrite(data_dir, &mut connection).await?;
     connection.close().await?;
@@ -165,16 +168,6 @@ async fn digest(file: &Path) -> Result<String, StoreError> {
         Ok(Digest::of(&bytes).as_str().to_owned())
     })
     .await
-}
-
-/// Writes a file atomically: it is complete or not there.
-fn write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
-    use std::io::Write;
-    let directory = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(directory).map_err(failed(directory))?;
-    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(failed(path))?;
-    file.persist(path).map_err(|error| failed(path)(error.error))?;
-    sync_directory(directory)
 }
 
 /// Refuses a directory that holds anything.

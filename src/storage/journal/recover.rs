@@ -12,6 +12,7 @@ use super::entry::{Cell, Image, RowName};
 use super::file::{self, Contents};
 use super::tables::{TABLES, Table};
 use super::{FILE, entries_after, last_change, path_in, rewrite, schema};
+use crate::storage::bucket::{Bucket, BucketSettings};
 use crate::storage::files::{self, failed, sync_directory};
 use crate::storage::objects::{Objects, REFERENCED, all_below, off_thread};
 use crate::storage::store::{DATABASE, DATABASE_FILES, check_integrity, lock};
@@ -72,14 +73,19 @@ struct Old {
     damage: Option<String>,
 }
 
-/// Makes the database of a data directory anew. The service must be stopped. The old files are kept beside it, and
-/// no object is removed.
+/// Makes the database of a data directory anew, whose objects may be in a bucket. The service must be stopped. The old
+/// files are kept beside it, and no object is removed.
 ///
 /// # Errors
 /// [`StoreError::Locked`]; [`StoreError::NothingToRecover`] when neither the journal nor the database can be read; a
 /// journal of a newer program; the file system's errors.
-pub async fn recover(data_dir: &Path, now: Timestamp) -> Result<Recovered, StoreError> {
+pub async fn recover(
+    data_dir: &Path,
+    bucket: Option<&BucketSettings>,
+    now: Timestamp,
+) -> Result<Recovered, StoreError> {
     let _lock = lock(data_dir)?;
+    let bucket = Bucket::of_data_dir(data_dir, bucket)?;
     let journal = off_thread({
         let path = path_in(data_dir);
         move || file::read(&path)
@@ -112,7 +118,7 @@ pub async fn recover(data_dir: &Path, now: Timestamp) -> Result<Recovered, Store
     let new = data_dir.join("rigcast.db.recovering");
     let mut lost = build(&new, schema, &rows, contents.last.max(old.last) + 1).await?;
     put_in_place(data_dir, &new).await?;
-    lost.extend(check_objects(data_dir).await?);
+    lost.extend(check_objects(data_dir, bucket.as_ref()).await?);
     lost.sort();
     let count = |table: Table| rows.keys().filter(|name| name.table == table.name).count();
     let rows = TABLES.map(|table| (table.name, count(table))).to_vec();
@@ -281,15 +287,20 @@ async fn put_in_place(data_dir: &Path, new: &Path) -> Result<(), StoreError> {
 }
 
 /// Looks for every object that the new database names, in the quarantine too.
-async fn check_objects(data_dir: &Path) -> Result<Vec<Lost>, StoreError> {
+async fn check_objects(data_dir: &Path, bucket: Option<&Bucket>) -> Result<Vec<Lost>, StoreError> {
     let options = SqliteConnectOptions::new().filename(data_dir.join(DATABASE));
     let mut connection = SqliteConnection::connect_with(&options).await?;
     let wanted: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(&mut connection).await?;
     let wanted: BTreeSet<String> = wanted.into_iter().collect();
-    let objects = Objects::open(&data_dir.join("objects"))?;
+    let objects = Objects::open(&data_dir.join("objects"), None)?;
     quarantine::bring_back(data_dir, &wanted)?;
+    // The bucket has checked them as they came.
+    let in_bucket: BTreeSet<String> = match bucket {
+        None => BTreeSet::new(),
+        Some(bucket) => bucket.list().await?.into_keys().collect(),
+    };
     let mut lost = Vec::new();
-    for digest in &wanted {
+    for digest in wanted.difference(&in_bucket) {
         if let Err(error) = objects.get(digest).await {
             let rows: Vec<String> = sqlx::query_scalar(
                 "SELECT 'runs ' || rig || '/' || id FROM runs WHERE object = ?1
@@ -306,7 +317,8 @@ async fn check_objects(data_dir: &Path) -> Result<Vec<Lost>, StoreError> {
     }
     connection.close().await?;
     let there = all_below(&data_dir.join("objects"))?;
-    let names = there.iter().filter_map(|file| file.file_name()?.to_str());
-    lost.extend(names.filter(|name| !wanted.contains(*name)).map(|name| Lost::Unknown(name.to_owned())));
+    let names = there.iter().filter_map(|file| Some(file.file_name()?.to_str()?.to_owned()));
+    let there: BTreeSet<String> = names.chain(in_bucket).collect();
+    lost.extend(there.difference(&wanted).cloned().map(Lost::Unknown));
     Ok(lost)
 }

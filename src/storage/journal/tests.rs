@@ -101,7 +101,7 @@ async fn nothing_is_lost(dir: &Path, wanted: &Rows, what: &str) -> bool {
         Ok(store) => store,
         Err(error) => {
             assert!(error.to_string().contains("rigcast recover"), "{what}: {error}");
-            recover(dir, now()).await.unwrap_or_else(|error| panic!("{what}: {error}"));
+            recover(dir, None, now()).await.unwrap_or_else(|error| panic!("{what}: {error}"));
             Store::open(dir).await.unwrap_or_else(|error| panic!("{what}: {error}"))
         }
     };
@@ -248,7 +248,7 @@ async fn a_recovery_that_has_nothing_to_start_from_says_so_and_keeps_the_objects
     }
     let refused = Store::open(dir.path()).await.unwrap_err();
     assert!(matches!(refused, StoreError::Damaged { .. }), "{refused}");
-    let refused = recover(dir.path(), now()).await.unwrap_err();
+    let refused = recover(dir.path(), None, now()).await.unwrap_err();
     assert!(matches!(refused, StoreError::NothingToRecover { .. }), "{refused}");
     assert_eq!(objects(dir.path()), kept);
 }
@@ -265,7 +265,7 @@ async fn a_recovery_names_the_objects_that_are_gone_and_those_that_nobody_names(
     let orphan = "ab".repeat(32);
     std::fs::create_dir_all(place(&orphan).parent().unwrap()).unwrap();
     std::fs::write(place(&orphan), b"whatever").unwrap();
-    let recovered = recover(dir.path(), now()).await.unwrap();
+    let recovered = recover(dir.path(), None, now()).await.unwrap();
     let gone = format!("runs bench/{}", runs[0].id);
     assert!(
         recovered.lost.iter().any(|lost| matches!(lost, Lost::Object { row, .. } if *row == gone)),
@@ -336,7 +336,7 @@ async fn a_commit_that_a_crash_kept_from_the_journal_is_taken_over_at_the_start(
     let wanted = rows(&service).await;
     assert!(!nothing_is_lost(dir.path(), &wanted, "one commit ahead").await);
     std::fs::remove_file(dir.path().join("rigcast.db")).unwrap();
-    recover(dir.path(), now()).await.unwrap();
+    recover(dir.path(), None, now()).await.unwrap();
     let store = Store::open(dir.path()).await.unwrap();
     assert!(store.rig(&"last".parse().unwrap()).await.unwrap().is_some());
 }

@@ -1,0 +1,182 @@
+//! Objects in S3-compatible storage: the real program with a server of that protocol, which the Python package `moto`
+//! has. `scripts/python_env.sh storage` installs it.
+
+use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rigcast::client::Client;
+use serde_json::json;
+use tempfile::TempDir;
+
+use crate::support::{Program, bench, noise_csv, rigcast};
+
+/// A server of the protocol.
+struct Storage {
+    server: Child,
+    endpoint: String,
+}
+
+impl Storage {
+    /// Starts one with a bucket `lab`; `None` where the package is not there.
+    fn start() -> Option<Self> {
+        let Some(folder) = std::env::var_os("RIGCAST_STORAGE").filter(|folder| !folder.is_empty()) else {
+            println!(
+                "skipped: RIGCAST_STORAGE names no environment of Python (scripts/python_env.sh storage)"
+            );
+            return None;
+        };
+        let port =
+            TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a port").port();
+        let mut server = Command::new(Path::new(&folder).join("bin/moto_server"))
+            .args(["-H", "127.0.0.1", "-p", &port.to_string()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the server starts");
+        let log = BufReader::new(server.stderr.take().expect("piped"));
+        // A pipe that nobody reads from would block it.
+        std::thread::spawn(move || log.lines().map_while(Result::ok).for_each(drop));
+        let until = Instant::now() + Duration::from_secs(60);
+        while TcpStream::connect(("127.0.0.1", port)).is_err() {
+            assert!(Instant::now() < until, "the storage does not listen");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        let storage = Self { server, endpoint: format!("http://127.0.0.1:{port}") };
+        let made = put(port, "/lab");
+        assert!(made.contains("200"), "{made}");
+        Some(storage)
+    }
+
+    fn environment(&self) -> Vec<(&str, &str)> {
+        vec![
+            ("RIGCAST_OBJECTS", "s3://lab/one"),
+            ("RIGCAST_S3_ENDPOINT", &self.endpoint),
+            ("AWS_ACCESS_KEY_ID", "engineer"),
+            ("AWS_SECRET_ACCESS_KEY", "hunter2hunter2"),
+        ]
+    }
+
+    fn signal(&self, name: &str) {
+        crate::support::signal(name, self.server.id());
+    }
+}
+
+impl Drop for Storage {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+/// The status line of a PUT without a body.
+fn put(port: u16, path: &str) -> String {
+    let request =
+        format!("PUT {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+    let answer = crate::support::exchange(([127, 0, 0, 1], port).into(), request.as_bytes());
+    answer.lines().next().unwrap_or_default().to_owned()
+}
+
+async fn fitted(client: &Client, run: &serde_json::Value) -> serde_json::Value {
+    let fit = json!({"kind": "frf", "runs": [run["id"]]});
+    let job = client.post("/v1/rigs/bench/fits", &fit).await.expect("a job");
+    let id = job["id"].as_str().expect("an id").to_owned();
+    let until = Instant::now() + Duration::from_secs(120);
+    loop {
+        let job = client.get(&format!("/v1/jobs/{id}")).await.expect("the job");
+        match job["state"].as_str() {
+            Some("succeeded") => return job,
+            Some("failed" | "cancelled") => panic!("{job}"),
+            _ => assert!(Instant::now() < until, "{job}"),
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn runs_and_models_live_in_the_bucket_and_outlive_the_local_copies() {
+    let Some(storage) = Storage::start() else { return };
+    let directory = TempDir::new().expect("a directory");
+    let program = Program::start(&directory, &storage.environment());
+    let client = Client::new(program.base(), None).expect("a client");
+    client.post("/v1/rigs", &bench()).await.expect("a rig");
+    let csv = noise_csv(6000, 1);
+    let run =
+        client.upload("bench", &[("kind", "noise")], "text/csv", csv.into_bytes()).await.expect("a run");
+    // Its worker process opens the bucket by itself.
+    fitted(&client, &run).await;
+    let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
+    let predicted = client.post("/v1/rigs/bench/predict", &drive).await.expect("a prediction");
+    let samples = format!("/v1/rigs/bench/runs/{}/data?from_s=0&to_s=1", run["id"].as_str().expect("an id"));
+    let read = client.get(&samples).await.expect("samples");
+
+    // Everything but the database is lost.
+    program.kill();
+    std::fs::remove_dir_all(directory.path().join("objects")).expect("removed");
+    let program = Program::start(&directory, &storage.environment());
+    let client = Client::new(program.base(), None).expect("a client");
+    assert_eq!(client.get(&samples).await.expect("samples"), read);
+    assert_eq!(client.post("/v1/rigs/bench/predict", &drive).await.expect("a prediction"), predicted);
+    let ready = client.get("/readyz").await.expect("ready");
+    assert_eq!((&ready["bucket"], &ready["store"]), (&json!("ok"), &json!("ok")));
+
+    // A backup has all objects, and needs the bucket no more.
+    let copies = TempDir::new().expect("a directory");
+    std::fs::remove_dir_all(directory.path().join("objects")).expect("removed");
+    std::fs::create_dir(directory.path().join("objects")).expect("made");
+    let backup = copies.path().join("backup");
+    let done = rigcast(&["backup", backup.to_str().expect("UTF-8"), "--data-dir"])
+        .arg(directory.path())
+        .envs(storage.environment())
+        .output()
+        .expect("it ends");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+
+    // While the storage says nothing, what is loaded predicts, and an upload is refused and not lost.
+    storage.signal("-STOP");
+    let again = client.post("/v1/rigs/bench/predict", &drive).await.expect("a prediction");
+    assert_eq!(again, predicted);
+    let csv = noise_csv(3000, 2);
+    let refused = client.upload("bench", &[("kind", "noise")], "text/csv", csv.clone().into_bytes()).await;
+    let refused = refused.expect_err("the storage is away").to_string();
+    assert!(refused.contains("503"), "{refused}");
+    let ready = client.get("/readyz").await.expect("ready");
+    assert!(ready["bucket"].as_str().is_some_and(|said| said.contains("s3://lab/one")), "{ready}");
+    assert!(!ready.to_string().contains("hunter2"), "{ready}");
+    storage.signal("-CONT");
+    client.upload("bench", &[("kind", "noise")], "text/csv", csv.into_bytes()).await.expect("a run");
+}
+
+#[test]
+fn a_bucket_that_cannot_be_used_stops_the_start_with_its_reason() {
+    let Some(storage) = Storage::start() else { return };
+    let first = TempDir::new().expect("a directory");
+    Program::start(&first, &storage.environment()).kill();
+    let start = |directory: &Path, change: &[(&str, &str)]| {
+        let mut environment = storage.environment();
+        environment.retain(|(name, _)| !change.iter().any(|(changed, _)| changed == name));
+        environment.extend(change.iter().filter(|(_, value)| !value.is_empty()));
+        let arguments = ["serve", "--listen", "127.0.0.1:0", "--data-dir"];
+        let done = rigcast(&arguments).arg(directory).envs(environment).output().expect("it ends");
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(1), "{said}");
+        assert!(!said.contains("hunter2"), "{said}");
+        said
+    };
+    let other = TempDir::new().expect("a directory");
+    let said = start(other.path(), &[]);
+    assert!(said.contains("it belongs to another Rigcast"), "{said}");
+    let said = start(first.path(), &[("RIGCAST_OBJECTS", "")]);
+    assert!(said.contains("name it with --objects"), "{said}");
+    let said = start(first.path(), &[("RIGCAST_OBJECTS", "s3://lab/two")]);
+    assert!(said.contains("are in s3://lab/one"), "{said}");
+    let said = start(other.path(), &[("RIGCAST_OBJECTS", "s3://nowhere/one")]);
+    assert!(said.contains("s3://nowhere/one") && said.contains("no such bucket"), "{said}");
+    let free = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a port");
+    let said = start(other.path(), &[("RIGCAST_S3_ENDPOINT", &format!("http://{free}"))]);
+    assert!(said.contains("s3://lab/one cannot be used"), "{said}");
+    let said = start(other.path(), &[("RIGCAST_OBJECTS", "s3://key:hunter2@lab/one")]);
+    assert!(said.contains("keys belong into AWS_ACCESS_KEY_ID"), "{said}");
+}
