@@ -115,8 +115,6 @@ impl Bucket {
             return Err(refused("it names no bucket".into()));
         }
         let prefix = Key::parse(prefix.trim_end_matches('/')).map_err(|error| refused(error.to_string()))?;
-        // The first to say so decides for the process; it is always this.
-        let _ = rustls::crypto::ring::default_provider().install_default();
         let client = ClientOptions::new()
             .with_connect_timeout(Duration::from_secs(3))
             .with_timeout(Duration::from_secs(60));
