@@ -12,6 +12,7 @@ mod adopt;
 mod auth;
 mod body;
 pub mod codes;
+mod compression;
 mod contract;
 mod damage;
 mod deadline;
@@ -174,6 +175,7 @@ pub fn router(http: Shared) -> Router {
         })
         .fallback(problem::no_route)
         .method_not_allowed_fallback(problem::no_method)
+        .layer(compression::layer())
         .layer(from_fn_with_state(http.clone(), observe::observe))
         .layer(SetSensitiveRequestHeadersLayer::new([AUTHORIZATION]))
         .with_state(http)

@@ -32,7 +32,7 @@ pub struct Measured {
     pub status: u16,
     /// Empty for a success.
     pub code: String,
-    /// Peak above what the idle program holds, bytes.
+    /// Peak above what the program held before the request, bytes.
     pub peak: u64,
     /// The allowed peak.
     pub allowed: u64,
@@ -82,8 +82,10 @@ impl Meter {
     /// Sends a request, and checks its answer and its memory.
     pub async fn measure(&self, case: &Case) -> Measured {
         self.program.count_peak();
+        // What earlier requests left has a bar of its own, the growth.
+        let before = self.program.memory("VmRSS").max(self.idle);
         let reply = self.send(case).await;
-        let peak = self.program.memory("VmHWM").saturating_sub(self.idle);
+        let peak = self.program.memory("VmHWM").saturating_sub(before);
         assert!(
             reply.status < 500,
             "{}: {} {}",
