@@ -89,7 +89,7 @@ pub async fn create(args: &CreateArgs, now: Timestamp) -> Result<(Token, Secret)
         expires_at: expires_at.map_err(|_| TokenError::TooLong)?,
     };
     draft.check(now).map_err(|errors| TokenError::Invalid(errors.into_iter().next().unwrap_or_default()))?;
-    let store = Store::open(&args.data_dir).await.map_err(|error| match error {
+    let store = Store::open_rows(&args.data_dir).await.map_err(|error| match error {
         StoreError::Locked { path } => TokenError::InUse(path),
         error => TokenError::Store(error),
     })?;

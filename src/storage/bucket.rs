@@ -86,6 +86,9 @@ const PARTS: usize = 4;
 /// Time for a small step.
 const STEP: Duration = Duration::from_secs(10);
 
+/// Time for the answer to a look at whether the storage is there: who asks for `readyz` does not wait long.
+const PING: Duration = Duration::from_secs(2);
+
 /// Slowest transfer that is waited for, bytes a second.
 const SLOWEST: u64 = 1 << 20;
 
@@ -173,7 +176,14 @@ impl Bucket {
         bytes: u64,
         step: impl Future<Output = Result<T, Error>>,
     ) -> Result<Result<T, Error>, StoreError> {
-        let time = STEP + Duration::from_secs(bytes / SLOWEST);
+        self.in_time(STEP + Duration::from_secs(bytes / SLOWEST), step).await
+    }
+
+    async fn in_time<T>(
+        &self,
+        time: Duration,
+        step: impl Future<Output = Result<T, Error>>,
+    ) -> Result<Result<T, Error>, StoreError> {
         tokio::time::timeout(time, step).await.map_err(|_| StoreError::Bucket {
             bucket: self.name.to_string(),
             what: format!("no answer within {} s", time.as_secs()),
@@ -299,7 +309,9 @@ impl Bucket {
 
     /// Whether the storage answers, and the mark is there.
     pub(super) async fn ping(&self) -> Result<(), StoreError> {
-        self.done(0, self.store.head(&self.prefix.clone().join(MARK))).await.map(|_| ())
+        let mark = self.prefix.clone().join(MARK);
+        let asked = self.in_time(PING, self.store.head(&mark)).await?;
+        asked.map(|_| ()).map_err(|error| self.failed(&error))
     }
 
     /// Takes the prefix for the service of a data directory, or makes sure that it has it.

@@ -497,8 +497,11 @@ impl Store {
     /// Removes objects of the bucket that no row has named for a week. For an orderly stop, never after a crash.
     pub(super) async fn sweep_bucket(&self, now: jiff::Timestamp) -> Result<(), StoreError> {
         let Some(bucket) = self.objects().bucket() else { return Ok(()) };
-        let old = bucket.list().await?.into_iter().filter(|(_, listed)| listed.is_old(now));
-        let old: Vec<String> = old.map(|(digest, _)| digest).collect();
+        let listed = bucket.list().await?;
+        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
+        let wanted: BTreeSet<String> = rows.into_iter().collect();
+        let old = listed.into_iter().filter(|(name, listed)| listed.is_old(now) && !wanted.contains(name));
+        let old = old.map(|(name, _)| name).collect();
         self.discard_unreferenced(old).await;
         Ok(())
     }

@@ -98,6 +98,29 @@ impl Store {
             None => bucket::refuse_without(data_dir)?,
             Some(bucket) => bucket.claim(data_dir).await?,
         }
+        let store = Self::locked(data_dir, lock, bucket, bucket_settings).await?;
+        store.sweep_objects().await?;
+        store.read_adoptions().await?;
+        Ok(store)
+    }
+
+    /// As [`Store::open`], for work on rows alone, wherever the objects are.
+    ///
+    /// # Errors
+    /// As of [`Store::open`].
+    pub async fn open_rows(data_dir: &Path) -> Result<Self, StoreError> {
+        let lock = lock(data_dir)?;
+        prepare_directory(data_dir)?;
+        Self::locked(data_dir, lock, None, None).await
+    }
+
+    /// Opens a data directory that is locked and prepared.
+    async fn locked(
+        data_dir: &Path,
+        lock: File,
+        bucket: Option<Bucket>,
+        bucket_settings: Option<BucketSettings>,
+    ) -> Result<Self, StoreError> {
         let database = data_dir.join(DATABASE);
         never_empty(&database, data_dir)?;
         let options = options(&database).create_if_missing(true);
@@ -124,10 +147,7 @@ impl Store {
             objects_gate: Arc::default(),
             _lock: Some(lock),
         };
-        let store = Self { inner: Arc::new(inner) };
-        store.sweep_objects().await?;
-        store.read_adoptions().await?;
-        Ok(store)
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// Whether a directory holds a registry already.

@@ -165,6 +165,12 @@ fn a_bucket_that_cannot_be_used_stops_the_start_with_its_reason() {
         assert!(!said.contains("hunter2"), "{said}");
         said
     };
+    // A token is a row: it is made without the bucket.
+    let made = rigcast(&["token", "create", "--name", "lab", "--role", "admin", "--data-dir"])
+        .arg(first.path())
+        .output();
+    let made = made.expect("it ends");
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     let other = TempDir::new().expect("a directory");
     let said = start(other.path(), &[]);
     assert!(said.contains("it belongs to another Rigcast"), "{said}");
