@@ -433,6 +433,7 @@ mod tests {
     use std::fmt;
     use std::sync::atomic::{AtomicBool, Ordering};
 
+    use futures::StreamExt as _;
     use futures::stream::BoxStream;
     use object_store::memory::InMemory;
     use object_store::{
@@ -584,7 +585,12 @@ mod tests {
         let prepared: PreparedRun = store.prepare(&rig, super::super::testing::meta(), &[3.0]);
         let refused = store.insert_run(&rig.id, prepared, None, None, now()).await.unwrap_err();
         assert!(refused.is_unavailable() && refused.to_string().contains("it answers 500"), "{refused}");
+        // A run is gone for those who ask, and its object with the next orderly stop after a week.
+        assert!(store.delete_run(&rig.id, run.id).await.unwrap());
         storage.away.store(false, Ordering::Relaxed);
+        assert!(bucket(&storage, ROOM).list().await.unwrap().contains_key(&run.object));
+        store.empty_quarantine(Timestamp::now() + SignedDuration::from_hours(8 * 24)).await.unwrap();
+        assert!(bucket(&storage, ROOM).list().await.unwrap().is_empty());
         let prepared = store.prepare(&rig, super::super::testing::meta(), &[3.0]);
         let stored = store.insert_run(&rig.id, prepared, None, None, now()).await.unwrap();
         assert!(matches!(stored, RunInsert::Inserted(_)));

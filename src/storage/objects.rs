@@ -425,7 +425,7 @@ impl Store {
     }
 
     /// Removes those of `digests` that no row refers to. Called after the rows were deleted. A failure
-    /// is only logged, because the next start removes the files.
+    /// is only logged, because the next start removes the files, and an orderly stop those of a bucket.
     pub(super) async fn discard_unreferenced(&self, digests: Vec<String>) {
         let _alone = self.objects_gate().write().await;
         for digest in digests {
@@ -436,6 +436,10 @@ impl Store {
             };
             if let Err(error) = removed {
                 tracing::warn!(object.digest = digest, %error, "an unreferenced object was left behind");
+                // The others would wait for it in vain, and uploads for them.
+                if matches!(error, StoreError::Bucket { .. }) {
+                    break;
+                }
             }
         }
     }
