@@ -433,7 +433,6 @@ mod tests {
     use std::fmt;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use futures::StreamExt as _;
     use futures::stream::BoxStream;
     use object_store::memory::InMemory;
     use object_store::{
