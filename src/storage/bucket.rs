@@ -433,6 +433,7 @@ mod tests {
     use std::fmt;
     use std::sync::atomic::{AtomicBool, Ordering};
 
+    use futures::StreamExt as _;
     use futures::stream::BoxStream;
     use object_store::memory::InMemory;
     use object_store::{
@@ -489,7 +490,10 @@ mod tests {
         }
 
         fn delete_stream(&self, these: BoxStream<'static, Done<Key>>) -> BoxStream<'static, Done<Key>> {
-            self.inner.delete_stream(these)
+            match self.check() {
+                Ok(()) => self.inner.delete_stream(these),
+                Err(away) => futures::stream::once(async { Err(away) }).boxed(),
+            }
         }
 
         fn list(&self, below: Option<&Key>) -> BoxStream<'static, Done<ObjectMeta>> {
