@@ -224,8 +224,7 @@ impl Bucket {
             return self.put(digest, bytes.into(), mend).await;
         }
         let key = self.key(digest);
-        let there = self.within(0, self.store.head(&key)).await?;
-        if !mend && there.is_ok_and(|there| there.size == size) {
+        if !mend && self.within(0, self.store.head(&key)).await?.is_ok_and(|there| there.size == size) {
             return Ok(());
         }
         let mut source = tokio::fs::File::open(file).await.map_err(failed(file))?;
@@ -257,9 +256,8 @@ impl Bucket {
             }
             found => found.map_err(|error| self.failed(&error))?,
         };
-        let (pieces, taken) = tokio::sync::mpsc::channel::<Bytes>(4);
+        let (pieces, mut taken) = tokio::sync::mpsc::channel::<Bytes>(4);
         let scratch = scratch.to_owned();
-        let mut taken = taken;
         let file = tokio::spawn(off_thread(move || {
             ObjectFile::make(&scratch, |to| {
                 while let Some(piece) = taken.blocking_recv() {
@@ -326,7 +324,7 @@ impl Bucket {
             && known.url != *self.name
         {
             return Err(refused(format!(
-                "the objects of {} are in {}. Start it with that bucket; `rigcast move` takes them to another",
+                "the objects of {} are in {}. Start it with that bucket",
                 data_dir.display(),
                 known.url
             )));

@@ -457,11 +457,16 @@ impl Store {
         Ok(found != 0)
     }
 
+    /// Names of all objects that rows refer to.
+    async fn referenced(&self) -> Result<BTreeSet<String>, StoreError> {
+        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
+        Ok(rows.into_iter().collect())
+    }
+
     /// Puts every object aside that no row refers to: its upload was cut short, or its row was lost. Only at a start,
     /// while no one else writes.
     pub(super) async fn sweep_objects(&self) -> Result<(), StoreError> {
-        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
-        let wanted: BTreeSet<String> = rows.into_iter().collect();
+        let wanted = self.referenced().await?;
         let (objects, data_dir) = (self.objects().clone(), self.data_dir().to_owned());
         let names = wanted.clone();
         off_thread(move || {
@@ -477,9 +482,9 @@ impl Store {
         let objects = self.objects();
         let Some(bucket) = objects.bucket() else { return Ok(()) };
         let there = bucket.list().await?;
-        let sizes = wanted.iter().map(|digest| (digest, objects.path_of(digest)));
         let mut filled = 0;
-        for (digest, path) in sizes {
+        for digest in wanted {
+            let path = objects.path_of(digest);
             let Ok(file) = std::fs::metadata(&path) else { continue };
             if there.get(digest).is_some_and(|there| there.bytes == file.len()) {
                 continue;
@@ -502,8 +507,7 @@ impl Store {
     pub(super) async fn sweep_bucket(&self, now: jiff::Timestamp) -> Result<(), StoreError> {
         let Some(bucket) = self.objects().bucket() else { return Ok(()) };
         let listed = bucket.list().await?;
-        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
-        let wanted: BTreeSet<String> = rows.into_iter().collect();
+        let wanted = self.referenced().await?;
         let old = listed.into_iter().filter(|(name, listed)| listed.is_old(now) && !wanted.contains(name));
         let old = old.map(|(name, _)| name).collect();
         self.discard_unreferenced(old).await;

@@ -79,22 +79,6 @@ fn put(port: u16, path: &str) -> String {
     answer.lines().next().unwrap_or_default().to_owned()
 }
 
-async fn fitted(client: &Client, run: &serde_json::Value) -> serde_json::Value {
-    let fit = json!({"kind": "frf", "runs": [run["id"]]});
-    let job = client.post("/v1/rigs/bench/fits", &fit).await.expect("a job");
-    let id = job["id"].as_str().expect("an id").to_owned();
-    let until = Instant::now() + Duration::from_secs(120);
-    loop {
-        let job = client.get(&format!("/v1/jobs/{id}")).await.expect("the job");
-        match job["state"].as_str() {
-            Some("succeeded") => return job,
-            Some("failed" | "cancelled") => panic!("{job}"),
-            _ => assert!(Instant::now() < until, "{job}"),
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn runs_and_models_live_in_the_bucket_and_outlive_the_local_copies() {
     let Some(storage) = Storage::start() else { return };
@@ -106,7 +90,8 @@ async fn runs_and_models_live_in_the_bucket_and_outlive_the_local_copies() {
     let run =
         client.upload("bench", &[("kind", "noise")], "text/csv", csv.into_bytes()).await.expect("a run");
     // Its worker process opens the bucket by itself.
-    fitted(&client, &run).await;
+    let fit = client.fit("bench", &json!({"kind": "frf", "runs": [run["id"]]})).await.expect("a job");
+    client.wait(&fit, |_| {}).await.expect("a model");
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
     let predicted = client.post("/v1/rigs/bench/predict", &drive).await.expect("a prediction");
     let samples = format!("/v1/rigs/bench/runs/{}/data?from_s=0&to_s=1", run["id"].as_str().expect("an id"));
