@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp};
 
+use crate::config::DatabaseArgs;
 use crate::domain::{FieldError, RigId, Secret, Token, TokenDraft, TokenRole};
 use crate::storage::{Store, StoreError, TokenInsert};
 
@@ -39,6 +40,10 @@ pub struct CreateArgs {
     /// Directory of the registry, as for `rigcast serve`.
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
+
+    /// Registry. On PostgreSQL services may run meanwhile.
+    #[command(flatten)]
+    pub database: DatabaseArgs,
 }
 
 /// The reason why no token was made.
@@ -89,10 +94,12 @@ pub async fn create(args: &CreateArgs, now: Timestamp) -> Result<(Token, Secret)
         expires_at: expires_at.map_err(|_| TokenError::TooLong)?,
     };
     draft.check(now).map_err(|errors| TokenError::Invalid(errors.into_iter().next().unwrap_or_default()))?;
-    let store = Store::open_rows(&args.data_dir).await.map_err(|error| match error {
-        StoreError::Locked { path } => TokenError::InUse(path),
-        error => TokenError::Store(error),
-    })?;
+    let store = Store::open_rows(&args.data_dir, args.database.postgres().as_ref()).await.map_err(
+        |error| match error {
+            StoreError::Locked { path } => TokenError::InUse(path),
+            error => TokenError::Store(error),
+        },
+    )?;
     let secret = Secret::draw()?;
     let inserted = store.insert_token(&draft, secret.digest(), None, now).await.map_err(TokenError::Store);
     store.close().await;

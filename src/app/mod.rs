@@ -110,11 +110,11 @@ impl App {
     /// without an admin's token; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
         let on_loopback = config.listen.ip().is_loopback();
-        if !on_loopback && !Store::exists(&config.data_dir) {
+        if !on_loopback && config.store.database.is_none() && !Store::exists(&config.data_dir) {
             // A missing directory holds no token, and a refused start must not create it.
             return Err(AppError::OpenToNetwork(config.listen));
         }
-        let store = Store::open_with(&config.data_dir, config.bucket.as_ref()).await?;
+        let store = Store::open_with(&config.data_dir, &config.store).await?;
         if !on_loopback && !has_admin(&store).await? {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));

@@ -2,6 +2,7 @@
 
 mod connections;
 mod copies;
+mod database;
 mod demo;
 mod health;
 mod jobs;
@@ -17,12 +18,13 @@ use clap::{Args, Parser, Subcommand};
 use crate::compute::ComputeSettings;
 use crate::http::{AdmissionSettings, Limits};
 use crate::jobs::JobSettings;
-use crate::storage::BucketSettings;
+use crate::storage::StoreSettings;
 use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
 pub use connections::ConnectionSettings;
 pub use copies::{BackupArgs, CopyArgs, RecoverArgs};
+pub use database::DatabaseArgs;
 pub use demo::DemoArgs;
 pub use health::HealthArgs;
 pub use jobs::JobArgs;
@@ -85,6 +87,10 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
 
+    /// Registry.
+    #[command(flatten)]
+    pub database: DatabaseArgs,
+
     /// Objects.
     #[command(flatten)]
     pub objects: ObjectArgs,
@@ -119,8 +125,8 @@ pub struct ServeArgs {
 pub struct Config {
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
-    /// Bucket of the objects; `None`: they are in the data directory.
-    pub bucket: Option<BucketSettings>,
+    /// Where registry and objects are, if not in the data directory.
+    pub store: StoreSettings,
     /// Address to listen on. Without a token the service answers on loopback only.
     pub listen: SocketAddr,
     /// Settings of jobs.
@@ -140,7 +146,7 @@ impl Config {
     pub fn new(data_dir: PathBuf, listen: SocketAddr) -> Self {
         Self {
             data_dir,
-            bucket: None,
+            store: StoreSettings::default(),
             listen,
             jobs: JobSettings::default(),
             limits: Limits::default(),
@@ -197,7 +203,7 @@ impl ServeArgs {
     pub fn check(&self) -> Result<Config, ConfigError> {
         Ok(Config {
             data_dir: self.data_dir.clone(),
-            bucket: self.objects.bucket(),
+            store: StoreSettings { bucket: self.objects.bucket(), database: self.database.postgres() },
             listen: self.listen,
             jobs: self.jobs.check(&self.log)?,
             limits: Limits {

@@ -44,7 +44,7 @@ pub async fn ready(State(http): State<Shared>, caller: Option<Caller>, mut param
     let degraded_models = degraded.len();
     degraded.retain(|model| caller.as_ref().is_some_and(|caller| caller.reaches(&model.rig)));
     let quarantined = http.store.quarantined().await?;
-    let bucket = match http.store.bucket_settings() {
+    let bucket = match &http.store.settings().bucket {
         None => None,
         Some(_) => {
             Some(http.store.ping_bucket().await.map_or_else(|away| away.to_string(), |()| "ok".into()))

@@ -197,8 +197,8 @@ impl Runner {
             Executor::Subprocess(program) => {
                 let (data_dir, checkpoint_every) =
                     (self.store.data_dir().to_owned(), self.settings.checkpoint_every);
-                let (bucket, memory_bytes) = (self.store.bucket_settings().cloned(), program.memory_bytes);
-                let begin = Begin { data_dir, bucket, spec, checkpoint_every, memory_bytes };
+                let (store, memory_bytes) = (self.store.settings().clone(), program.memory_bytes);
+                let begin = Begin { data_dir, store, spec, checkpoint_every, memory_bytes };
                 program.make(begin, self.settings.lease, control).await
             }
         }

@@ -3,6 +3,7 @@
 use crate::domain::{Adoption, Model};
 use crate::engine::model::from_safetensors;
 
+use super::database::sql;
 use super::objects::off_thread;
 use super::rows::{ModelRow, UNREAD, all, json};
 use super::{Store, StoreError};
@@ -14,17 +15,16 @@ impl Store {
     /// # Errors
     /// The database's failures.
     pub(super) async fn read_adoptions(&self) -> Result<(), StoreError> {
-        let rows: Vec<ModelRow> = sqlx::query_as(
-            "SELECT models.*, 0 AS active FROM models WHERE adoption = ? ORDER BY rig, version",
-        )
-        .bind(UNREAD)
-        .fetch_all(self.reader())
-        .await?;
+        let rows: Vec<ModelRow> =
+            sql("SELECT models.*, 0 AS active FROM models WHERE adoption = $1 ORDER BY rig, version")
+                .bind(UNREAD)
+                .fetch_all(self.reader())
+                .await?;
         for model in all::<_, Model>(rows)? {
             match self.adoption_of(&model).await {
                 Ok(adoption) => {
                     let mut tx = self.write().await?;
-                    sqlx::query("UPDATE models SET adoption = ?3 WHERE rig = ?1 AND version = ?2")
+                    sql("UPDATE models SET adoption = $3 WHERE rig = $1 AND version = $2")
                         .bind(model.rig.as_str())
                         .bind(model.version)
                         .bind(adoption.as_ref().map(json))
@@ -116,7 +116,7 @@ mod tests {
             sqlx::query(
                 "INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes,
                                      origin, lineage, code_version, instruction_set, created_us)
-                 VALUES ('bench', ?, 'frf', '[\"u\"]', '[\"y\"]', 128, ?, 5, ?, ?, '0', 'portable', 9)",
+                 VALUES ('bench', $1, 'frf', '[\"u\"]', '[\"y\"]', 128, $2, 5, $3, $4, '0', 'portable', 9)",
             )
             .bind(version)
             .bind(digests[digest].as_str())
@@ -166,7 +166,7 @@ mod tests {
         drop(store);
         let again = Store::open(dir.path()).await.unwrap();
         assert_eq!(models(&again).await, found, "once is enough");
-        let unread: i64 = sqlx::query_scalar("SELECT count(*) FROM models WHERE adoption = ?")
+        let unread: i64 = sql("SELECT count(*) FROM models WHERE adoption = $1")
             .bind(UNREAD)
             .fetch_one(again.reader())
             .await

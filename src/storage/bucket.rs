@@ -66,6 +66,9 @@ struct Mark {
 struct Belongs {
     url: String,
     service: Uuid,
+    /// The PostgreSQL that has the rows; none: the data directory has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    database: Option<String>,
 }
 
 /// Name of the mark in a prefix.
@@ -312,11 +315,16 @@ impl Bucket {
         asked.map(|_| ()).map_err(|error| self.failed(&error))
     }
 
-    /// Takes the prefix for the service of a data directory, or makes sure that it has it.
+    /// Takes the prefix for the service of a data directory, or makes sure that it has it. `shared` has the name of the
+    /// PostgreSQL of a registry, and the service that it belongs to.
     ///
     /// # Errors
-    /// [`StoreError::Bucket`] if it belongs to another service, or the data directory to another bucket.
-    pub(super) async fn claim(&self, data_dir: &Path) -> Result<(), StoreError> {
+    /// [`StoreError::Bucket`] if it belongs to another service, or the data directory to another bucket or database.
+    pub(super) async fn claim(
+        &self,
+        data_dir: &Path,
+        shared: Option<(&str, Uuid)>,
+    ) -> Result<(), StoreError> {
         let refused = |what: String| StoreError::Bucket { bucket: self.name.to_string(), what };
         let file = data_dir.join(BELONGS);
         let known = belongs(data_dir)?;
@@ -329,10 +337,21 @@ impl Bucket {
                 known.url
             )));
         }
+        let database = shared.map(|(database, _)| database.to_owned());
+        if let Some(known) = &known
+            && known.database != database
+        {
+            let place = match &known.database {
+                Some(database) => format!("in {database}. Start it with that one as --database"),
+                None => "in the directory itself. Start it without --database".into(),
+            };
+            return Err(refused(format!("the registry of {} is {place}", data_dir.display())));
+        }
         let is_new = known.is_none();
         let service = known.map_or_else(Uuid::new_v4, |known| known.service);
+        let service = shared.map_or(service, |(_, service)| service);
         if is_new {
-            let belongs = Belongs { url: self.name.to_string(), service };
+            let belongs = Belongs { url: self.name.to_string(), service, database };
             let json = serde_json::to_vec(&belongs).expect("texts serialise");
             let path = file.clone();
             off_thread(move || super::files::write(&path, &json)).await?;
@@ -562,15 +581,15 @@ mod tests {
         let store = TestStore::open_in(bucket(&storage, ROOM)).await;
         bucket(&storage, ROOM).ping().await.unwrap();
         let other = tempfile::tempdir().unwrap();
-        let refused = bucket(&storage, ROOM).claim(other.path()).await.unwrap_err().to_string();
+        let refused = bucket(&storage, ROOM).claim(other.path(), None).await.unwrap_err().to_string();
         assert!(refused.contains("belongs to another Rigcast"), "{refused}");
         assert!(!other.path().join(BELONGS).exists(), "the refused one may take another prefix");
         let data_dir = store.data_dir();
-        bucket(&storage, ROOM).claim(data_dir).await.unwrap();
+        bucket(&storage, ROOM).claim(data_dir, None).await.unwrap();
         let without = refuse_without(data_dir).unwrap_err().to_string();
         assert!(without.contains("name it with --objects"), "{without}");
         let elsewhere = Bucket::of(Arc::<Storage>::default(), Key::from("x"), "s3://x", ROOM);
-        let refused = elsewhere.claim(data_dir).await.unwrap_err().to_string();
+        let refused = elsewhere.claim(data_dir, None).await.unwrap_err().to_string();
         assert!(refused.contains("s3://bucket/lab/one"), "{refused}");
     }
 

@@ -4,6 +4,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::database::sql;
 use super::rows::{int, us};
 use super::{Digest, Lease, Store, StoreError};
 use crate::domain::JobId;
@@ -34,14 +35,12 @@ impl Store {
         now: Timestamp,
     ) -> Result<bool, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        let done = sqlx::query(
-            "INSERT INTO checkpoints (job, part, fits, sha256, state, written_us)
-             SELECT id, ?3, ?4, ?5, ?6, ?7 FROM jobs
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'
+        let done = sql("INSERT INTO checkpoints (job, part, fits, sha256, state, written_us)
+             SELECT id, $3, $4, $5, $6, $7 FROM jobs
+             WHERE id = $1 AND lease_token = $2 AND state = 'running'
              ON CONFLICT (job, part) DO UPDATE
              SET fits = excluded.fits, sha256 = excluded.sha256, state = excluded.state,
-                 written_us = excluded.written_us",
-        )
+                 written_us = excluded.written_us")
         .bind(lease.job.to_string())
         .bind(int(lease.token))
         .bind(&checkpoint.part)
@@ -51,10 +50,10 @@ impl Store {
         .bind(us(now))
         .execute(&mut *tx)
         .await?;
-        if done.rows_affected() == 0 {
+        if done == 0 {
             return Ok(false);
         }
-        sqlx::query("UPDATE jobs SET service_deaths = 0 WHERE id = ?")
+        sql("UPDATE jobs SET service_deaths = 0 WHERE id = $1")
             .bind(lease.job.to_string())
             .execute(&mut *tx)
             .await?;
@@ -68,7 +67,7 @@ impl Store {
     /// The store's failures.
     pub async fn checkpoints(&self, job: JobId, fits: &str) -> Result<Vec<Checkpoint>, StoreError> {
         let rows: Vec<(String, String, Vec<u8>)> =
-            sqlx::query_as("SELECT part, sha256, state FROM checkpoints WHERE job = ? AND fits = ?")
+            sql("SELECT part, sha256, state FROM checkpoints WHERE job = $1 AND fits = $2")
                 .bind(job.to_string())
                 .bind(fits)
                 .fetch_all(self.reader())
@@ -130,12 +129,7 @@ mod tests {
         let (store, lease) = running().await;
         store.keep_checkpoint(&lease, &checkpoint("a", b"good"), now()).await.unwrap();
         store.keep_checkpoint(&lease, &checkpoint("b", b"good"), now()).await.unwrap();
-        let mut writer = store.write_one().await.unwrap();
-        sqlx::query("UPDATE checkpoints SET state = x'00' WHERE part = 'a'")
-            .execute(&mut *writer)
-            .await
-            .unwrap();
-        drop(writer);
+        store.raw("UPDATE checkpoints SET sha256 = 'other' WHERE part = 'a'").await.unwrap();
         assert_eq!(store.checkpoints(lease.job, "settings").await.unwrap(), [checkpoint("b", b"good")]);
         assert!(store.delete_rig(&"bench".parse().unwrap()).await.unwrap());
         assert_eq!(store.checkpoints(lease.job, "settings").await.unwrap(), []);

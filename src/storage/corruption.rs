@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use super::database::sql;
 use super::rows::parsed;
 use super::{Store, StoreError};
 use crate::domain::{DiagnosisId, EvaluationId, RigId, RunId};
@@ -54,12 +55,10 @@ impl Store {
         let digests: Vec<String> = self.objects().corrupt().names().iter().cloned().collect();
         let mut found = Vec::new();
         for digest in digests {
-            let rows: Vec<(String, String, String)> = sqlx::query_as(
-                "SELECT rig, 'run', id FROM runs WHERE object = ?1
-                 UNION ALL SELECT rig, 'model', CAST(version AS TEXT) FROM models WHERE sha256 = ?1
-                 UNION ALL SELECT rig, 'diagnosis', id FROM diagnoses WHERE findings = ?1
-                 UNION ALL SELECT rig, 'evaluation', id FROM evaluations WHERE report = ?1",
-            )
+            let rows: Vec<(String, String, String)> = sql("SELECT rig, 'run', id FROM runs WHERE object = $1
+                 UNION ALL SELECT rig, 'model', CAST(version AS TEXT) FROM models WHERE sha256 = $1
+                 UNION ALL SELECT rig, 'diagnosis', id FROM diagnoses WHERE findings = $1
+                 UNION ALL SELECT rig, 'evaluation', id FROM evaluations WHERE report = $1")
             .bind(&digest)
             .fetch_all(self.reader())
             .await?;
@@ -81,12 +80,11 @@ impl Store {
     /// # Errors
     /// The database's failures.
     pub async fn verify_rig(&self, rig: &RigId) -> Result<(), StoreError> {
-        let digests: Vec<String> = sqlx::query_scalar(
-            "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1",
-        )
-        .bind(rig.as_str())
-        .fetch_all(self.reader())
-        .await?;
+        let digests: Vec<String> =
+            sql("SELECT object FROM runs WHERE rig = $1 UNION SELECT sha256 FROM models WHERE rig = $1")
+                .bind(rig.as_str())
+                .fetch_all(self.reader())
+                .await?;
         for digest in digests {
             if let Err(error) = self.objects().get(&digest).await {
                 tracing::error!(rig.id = %rig, %error, "stored data are damaged");

@@ -4,6 +4,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::database::sql;
 use super::jobs::succeed;
 use super::objects::ObjectWrite;
 use super::rows::{DiagnosisRow, int, json, us, word};
@@ -58,11 +59,11 @@ impl Store {
     ) -> Result<Option<DiagnosisId>, StoreError> {
         let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &diagnosis.findings).await?;
         let id = new_id(now);
-        let rig: Option<String> = sqlx::query_scalar(
+        let rig: Option<String> = sql(
             "INSERT INTO diagnoses (id, rig, job, version, model_sha256, mode, request, verdict, findings,
                                     elapsed_s, created_us)
-             SELECT ?1, rig, id, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9 FROM jobs
-             WHERE id = ?10 AND state = 'running' AND lease_token = ?11
+             SELECT $1, rig, id, $2, $3, $4, $5, $6, $7, $8, $9 FROM jobs
+             WHERE id = $10 AND state = 'running' AND lease_token = $11
              RETURNING rig",
         )
         .bind(id.to_string())
@@ -101,7 +102,7 @@ impl Store {
         page: &PageRequest,
     ) -> Result<Option<Page<DiagnosisSummary>>, StoreError> {
         let sql =
-            "SELECT * FROM diagnoses WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+            "SELECT * FROM diagnoses WHERE rig = $1 AND ($2 IS NULL OR id < $2) ORDER BY id DESC LIMIT $3";
         self.newest::<DiagnosisRow, DiagnosisSummary>(sql, rig, page, |one| one.id.to_string()).await
     }
 
@@ -114,7 +115,7 @@ impl Store {
         rig: &RigId,
         id: DiagnosisId,
     ) -> Result<Option<StoredDiagnosis>, StoreError> {
-        let row: Option<DiagnosisRow> = sqlx::query_as("SELECT * FROM diagnoses WHERE rig = ? AND id = ?")
+        let row: Option<DiagnosisRow> = sql("SELECT * FROM diagnoses WHERE rig = $1 AND id = $2")
             .bind(rig.as_str())
             .bind(id.to_string())
             .fetch_optional(self.reader())

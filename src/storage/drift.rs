@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 
+use super::database::sql;
 use super::rows::{DriftEntry, all, json, parsed, us};
 use super::{Store, StoreError};
 use crate::domain::RigId;
@@ -27,7 +28,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn due_runs(&self) -> Result<Vec<DueRun>, StoreError> {
-        let rows: Vec<(String, u32, String)> = sqlx::query_as(due_runs!(
+        let rows: Vec<(String, u32, String)> = sql(due_runs!(
             "SELECT rigs.id, rigs.active_version, max(runs.id)",
             "GROUP BY rigs.id ORDER BY rigs.id"
         ))
@@ -44,7 +45,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn count_due_runs(&self, rig: &RigId) -> Result<u64, StoreError> {
-        let count: i64 = sqlx::query_scalar(due_runs!("SELECT count(*)", "AND rigs.id = ?"))
+        let count: i64 = sql(due_runs!("SELECT count(*)", "AND rigs.id = $1"))
             .bind(rig.as_str())
             .fetch_one(self.reader())
             .await?;
@@ -66,10 +67,11 @@ impl Store {
             Outcome::Omitted(_) => None,
         };
         let mut tx = self.write().await?;
-        sqlx::query(
-            "INSERT OR IGNORE INTO drift (rig, version, run, outcome, ratio, created_us)
-             SELECT models.rig, models.version, runs.id, ?4, ?5, ?6 FROM models JOIN runs ON runs.rig = models.rig
-             WHERE models.rig = ?1 AND models.version = ?2 AND runs.id = ?3",
+        sql(
+            "INSERT INTO drift (rig, version, run, outcome, ratio, created_us)
+             SELECT models.rig, models.version, runs.id, $4, $5, $6 FROM models JOIN runs ON runs.rig = models.rig
+             WHERE models.rig = $1 AND models.version = $2 AND runs.id = $3
+             ON CONFLICT (rig, version, run) DO NOTHING",
         )
         .bind(due.rig.as_str())
         .bind(due.version)
@@ -88,10 +90,10 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn drift(&self, rig: &RigId, version: u32) -> Result<Vec<DriftRow>, StoreError> {
-        let rows: Vec<DriftEntry> = sqlx::query_as(
+        let rows: Vec<DriftEntry> = sql(
             "SELECT runs.id, runs.name, runs.kind, coalesce(runs.started_us, runs.created_us) AS at_us, drift.outcome
              FROM drift JOIN runs ON runs.id = drift.run
-             WHERE drift.rig = ? AND drift.version = ? ORDER BY at_us, runs.id",
+             WHERE drift.rig = $1 AND drift.version = $2 ORDER BY at_us, runs.id",
         )
         .bind(rig.as_str())
         .bind(version)
@@ -106,18 +108,20 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn error_ratios(&self, limit: u32) -> Result<Vec<(String, f64)>, StoreError> {
-        // SQLite takes the columns beside `max` from the row that has it.
-        let rows: Vec<(String, f64, String)> = sqlx::query_as(
-            "SELECT drift.rig, drift.ratio,
-                    max(printf('%020d', coalesce(runs.started_us, runs.created_us)) || runs.id)
-             FROM drift JOIN rigs ON rigs.id = drift.rig AND rigs.active_version = drift.version
-             JOIN runs ON runs.id = drift.run
-             WHERE drift.ratio IS NOT NULL GROUP BY drift.rig ORDER BY drift.rig LIMIT ?",
+        let rows = sql(
+            "SELECT rig, ratio FROM (
+                SELECT drift.rig, drift.ratio,
+                       row_number() OVER (PARTITION BY drift.rig
+                                          ORDER BY coalesce(runs.started_us, runs.created_us) DESC, runs.id DESC) AS age
+                FROM drift JOIN rigs ON rigs.id = drift.rig AND rigs.active_version = drift.version
+                JOIN runs ON runs.id = drift.run
+                WHERE drift.ratio IS NOT NULL
+             ) AS judged WHERE age = 1 ORDER BY rig LIMIT $1",
         )
         .bind(limit)
         .fetch_all(self.reader())
         .await?;
-        Ok(rows.into_iter().map(|(rig, ratio, _)| (rig, ratio)).collect())
+        Ok(rows)
     }
 }
 

@@ -1,5 +1,9 @@
 //! Errors of the store. A missing row is no error.
 
+use sqlx::error::DatabaseError as _;
+use sqlx::postgres::PgDatabaseError;
+use sqlx::sqlite::SqliteError;
+
 use crate::telemetry::names;
 
 /// Acknowledged changes that a database lacks.
@@ -56,6 +60,14 @@ pub enum StoreError {
     Bucket {
         /// Its URL.
         bucket: String,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// The PostgreSQL of the registry.
+    #[error("the database {database} cannot be used: {what}")]
+    Postgres {
+        /// Its host and name.
+        database: String,
         /// What is wrong with it.
         what: String,
     },
@@ -159,9 +171,14 @@ impl StoreError {
     pub fn is_disk_full(&self) -> bool {
         /// `SQLITE_FULL`, and `SQLITE_IOERR_SHMSIZE`: no room for the index of the write-ahead log.
         const FULL: [u32; 2] = [13, 4874];
+        /// `disk_full` of PostgreSQL.
+        const DISK_FULL: &str = "53100";
         match self {
             Self::Full => true,
-            Self::Database(error) => sqlite_code(error).is_some_and(|code| FULL.contains(&code)),
+            Self::Database(error) => {
+                sqlite_code(error).is_some_and(|code| FULL.contains(&code))
+                    || postgres_code(error).is_some_and(|code| code == DISK_FULL)
+            }
             Self::DataDir { source, .. } => is_storage_full(source),
             Self::Objects(error) => {
                 let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
@@ -222,11 +239,18 @@ impl StoreError {
         /// `SQLITE_BUSY`, `SQLITE_LOCKED`, `SQLITE_READONLY`, `SQLITE_IOERR` and `SQLITE_CANTOPEN`, in
         /// any extended code.
         const UNAVAILABLE: [u32; 5] = [5, 6, 8, 10, 14];
+        /// Of PostgreSQL: connections, conflicts of transactions, resources, a lock that was not to be had in time, a
+        /// server that stops or stands by, failing reads and writes.
+        const AWAY: [&str; 8] = ["08", "40", "53", "55P03", "57", "25006", "58", "XX"];
         match self {
             Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
-            Self::Database(error) => sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff))),
+            Self::Database(error) => {
+                sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff)))
+                    || postgres_code(error).is_some_and(|code| AWAY.iter().any(|away| code.starts_with(away)))
+            }
             Self::Objects(_)
             | Self::Bucket { .. }
+            | Self::Postgres { .. }
             | Self::DataDir { .. }
             | Self::JournalStopped { .. }
             | Self::Stopped => true,
@@ -237,7 +261,12 @@ impl StoreError {
 
 /// SQLite's extended result code.
 pub(super) fn sqlite_code(error: &sqlx::Error) -> Option<u32> {
-    error.as_database_error()?.code()?.parse().ok()
+    error.as_database_error()?.try_downcast_ref::<SqliteError>()?.code()?.parse().ok()
+}
+
+/// PostgreSQL's `SQLSTATE`.
+fn postgres_code(error: &sqlx::Error) -> Option<&str> {
+    Some(error.as_database_error()?.try_downcast_ref::<PgDatabaseError>()?.code())
 }
 
 /// The system's error, with advice.

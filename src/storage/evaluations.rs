@@ -4,6 +4,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::database::sql;
 use super::jobs::succeed;
 use super::objects::ObjectWrite;
 use super::rows::{EvaluationRow, int, json, us};
@@ -56,22 +57,21 @@ impl Store {
     ) -> Result<Option<EvaluationId>, StoreError> {
         let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &evaluation.report).await?;
         let id = new_id(now);
-        let rig: Option<String> = sqlx::query_scalar(
-            "INSERT INTO evaluations (id, rig, job, request, outline, report, elapsed_s, created_us)
-             SELECT ?1, rig, id, ?2, ?3, ?4, ?5, ?6 FROM jobs
-             WHERE id = ?7 AND state = 'running' AND lease_token = ?8
-             RETURNING rig",
-        )
-        .bind(id.to_string())
-        .bind(json(&evaluation.request))
-        .bind(json(&evaluation.outline))
-        .bind(digest.as_str())
-        .bind(evaluation.elapsed_s)
-        .bind(us(now))
-        .bind(lease.job.to_string())
-        .bind(int(lease.token))
-        .fetch_optional(&mut *tx)
-        .await?;
+        let rig: Option<String> =
+            sql("INSERT INTO evaluations (id, rig, job, request, outline, report, elapsed_s, created_us)
+             SELECT $1, rig, id, $2, $3, $4, $5, $6 FROM jobs
+             WHERE id = $7 AND state = 'running' AND lease_token = $8
+             RETURNING rig")
+            .bind(id.to_string())
+            .bind(json(&evaluation.request))
+            .bind(json(&evaluation.outline))
+            .bind(digest.as_str())
+            .bind(evaluation.elapsed_s)
+            .bind(us(now))
+            .bind(lease.job.to_string())
+            .bind(int(lease.token))
+            .fetch_optional(&mut *tx)
+            .await?;
         let Some(rig) = rig else { return Ok(None) };
         let result = JobResult {
             kind: "evaluation".into(),
@@ -95,7 +95,7 @@ impl Store {
         page: &PageRequest,
     ) -> Result<Option<Page<EvaluationSummary>>, StoreError> {
         let sql =
-            "SELECT * FROM evaluations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+            "SELECT * FROM evaluations WHERE rig = $1 AND ($2 IS NULL OR id < $2) ORDER BY id DESC LIMIT $3";
         self.newest::<EvaluationRow, EvaluationSummary>(sql, rig, page, |one| one.id.to_string()).await
     }
 
@@ -108,7 +108,7 @@ impl Store {
         rig: &RigId,
         id: EvaluationId,
     ) -> Result<Option<StoredEvaluation>, StoreError> {
-        let row: Option<EvaluationRow> = sqlx::query_as("SELECT * FROM evaluations WHERE rig = ? AND id = ?")
+        let row: Option<EvaluationRow> = sql("SELECT * FROM evaluations WHERE rig = $1 AND id = $2")
             .bind(rig.as_str())
             .bind(id.to_string())
             .fetch_optional(self.reader())

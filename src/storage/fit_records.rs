@@ -1,7 +1,6 @@
 //! What fits keep about their data, beside their models.
 
-use sqlx::SqliteConnection;
-
+use super::database::{Session, sql};
 use super::rows::json;
 use super::{Store, StoreError};
 use crate::domain::RigId;
@@ -13,12 +12,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn fit_record(&self, rig: &RigId, version: u32) -> Result<Option<FitRecord>, StoreError> {
-        let found: Option<String> =
-            sqlx::query_scalar("SELECT record FROM fit_records WHERE rig = ? AND version = ?")
-                .bind(rig.as_str())
-                .bind(version)
-                .fetch_optional(self.reader())
-                .await?;
+        let found: Option<String> = sql("SELECT record FROM fit_records WHERE rig = $1 AND version = $2")
+            .bind(rig.as_str())
+            .bind(version)
+            .fetch_optional(self.reader())
+            .await?;
         let read = |text: String| {
             serde_json::from_str(&text).map_err(|error| StoreError::Row {
                 table: "fit_records",
@@ -32,12 +30,12 @@ impl Store {
 
 /// Adds the record of a model that was just added.
 pub(super) async fn insert_record(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     version: u32,
     record: &FitRecord,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO fit_records (rig, version, record) VALUES (?, ?, ?)")
+    sql("INSERT INTO fit_records (rig, version, record) VALUES ($1, $2, $3)")
         .bind(rig.as_str())
         .bind(version)
         .bind(json(record))

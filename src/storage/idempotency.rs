@@ -2,8 +2,8 @@
 //! a repeat of the request gets the same answer.
 
 use jiff::{Timestamp, ToSpan};
-use sqlx::SqliteConnection;
 
+use super::database::{Session, sql};
 use super::rows::us;
 use super::{Digest, Store, StoreError};
 use crate::domain::Created;
@@ -34,22 +34,21 @@ pub struct StoredAnswer {
 /// Checks that no request was done under this key. The caller holds the write transaction in which this
 /// one will be done.
 pub(super) async fn check_unused(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     key: Option<&IdempotencyKey>,
 ) -> Result<(), StoreError> {
     let Some(key) = key else { return Ok(()) };
-    let found: i64 =
-        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM idempotency_keys WHERE owner = ? AND key = ?)")
-            .bind(&key.owner)
-            .bind(&key.key)
-            .fetch_one(connection)
-            .await?;
-    if found == 0 { Ok(()) } else { Err(StoreError::Repeated) }
+    let found: bool = sql("SELECT EXISTS (SELECT 1 FROM idempotency_keys WHERE owner = $1 AND key = $2)")
+        .bind(&key.owner)
+        .bind(&key.key)
+        .fetch_one(connection)
+        .await?;
+    if found { Err(StoreError::Repeated) } else { Ok(()) }
 }
 
 /// Records the answer in the transaction in which the request was done, and deletes old ones.
 pub(super) async fn record(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     key: Option<&IdempotencyKey>,
     answer: impl FnOnce() -> Created,
     now: Timestamp,
@@ -57,20 +56,18 @@ pub(super) async fn record(
     let Some(key) = key else { return Ok(()) };
     let answer = answer();
     let oldest = now.checked_sub(KEPT_HOURS.hours()).unwrap_or(Timestamp::MIN);
-    sqlx::query("DELETE FROM idempotency_keys WHERE created_us < ?")
+    sql("DELETE FROM idempotency_keys WHERE created_us < $1")
         .bind(us(oldest))
         .execute(&mut *connection)
         .await?;
-    sqlx::query(
-        "INSERT INTO idempotency_keys (owner, key, fingerprint, status, location, etag, body, created_us)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-    )
+    sql("INSERT INTO idempotency_keys (owner, key, fingerprint, status, location, etag, body, created_us)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8)")
     .bind(&key.owner)
     .bind(&key.key)
     .bind(key.fingerprint.as_str())
     .bind(i64::from(answer.status))
     .bind(&answer.location)
-    .bind(&answer.etag)
+    .bind(answer.etag.as_deref())
     .bind(&answer.body)
     .bind(us(now))
     .execute(connection)
@@ -85,22 +82,22 @@ impl Store {
     /// The store's failures.
     pub async fn is_still_there(&self, location: &str) -> Result<bool, StoreError> {
         let parts: Vec<&str> = location.trim_matches('/').split('/').collect();
-        let (query, keys): (&'static str, &[&str]) = match parts.as_slice() {
-            ["v1", "rigs", rig] => ("SELECT EXISTS (SELECT 1 FROM rigs WHERE id = ?)", &[rig]),
-            ["v1", "jobs", job] => ("SELECT EXISTS (SELECT 1 FROM jobs WHERE id = ?)", &[job]),
+        let (asked, keys): (&'static str, &[&str]) = match parts.as_slice() {
+            ["v1", "rigs", rig] => ("SELECT EXISTS (SELECT 1 FROM rigs WHERE id = $1)", &[rig]),
+            ["v1", "jobs", job] => ("SELECT EXISTS (SELECT 1 FROM jobs WHERE id = $1)", &[job]),
             ["v1", "rigs", rig, "runs", run] => {
-                ("SELECT EXISTS (SELECT 1 FROM runs WHERE rig = ? AND id = ?)", &[rig, run])
+                ("SELECT EXISTS (SELECT 1 FROM runs WHERE rig = $1 AND id = $2)", &[rig, run])
             }
             ["v1", "rigs", rig, "models", version] => (
-                "SELECT EXISTS (SELECT 1 FROM models WHERE rig = ? AND version = CAST(? AS INTEGER))",
+                "SELECT EXISTS (SELECT 1 FROM models WHERE rig = $1 AND version = CAST($2 AS BIGINT))",
                 &[rig, version],
             ),
             ["v1", "tokens", token] => {
-                ("SELECT EXISTS (SELECT 1 FROM tokens WHERE id = ? AND revoked_us IS NULL)", &[token])
+                ("SELECT EXISTS (SELECT 1 FROM tokens WHERE id = $1 AND revoked_us IS NULL)", &[token])
             }
             _ => return Ok(true),
         };
-        let mut query = sqlx::query_scalar::<_, bool>(query);
+        let mut query = sql(asked);
         for key in keys {
             query = query.bind(*key);
         }
@@ -112,14 +109,13 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn answer_under_key(&self, owner: &str, key: &str) -> Result<Option<StoredAnswer>, StoreError> {
-        let row: Option<(String, u16, String, Option<String>, String)> = sqlx::query_as(
-            "SELECT fingerprint, status, location, etag, body FROM idempotency_keys
-             WHERE owner = ? AND key = ?",
-        )
-        .bind(owner)
-        .bind(key)
-        .fetch_optional(self.reader())
-        .await?;
+        let row: Option<(String, u16, String, Option<String>, String)> =
+            sql("SELECT fingerprint, status, location, etag, body FROM idempotency_keys
+             WHERE owner = $1 AND key = $2")
+            .bind(owner)
+            .bind(key)
+            .fetch_optional(self.reader())
+            .await?;
         Ok(row.map(|(fingerprint, status, location, etag, body)| StoredAnswer {
             fingerprint,
             answer: Created { status, location, etag, body },

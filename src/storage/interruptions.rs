@@ -6,6 +6,7 @@
 
 use jiff::Timestamp;
 
+use super::database::sql;
 use super::jobs::leave_running;
 use super::rows::{JobRow, all, us};
 use super::{Outcome, Store, StoreError};
@@ -21,11 +22,10 @@ impl Store {
     /// The store's failures.
     pub async fn requeue_interrupted(&self, now: Timestamp) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        let rows: Vec<JobRow> = sqlx::query_as(
-            "UPDATE jobs SET service_deaths = service_deaths + 1 WHERE state = 'running' RETURNING *",
-        )
-        .fetch_all(&mut *tx)
-        .await?;
+        let rows: Vec<JobRow> =
+            sql("UPDATE jobs SET service_deaths = service_deaths + 1 WHERE state = 'running' RETURNING *")
+                .fetch_all(&mut *tx)
+                .await?;
         let mut ids = Vec::with_capacity(rows.len());
         for row in rows {
             let deaths = row.service_deaths;
@@ -58,7 +58,7 @@ impl Store {
     ) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write_with_reserve().await?;
         let rows: Vec<JobRow> =
-            sqlx::query_as("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= ? ORDER BY id")
+            sql("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= $1 ORDER BY id")
                 .bind(us(expired_at))
                 .fetch_all(&mut *tx)
                 .await?;

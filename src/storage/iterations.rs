@@ -6,6 +6,7 @@ use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::database::sql;
 use super::jobs::{insert_requested, refusal, succeed};
 use super::objects::{ObjectWrite, off_thread, to_the_end};
 use super::prepare::NewRun;
@@ -203,11 +204,11 @@ impl Store {
         }
         let run = insert_row(&mut tx, rig, &row, now).await?;
         let id = new_id(now);
-        let inserted = sqlx::query(
+        let inserted = sql(
             "INSERT INTO iterations (id, rig, job, version, model_sha256, run, request, report, elapsed_s,
                                      created_us)
-             SELECT ?1, rig, id, ?2, ?3, ?4, ?5, ?6, ?7, ?8 FROM jobs
-             WHERE id = ?9 AND rig = ?10 AND state = 'running' AND lease_token = ?11",
+             SELECT $1, rig, id, $2, $3, $4, $5, $6, $7, $8 FROM jobs
+             WHERE id = $9 AND rig = $10 AND state = 'running' AND lease_token = $11",
         )
         .bind(id.to_string())
         .bind(iteration.model.version)
@@ -222,7 +223,7 @@ impl Store {
         .bind(int(lease.token))
         .execute(&mut *tx)
         .await?;
-        if inserted.rows_affected() == 0 {
+        if inserted == 0 {
             return Ok(None);
         }
         let result = JobResult {
@@ -247,7 +248,7 @@ impl Store {
         page: &PageRequest,
     ) -> Result<Option<Page<IterationSummary>>, StoreError> {
         let sql = "SELECT iterations.*, (SELECT runs.id FROM runs WHERE runs.id = iterations.run) AS drive
-                   FROM iterations WHERE rig = ?1 AND (?2 IS NULL OR id < ?2) ORDER BY id DESC LIMIT ?3";
+                   FROM iterations WHERE rig = $1 AND ($2 IS NULL OR id < $2) ORDER BY id DESC LIMIT $3";
         let found =
             self.newest::<IterationRow, StoredIteration>(sql, rig, page, |one| one.summary.id.to_string());
         Ok(found.await?.map(|page| page.map(|one| one.summary)))
@@ -262,14 +263,13 @@ impl Store {
         rig: &RigId,
         id: IterationId,
     ) -> Result<Option<StoredIteration>, StoreError> {
-        let row: Option<IterationRow> = sqlx::query_as(
-            "SELECT iterations.*, (SELECT runs.id FROM runs WHERE runs.id = iterations.run) AS drive
-             FROM iterations WHERE rig = ? AND id = ?",
-        )
-        .bind(rig.as_str())
-        .bind(id.to_string())
-        .fetch_optional(self.reader())
-        .await?;
+        let row: Option<IterationRow> =
+            sql("SELECT iterations.*, (SELECT runs.id FROM runs WHERE runs.id = iterations.run) AS drive
+             FROM iterations WHERE rig = $1 AND id = $2")
+            .bind(rig.as_str())
+            .bind(id.to_string())
+            .fetch_optional(self.reader())
+            .await?;
         row.map(StoredIteration::try_from).transpose()
     }
 }

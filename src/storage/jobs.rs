@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 
 use jiff::Timestamp;
 use serde::Serialize;
-use sqlx::SqliteConnection;
 
+use super::database::{Session, sql};
 use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
@@ -118,7 +118,7 @@ pub(super) enum JobOrigin {
 
 /// Queues a job of an existing rig for a token.
 pub(super) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     kind: JobKind,
     request: &impl Serialize,
@@ -130,29 +130,28 @@ pub(super) async fn insert(
         JobOrigin::Request => Urgency::of_request(kind),
         JobOrigin::Policy => Urgency::Background,
     };
-    let row: JobRow = sqlx::query_as(
-        "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us, owner, urgency)
-         VALUES (?, ?, ?, 'queued', ?, ?, ?, ?, ?) RETURNING *",
-    )
-    .bind(new_id(now).to_string())
-    .bind(rig.as_str())
-    .bind(kind.as_str())
-    .bind(match origin {
-        JobOrigin::Request => "request",
-        JobOrigin::Policy => "policy",
-    })
-    .bind(json(request))
-    .bind(us(now))
-    .bind(owner(token))
-    .bind(urgency as i64)
-    .fetch_one(connection)
-    .await?;
+    let row: JobRow =
+        sql("INSERT INTO jobs (id, rig, kind, state, origin, request, created_us, owner, urgency)
+         VALUES ($1, $2, $3, 'queued', $4, $5, $6, $7, $8) RETURNING *")
+        .bind(new_id(now).to_string())
+        .bind(rig.as_str())
+        .bind(kind.as_str())
+        .bind(match origin {
+            JobOrigin::Request => "request",
+            JobOrigin::Policy => "policy",
+        })
+        .bind(json(request))
+        .bind(us(now))
+        .bind(owner(token))
+        .bind(urgency as i64)
+        .fetch_one(connection)
+        .await?;
     row.try_into()
 }
 
 /// Why a job that a client asks for is not queued, if there is a reason.
 pub(super) async fn refusal(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     asker: Asker,
     key: Option<&IdempotencyKey>,
@@ -161,18 +160,17 @@ pub(super) async fn refusal(
     if rig_in(&mut *connection, rig).await?.is_none() {
         return Ok(Some(JobInsert::MissingRig));
     }
-    let waiting: i64 = sqlx::query_scalar(
-        "SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = ? AND origin = 'request'",
-    )
-    .bind(owner(asker.token))
-    .fetch_one(connection)
-    .await?;
+    let waiting: i64 =
+        sql("SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = $1 AND origin = 'request'")
+            .bind(owner(asker.token))
+            .fetch_one(connection)
+            .await?;
     Ok((waiting >= int(asker.max_waiting)).then_some(JobInsert::TooManyWaiting))
 }
 
 /// Queues a job that a client asked for, and records the answer under its key.
 pub(super) async fn insert_requested<R: JobRequest>(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     request: &R,
     asker: Asker,
@@ -191,26 +189,25 @@ fn owner(token: Option<TokenId>) -> String {
 
 /// Ends a job with a result; `false` when the lease is lost.
 pub(super) async fn succeed(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     lease: &Lease,
     result: &JobResult,
     stage: &str,
     now: Timestamp,
 ) -> Result<bool, StoreError> {
     turns::charge(connection, lease, now).await?;
-    let done = sqlx::query(
-        "UPDATE jobs SET state = 'succeeded', result = ?3, stage = ?4, progress = 1, eta_s = NULL,
-                         finished_us = ?5, lease_until_us = NULL, event = event + 1
-         WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
-    )
-    .bind(lease.job.to_string())
-    .bind(int(lease.token))
-    .bind(json(result))
-    .bind(stage)
-    .bind(us(now))
-    .execute(connection)
-    .await?;
-    Ok(done.rows_affected() == 1)
+    let done =
+        sql("UPDATE jobs SET state = 'succeeded', result = $3, stage = $4, progress = 1, eta_s = NULL,
+                         finished_us = $5, lease_until_us = NULL, event = event + 1
+         WHERE id = $1 AND lease_token = $2 AND state = 'running'")
+        .bind(lease.job.to_string())
+        .bind(int(lease.token))
+        .bind(json(result))
+        .bind(stage)
+        .bind(us(now))
+        .execute(connection)
+        .await?;
+    Ok(done == 1)
 }
 
 impl Store {
@@ -240,7 +237,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn job(&self, id: JobId) -> Result<Option<Job>, StoreError> {
-        let row: Option<JobRow> = sqlx::query_as("SELECT * FROM jobs WHERE id = ?")
+        let row: Option<JobRow> = sql("SELECT * FROM jobs WHERE id = $1")
             .bind(id.to_string())
             .fetch_optional(self.reader())
             .await?;
@@ -252,13 +249,11 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Page<Job>, StoreError> {
-        let rows: Vec<JobRow> = sqlx::query_as(
-            "SELECT * FROM jobs
-             WHERE (?1 IS NULL OR id < ?1) AND (?2 IS NULL OR rig = ?2)
-               AND (?3 IS NULL OR state = ?3) AND (?4 IS NULL OR kind = ?4)
-               AND (?5 IS NULL OR rig IN (SELECT value FROM json_each(?5)))
-             ORDER BY id DESC LIMIT ?6",
-        )
+        let rows: Vec<JobRow> = sql("SELECT * FROM jobs
+             WHERE ($1 IS NULL OR id < $1) AND ($2 IS NULL OR rig = $2)
+               AND ($3 IS NULL OR state = $3) AND ($4 IS NULL OR kind = $4)
+               AND ($5 IS NULL OR rig IN (SELECT value FROM json_each($5)))
+             ORDER BY id DESC LIMIT $6")
         .bind(page.cursor.as_ref().map(|cursor| cursor.as_str()))
         .bind(query.rig.as_ref().map(RigId::as_str))
         .bind(query.state.map(JobState::as_str))
@@ -275,9 +270,8 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn count_jobs(&self) -> Result<Vec<(JobState, u64)>, StoreError> {
-        let counts: Vec<(String, i64)> = sqlx::query_as("SELECT state, count(*) FROM jobs GROUP BY state")
-            .fetch_all(self.reader())
-            .await?;
+        let counts: Vec<(String, i64)> =
+            sql("SELECT state, count(*) FROM jobs GROUP BY state").fetch_all(self.reader()).await?;
         let count = |state: JobState| {
             counts.iter().find(|(word, _)| word == state.as_str()).map_or(0, |(_, n)| n.unsigned_abs())
         };
@@ -295,26 +289,20 @@ impl Store {
 
     async fn cancel_row(&self, id: JobId, now: Timestamp) -> Result<CancelOutcome, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        sqlx::query(
-            "UPDATE jobs SET state = 'cancelled', cancel_requested = 1, finished_us = ?2, eta_s = NULL,
+        sql("UPDATE jobs SET state = 'cancelled', cancel_requested = 1, finished_us = $2, eta_s = NULL,
                              event = event + 1
-             WHERE id = ?1 AND state = 'queued'",
-        )
+             WHERE id = $1 AND state = 'queued'")
         .bind(id.to_string())
         .bind(us(now))
         .execute(&mut *tx)
         .await?;
-        sqlx::query(
-            "UPDATE jobs SET cancel_requested = 1, stage = 'cancelling', event = event + 1
-             WHERE id = ?1 AND state = 'running' AND cancel_requested = 0",
-        )
+        sql("UPDATE jobs SET cancel_requested = 1, stage = 'cancelling', event = event + 1
+             WHERE id = $1 AND state = 'running' AND cancel_requested = 0")
         .bind(id.to_string())
         .execute(&mut *tx)
         .await?;
-        let row: Option<JobRow> = sqlx::query_as("SELECT * FROM jobs WHERE id = ?")
-            .bind(id.to_string())
-            .fetch_optional(&mut *tx)
-            .await?;
+        let row: Option<JobRow> =
+            sql("SELECT * FROM jobs WHERE id = $1").bind(id.to_string()).fetch_optional(&mut *tx).await?;
         tx.commit().await?;
         match row {
             None => Ok(CancelOutcome::Missing),
@@ -336,13 +324,13 @@ impl Store {
     ) -> Result<Beat, StoreError> {
         let progress = if progress.is_finite() { progress.clamp(0.0, 1.0) } else { 0.0 };
         let mut tx = self.write_with_reserve().await?;
-        let held: Option<(i64, bool)> = sqlx::query_as(
-            "UPDATE jobs SET lease_until_us = ?3, progress = max(progress, ?4),
-                             service_deaths = CASE WHEN ?4 > furthest THEN 0 ELSE service_deaths END,
-                             furthest = max(furthest, ?4),
-                             stage = CASE WHEN cancel_requested THEN stage ELSE ?5 END,
+        let held: Option<(i64, bool)> = sql(
+            "UPDATE jobs SET lease_until_us = $3, progress = CASE WHEN $4 > progress THEN $4 ELSE progress END,
+                             service_deaths = CASE WHEN $4 > furthest THEN 0 ELSE service_deaths END,
+                             furthest = CASE WHEN $4 > furthest THEN $4 ELSE furthest END,
+                             stage = CASE WHEN cancel_requested <> 0 THEN stage ELSE $5 END,
                              event = event + 1
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'
+             WHERE id = $1 AND lease_token = $2 AND state = 'running'
              RETURNING started_us, cancel_requested",
         )
         .bind(lease.job.to_string())
@@ -355,7 +343,7 @@ impl Store {
         let Some((started_us, cancel_requested)) = held else { return Ok(Beat::Lost) };
         turns::charge(&mut tx, lease, now).await?;
         let elapsed_s = (us(now) - started_us) as f64 * 1e-6;
-        sqlx::query("UPDATE jobs SET eta_s = ?2 WHERE id = ?1")
+        sql("UPDATE jobs SET eta_s = $2 WHERE id = $1")
             .bind(lease.job.to_string())
             .bind(eta_s(progress, elapsed_s))
             .execute(&mut *tx)
@@ -378,7 +366,7 @@ impl Store {
     ) -> Result<bool, StoreError> {
         let mut tx = self.write_with_reserve().await?;
         let row: Option<JobRow> =
-            sqlx::query_as("SELECT * FROM jobs WHERE id = ? AND lease_token = ? AND state = 'running'")
+            sql("SELECT * FROM jobs WHERE id = $1 AND lease_token = $2 AND state = 'running'")
                 .bind(lease.job.to_string())
                 .bind(int(lease.token))
                 .fetch_optional(&mut *tx)
@@ -395,7 +383,7 @@ impl Store {
 /// Moves a running job to its next state. The caller holds the write transaction in which it read the
 /// job.
 pub(super) async fn leave_running(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     job: &Job,
     outcome: Outcome,
     now: Timestamp,
@@ -413,14 +401,14 @@ pub(super) async fn leave_running(
         Outcome::Retry(_) => (JobState::Queued, None, job.attempt),
     };
     debug_assert!(JobState::Running.may_become(state));
-    sqlx::query(
-        "UPDATE jobs SET state = ?2, problem = ?3, attempt = ?4, finished_us = ?5, eta_s = NULL,
-                         stage = CASE WHEN ?2 = 'failed' THEN stage ELSE NULL END,
-                         progress = CASE WHEN ?2 = 'queued' THEN 0 ELSE progress END,
-                         goes_on = (?2 = 'queued' AND ?6 AND service_deaths < ?7),
-                         queued_us = CASE WHEN ?2 = 'queued' AND ?8 THEN ?9 ELSE queued_us END,
+    sql(
+        "UPDATE jobs SET state = $2, problem = $3, attempt = $4, finished_us = $5, eta_s = NULL,
+                         stage = CASE WHEN $2 = 'failed' THEN stage ELSE NULL END,
+                         progress = CASE WHEN $2 = 'queued' THEN 0 ELSE progress END,
+                         goes_on = CASE WHEN $2 = 'queued' AND $6 <> 0 AND service_deaths < $7 THEN 1 ELSE 0 END,
+                         queued_us = CASE WHEN $2 = 'queued' AND $8 <> 0 THEN $9 ELSE queued_us END,
                          worker = NULL, lease_until_us = NULL, event = event + 1
-         WHERE id = ?1",
+         WHERE id = $1",
     )
     .bind(job.id.to_string())
     .bind(state.as_str())
@@ -466,19 +454,17 @@ mod tests {
         let id = queued(&store, 1).await[0].id.to_string();
         for from in JobState::ALL {
             for to in JobState::ALL {
-                let mut tx = store.write().await.unwrap();
                 let insert = format!(
                     "INSERT INTO jobs (id, rig, kind, state, origin, request, created_us)
                      SELECT 'x', rig, kind, '{}', origin, request, 0 FROM jobs WHERE id = '{id}'",
                     from.as_str()
                 );
-                sqlx::query(sqlx::AssertSqlSafe(insert)).execute(&mut *tx).await.unwrap();
-                let moved = sqlx::query("UPDATE jobs SET state = ? WHERE id = 'x'")
-                    .bind(to.as_str())
-                    .execute(&mut *tx)
-                    .await;
+                store.raw(insert).await.unwrap();
+                let moved =
+                    store.raw(format!("UPDATE jobs SET state = '{}' WHERE id = 'x'", to.as_str())).await;
                 assert_eq!(moved.is_ok(), from.may_become(to), "{from:?} -> {to:?}");
-                let touched = sqlx::query("UPDATE jobs SET event = 9 WHERE id = 'x'").execute(&mut *tx).await;
+                let touched = store.raw("UPDATE jobs SET event = 9 WHERE id = 'x'").await;
+                store.raw("DELETE FROM jobs WHERE id = 'x'").await.unwrap();
                 assert_eq!(
                     touched.is_ok(),
                     moved.is_ok() && !to.is_terminal() || moved.is_err() && !from.is_terminal()

@@ -1,5 +1,6 @@
 //! Errors of trainings by epoch, as jobs go on.
 
+use super::database::sql;
 use super::rows::int;
 use super::{Lease, Store, StoreError};
 use crate::domain::JobId;
@@ -15,7 +16,7 @@ impl Store {
         let job = lease.job.to_string();
         let mut tx = self.write_with_reserve().await?;
         let held: Option<i64> =
-            sqlx::query_scalar("SELECT 1 FROM jobs WHERE id = ? AND lease_token = ? AND state = 'running'")
+            sql("SELECT 1 FROM jobs WHERE id = $1 AND lease_token = $2 AND state = 'running'")
                 .bind(&job)
                 .bind(int(lease.token))
                 .fetch_optional(&mut *tx)
@@ -24,14 +25,14 @@ impl Store {
             return Ok(false);
         }
         if anew {
-            sqlx::query("DELETE FROM job_losses WHERE job = ?").bind(&job).execute(&mut *tx).await?;
+            sql("DELETE FROM job_losses WHERE job = $1").bind(&job).execute(&mut *tx).await?;
         }
         for loss in new {
             // An epoch that is done again after an interruption has the same errors.
-            sqlx::query(
-                "INSERT OR REPLACE INTO job_losses (job, stopped, seed, epoch, training, stopping)
-                 VALUES (?, ?, ?, ?, ?, ?)",
-            )
+            sql("INSERT INTO job_losses (job, stopped, seed, epoch, training, stopping)
+                 VALUES ($1, $2, $3, $4, $5, $6)
+                 ON CONFLICT (job, stopped, seed, epoch) DO UPDATE
+                 SET training = excluded.training, stopping = excluded.stopping")
             .bind(&job)
             .bind(loss.stopping.is_some())
             .bind(loss.seed.cast_signed())
@@ -50,13 +51,12 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn losses(&self, job: JobId) -> Result<Vec<Loss>, StoreError> {
-        let rows: Vec<(i64, i64, f64, Option<f64>)> = sqlx::query_as(
-            "SELECT seed, epoch, training, stopping FROM job_losses
-             WHERE job = ? ORDER BY stopped DESC, seed, epoch",
-        )
-        .bind(job.to_string())
-        .fetch_all(self.reader())
-        .await?;
+        let rows: Vec<(i64, i64, f64, Option<f64>)> =
+            sql("SELECT seed, epoch, training, stopping FROM job_losses
+             WHERE job = $1 ORDER BY stopped DESC, seed, epoch")
+            .bind(job.to_string())
+            .fetch_all(self.reader())
+            .await?;
         let loss = |(seed, epoch, training, stopping): (i64, i64, f64, Option<f64>)| Loss {
             seed: seed.cast_unsigned(),
             epoch: usize::try_from(epoch).unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! The schema's history: each file of `migrations/`, compiled in.
+//! The schema's history on either database: each file of `migrations/`, compiled in.
 
 use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
@@ -22,9 +22,21 @@ const MIGRATIONS: &[(i64, &str, &str)] = &[
     (18, "job_losses", include_str!("../../migrations/0018_job_losses.sql")),
 ];
 
-/// Migrations up to this number.
+/// The same of `migrations/postgres/`, whose first one makes what all of before make in SQLite.
+const POSTGRES: &[(i64, &str, &str)] =
+    &[(18, "registry", include_str!("../../migrations/postgres/0018_registry.sql"))];
+
+/// Migrations of SQLite up to this number.
 pub(super) fn up_to(last: i64) -> Migrator {
-    let wanted = MIGRATIONS.iter().filter(|(version, ..)| *version <= last);
+    migrator(MIGRATIONS.iter().filter(|(version, ..)| *version <= last))
+}
+
+/// All migrations of PostgreSQL.
+pub(super) fn postgres() -> Migrator {
+    migrator(POSTGRES.iter())
+}
+
+fn migrator(wanted: impl Iterator<Item = &'static (i64, &'static str, &'static str)>) -> Migrator {
     let migrations = wanted.map(|&(version, name, sql)| {
         Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
     });
@@ -42,17 +54,21 @@ mod tests {
 
     #[test]
     fn the_list_is_what_the_folder_holds() {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/migrations");
-        let mut files: Vec<String> = std::fs::read_dir(folder)
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
-        files.sort();
-        let listed: Vec<String> =
-            MIGRATIONS.iter().map(|(version, name, _)| format!("{version:04}_{name}.sql")).collect();
-        assert_eq!(listed, files);
-        for (number, file) in MIGRATIONS.iter().zip(&files) {
-            assert_eq!(number.2, std::fs::read_to_string(format!("{folder}/{file}")).unwrap(), "{file}");
+        for (folder, list) in [("migrations", MIGRATIONS), ("migrations/postgres", POSTGRES)] {
+            let folder = format!("{}/{folder}", env!("CARGO_MANIFEST_DIR"));
+            let mut files: Vec<String> = std::fs::read_dir(&folder)
+                .unwrap()
+                .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+                .filter(|name| name.ends_with(".sql"))
+                .collect();
+            files.sort();
+            let listed: Vec<String> =
+                list.iter().map(|(version, name, _)| format!("{version:04}_{name}.sql")).collect();
+            assert_eq!(listed, files);
+            for (number, file) in list.iter().zip(&files) {
+                assert_eq!(number.2, std::fs::read_to_string(format!("{folder}/{file}")).unwrap(), "{file}");
+            }
+            assert_eq!(list.last().unwrap().0, latest(), "both databases have the same schema");
         }
     }
 }

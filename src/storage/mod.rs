@@ -1,4 +1,4 @@
-//! The store: rows in SQLite, signals and weights as objects named by their SHA-256, on the local disk or in a bucket.
+//! The store: rows in SQLite or PostgreSQL, signals and weights as objects named by their SHA-256, on the local disk or in a bucket.
 //!
 //! Every SQL string of the program is in this folder. A missing row is `None`, a failure is `Err`. An
 //! update says whether it found its row in the expected state.
@@ -8,6 +8,7 @@ pub mod backup;
 mod bucket;
 mod checkpoints;
 mod corruption;
+mod database;
 mod diagnoses;
 mod drift;
 mod error;
@@ -48,6 +49,7 @@ mod write;
 pub use bucket::BucketSettings;
 pub use checkpoints::Checkpoint;
 pub use corruption::CorruptObject;
+pub use database::postgres::PostgresSettings;
 pub use diagnoses::NewDiagnosis;
 pub use error::{Acknowledged, StoreError};
 pub use evaluations::NewEvaluation;
@@ -61,7 +63,7 @@ pub use prepare::{PrepareError, PreparedRun};
 pub use rigs::{RigAtAGlance, RigUpdate};
 pub use runs::{RunInsert, RunQuery, RunUpdate};
 pub use samples::StoredSamples;
-pub use store::Store;
+pub use store::{Store, StoreSettings};
 pub use studies::{NewStudy, STUDY_PART};
 pub use tokens::{TokenInsert, TokenTable};
 pub use usage::Usage;

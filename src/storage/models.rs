@@ -3,8 +3,8 @@
 use bytes::Bytes;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::SqliteConnection;
 
+use super::database::{On, Session, sql};
 use super::fit_records::insert_record;
 use super::jobs::succeed;
 use super::objects::{ObjectWrite, to_the_end};
@@ -98,7 +98,7 @@ pub enum ModelDelete {
 macro_rules! select_models {
     ($rest:literal) => {
         concat!(
-            "SELECT models.*, coalesce(rigs.active_version = models.version, 0) AS active
+            "SELECT models.*, CASE WHEN rigs.active_version = models.version THEN 1 ELSE 0 END AS active
              FROM models JOIN rigs ON rigs.id = models.rig ",
             $rest
         )
@@ -180,7 +180,7 @@ impl Store {
     ) -> Result<Option<Model>, StoreError> {
         let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &model.weights).await?;
         let rig: Option<String> =
-            sqlx::query_scalar("SELECT rig FROM jobs WHERE id = ? AND state = 'running' AND lease_token = ?")
+            sql("SELECT rig FROM jobs WHERE id = $1 AND state = 'running' AND lease_token = $2")
                 .bind(lease.job.to_string())
                 .bind(int(lease.token))
                 .fetch_optional(&mut *tx)
@@ -206,7 +206,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn model(&self, rig: &RigId, version: u32) -> Result<Option<Model>, StoreError> {
-        model_in(&mut *self.reader().acquire().await?, rig, version).await
+        model_in(self.reader(), rig, version).await
     }
 
     /// Model versions of a rig, oldest first; `None` when there is no such rig.
@@ -214,18 +214,18 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn models(&self, rig: &RigId, page: &PageRequest) -> Result<Option<Page<Model>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
+        let mut tx = self.snapshot().await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
         // A cursor that is no number belongs to another list: nothing comes after it.
         let after = page.cursor.as_ref().map_or(0, |c| c.as_str().parse().unwrap_or(i64::MAX));
         let rows: Vec<ModelRow> =
-            sqlx::query_as(select_models!("WHERE rig = ? AND version > ? ORDER BY version LIMIT ?"))
+            sql(select_models!("WHERE rig = $1 AND version > $2 ORDER BY version LIMIT $3"))
                 .bind(rig.as_str())
                 .bind(after)
                 .bind(i64::from(page.limit) + 1)
-                .fetch_all(&mut *tx)
+                .fetch_all(&mut tx)
                 .await?;
         Ok(Some(Page::cut(all(rows)?, page.limit, |model: &Model| model.version.to_string())))
     }
@@ -236,7 +236,7 @@ impl Store {
     /// The store's failures.
     pub async fn models_before(&self, rig: &RigId, version: u32) -> Result<Vec<Model>, StoreError> {
         let rows: Vec<ModelRow> =
-            sqlx::query_as(select_models!("WHERE rig = ? AND version < ? ORDER BY version DESC LIMIT 8"))
+            sql(select_models!("WHERE rig = $1 AND version < $2 ORDER BY version DESC LIMIT 8"))
                 .bind(rig.as_str())
                 .bind(version)
                 .fetch_all(self.reader())
@@ -250,15 +250,18 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn validation_errors(&self, limit: u32) -> Result<Vec<(String, Vec<Option<f64>>)>, StoreError> {
-        let rows: Vec<(String, sqlx::types::Json<Vec<Option<f64>>>)> = sqlx::query_as(
-            "SELECT rigs.id, json_extract(report, '$.validation_rms') FROM rigs
+        let rows: Vec<(String, String)> =
+            sql("SELECT rigs.id, json_extract(report, '$.validation_rms') FROM rigs
              JOIN models ON models.rig = rigs.id AND models.version = rigs.active_version
-             WHERE json_extract(report, '$.validation_rms') IS NOT NULL ORDER BY rigs.id LIMIT ?",
-        )
-        .bind(limit)
-        .fetch_all(self.reader())
-        .await?;
-        Ok(rows.into_iter().map(|(rig, errors)| (rig, errors.0)).collect())
+             WHERE json_extract(report, '$.validation_rms') IS NOT NULL ORDER BY rigs.id LIMIT $1")
+            .bind(limit)
+            .fetch_all(self.reader())
+            .await?;
+        let errors = |(rig, errors): (String, String)| match serde_json::from_str(&errors) {
+            Ok(errors) => Ok((rig, errors)),
+            Err(error) => Err(StoreError::Row { table: "models", key: rig, what: error.to_string() }),
+        };
+        rows.into_iter().map(errors).collect()
     }
 
     /// The weight file of a model, verified.
@@ -283,7 +286,7 @@ impl Store {
         if model.active {
             return Ok(ModelDelete::Active);
         }
-        sqlx::query("DELETE FROM models WHERE rig = ? AND version = ?")
+        sql("DELETE FROM models WHERE rig = $1 AND version = $2")
             .bind(rig.as_str())
             .bind(version)
             .execute(&mut *tx)
@@ -298,7 +301,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn active_model(&self, rig: &RigId) -> Result<Option<ActiveModel>, StoreError> {
-        active_in(&mut *self.reader().acquire().await?, rig).await
+        active_in(self.reader(), rig).await
     }
 
     /// Makes `version` (or none) the active model if the pointer still has the `ETag` that the
@@ -346,34 +349,27 @@ impl Store {
     }
 }
 
-async fn model_in(
-    connection: &mut SqliteConnection,
-    rig: &RigId,
-    version: u32,
-) -> Result<Option<Model>, StoreError> {
-    let row: Option<ModelRow> = sqlx::query_as(select_models!("WHERE rig = ? AND version = ?"))
+async fn model_in<'a>(on: impl Into<On<'a>>, rig: &RigId, version: u32) -> Result<Option<Model>, StoreError> {
+    let row: Option<ModelRow> = sql(select_models!("WHERE rig = $1 AND version = $2"))
         .bind(rig.as_str())
         .bind(version)
-        .fetch_optional(connection)
+        .fetch_optional(on)
         .await?;
     row.map(Model::try_from).transpose()
 }
 
-async fn active_in(
-    connection: &mut SqliteConnection,
-    rig: &RigId,
-) -> Result<Option<ActiveModel>, StoreError> {
+async fn active_in<'a>(on: impl Into<On<'a>>, rig: &RigId) -> Result<Option<ActiveModel>, StoreError> {
     let row: Option<(Option<u32>, i64)> =
-        sqlx::query_as("SELECT active_version, active_revision FROM rigs WHERE id = ?")
+        sql("SELECT active_version, active_revision FROM rigs WHERE id = $1")
             .bind(rig.as_str())
-            .fetch_optional(connection)
+            .fetch_optional(on)
             .await?;
     Ok(row.map(|(version, revision)| ActiveModel { version, revision: revision.unsigned_abs() }))
 }
 
 /// Applies a decision about the active model; tells whether the version is the active one now.
 async fn activate(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     version: u32,
     activation: &Activation,
@@ -383,7 +379,7 @@ async fn activate(
         Activation::Leave => false,
         Activation::Always => true,
         Activation::IfStill(expected) => {
-            active_in(connection, rig).await?.is_some_and(|current| current.version == *expected)
+            active_in(&mut *connection, rig).await?.is_some_and(|current| current.version == *expected)
         }
     };
     Ok(wanted && point(connection, rig, Some(version), now).await?.is_some())
@@ -391,15 +387,13 @@ async fn activate(
 
 /// Points the rig at a version; `None` when the rig is gone.
 async fn point(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     version: Option<u32>,
     now: Timestamp,
 ) -> Result<Option<ActiveModel>, StoreError> {
-    sqlx::query(
-        "UPDATE rigs SET active_version = ?2, active_us = ?3, active_revision = active_revision + 1
-         WHERE id = ?1",
-    )
+    sql("UPDATE rigs SET active_version = $2, active_us = $3, active_revision = active_revision + 1
+         WHERE id = $1")
     .bind(rig.as_str())
     .bind(version)
     .bind(us(now))
@@ -411,7 +405,7 @@ async fn point(
 /// Adds a model of a job under the rig's next number, and applies the decision about the active model: the version,
 /// and whether it is active. `None` when there is no such rig.
 pub(super) async fn insert_published(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     digest: &Digest,
     model: &NewModel,
@@ -425,25 +419,22 @@ pub(super) async fn insert_published(
 
 /// Adds a row under the rig's next number; `None` when there is no such rig.
 async fn insert_row(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     digest: &Digest,
     model: &NewModel,
     now: Timestamp,
 ) -> Result<Option<u32>, StoreError> {
-    let version: Option<u32> = sqlx::query_scalar(
-        "UPDATE rigs SET next_version = next_version + 1 WHERE id = ? RETURNING next_version - 1",
-    )
-    .bind(rig.as_str())
-    .fetch_optional(&mut *connection)
-    .await?;
+    let version: Option<u32> =
+        sql("UPDATE rigs SET next_version = next_version + 1 WHERE id = $1 RETURNING next_version - 1")
+            .bind(rig.as_str())
+            .fetch_optional(&mut *connection)
+            .await?;
     let Some(version) = version else { return Ok(None) };
-    sqlx::query(
-        "INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes,
+    sql("INSERT INTO models (rig, version, kind, inputs, outputs, sample_rate_hz, sha256, size_bytes,
                              origin, job, request, report, lineage, code_version, instruction_set,
                              created_us, adoption, frf)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18)")
     .bind(rig.as_str())
     .bind(version)
     .bind(word(&model.kind))

@@ -15,6 +15,7 @@ use tokio::sync::RwLockReadGuard;
 
 use super::bucket::Bucket;
 use super::corruption::CorruptObjects;
+use super::database::{Pool, Session, postgres, sql};
 use super::files::{self, failed};
 use super::object_file::ObjectFile;
 use super::store::SCRATCH;
@@ -384,7 +385,7 @@ async fn join<T>(task: tokio::task::JoinHandle<Result<T, StoreError>>) -> Result
 }
 
 /// A write transaction whose rows refer to an object that was just stored. No object is removed before
-/// it ends.
+/// it ends, by whichever process.
 pub(super) struct ObjectWrite<'a> {
     pub(super) gate: RwLockReadGuard<'a, ()>,
     pub(super) tx: Write,
@@ -397,16 +398,43 @@ impl Store {
         digest: &Digest,
         bytes: &Bytes,
     ) -> Result<ObjectWrite<'_>, StoreError> {
-        let gate = self.objects_gate().read().await;
+        let (gate, held) = self.hold_objects().await?;
         self.objects().put(digest, bytes.clone()).await?;
-        Ok(ObjectWrite { gate, tx: self.write().await? })
+        self.write_held(gate, held).await
     }
 
     /// As [`Store::write_object`], for an object in a file.
     pub(super) async fn write_object_file(&self, file: ObjectFile) -> Result<ObjectWrite<'_>, StoreError> {
-        let gate = self.objects_gate().read().await;
+        let (gate, held) = self.hold_objects().await?;
         self.objects().put_file(file).await?;
-        Ok(ObjectWrite { gate, tx: self.write().await? })
+        self.write_held(gate, held).await
+    }
+
+    /// Keeps every object from being removed; with a shared registry by a transaction in which the rows are written
+    /// later, so that a lost connection loses both.
+    async fn hold_objects(&self) -> Result<(RwLockReadGuard<'_, ()>, Option<Session>), StoreError> {
+        let gate = self.objects_gate().read().await;
+        let held = match self.writer() {
+            Pool::Sqlite(_) => None,
+            Pool::Postgres(pool) => {
+                let mut held = Session::Postgres(pool.begin().await?);
+                postgres::keep_objects(&mut held).await?;
+                Some(held)
+            }
+        };
+        Ok((gate, held))
+    }
+
+    /// Begins the write that an object was stored for.
+    async fn write_held<'a>(
+        &'a self,
+        gate: RwLockReadGuard<'a, ()>,
+        held: Option<Session>,
+    ) -> Result<ObjectWrite<'a>, StoreError> {
+        let Some(mut held) = held else { return Ok(ObjectWrite { gate, tx: self.write().await? }) };
+        self.check_room()?;
+        postgres::write_alone(&mut held).await?;
+        Ok(ObjectWrite { gate, tx: Write::of(self, held) })
     }
 
     /// Awaits a write of an object and of its row, and removes the object again if `made` says that no
@@ -428,6 +456,13 @@ impl Store {
     /// is only logged, because the next start removes the files, and an orderly stop those of a bucket.
     pub(super) async fn discard_unreferenced(&self, digests: Vec<String>) {
         let _alone = self.objects_gate().write().await;
+        let _alone_of_all = match self.remove_objects_alone().await {
+            Ok(session) => session,
+            Err(error) => {
+                tracing::warn!(%error, "unreferenced objects were left behind");
+                return;
+            }
+        };
         for digest in digests {
             let removed = match self.is_referenced(&digest).await {
                 Ok(true) => continue,
@@ -444,22 +479,28 @@ impl Store {
         }
     }
 
+    /// With a shared registry, a transaction that keeps the other processes from storing objects.
+    async fn remove_objects_alone(&self) -> Result<Option<Session>, StoreError> {
+        let Pool::Postgres(pool) = self.writer() else { return Ok(None) };
+        let mut session = Session::Postgres(pool.begin().await?);
+        postgres::remove_objects(&mut session).await?;
+        Ok(Some(session))
+    }
+
     async fn is_referenced(&self, digest: &str) -> Result<bool, StoreError> {
-        let found: i64 = sqlx::query_scalar(
-            "SELECT EXISTS (SELECT 1 FROM runs WHERE object = ?1)
-                 OR EXISTS (SELECT 1 FROM models WHERE sha256 = ?1)
-                 OR EXISTS (SELECT 1 FROM diagnoses WHERE findings = ?1)
-                 OR EXISTS (SELECT 1 FROM evaluations WHERE report = ?1)",
-        )
+        let found: bool = sql("SELECT EXISTS (SELECT 1 FROM runs WHERE object = $1)
+                 OR EXISTS (SELECT 1 FROM models WHERE sha256 = $1)
+                 OR EXISTS (SELECT 1 FROM diagnoses WHERE findings = $1)
+                 OR EXISTS (SELECT 1 FROM evaluations WHERE report = $1)")
         .bind(digest)
         .fetch_one(self.reader())
         .await?;
-        Ok(found != 0)
+        Ok(found)
     }
 
     /// Names of all objects that rows refer to.
     async fn referenced(&self) -> Result<BTreeSet<String>, StoreError> {
-        let rows: Vec<String> = sqlx::query_scalar(REFERENCED).fetch_all(self.reader()).await?;
+        let rows: Vec<String> = sql(REFERENCED).fetch_all(self.reader()).await?;
         Ok(rows.into_iter().collect())
     }
 
@@ -475,6 +516,14 @@ impl Store {
         })
         .await?;
         self.fill_bucket(&wanted).await
+    }
+
+    /// Removes the local copies of objects that no row names. For a start on a shared registry, whose objects are all in
+    /// the bucket.
+    pub(super) async fn sweep_copies(&self) -> Result<(), StoreError> {
+        let (wanted, objects) = (self.referenced().await?, self.objects().clone());
+        off_thread(move || objects.retain(&wanted)).await?;
+        self.objects().make_room("").await
     }
 
     /// Stores those of `wanted` in the bucket that only the local disk has: all of them when a bucket is new.

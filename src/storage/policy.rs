@@ -6,9 +6,9 @@
 //! rounds.
 
 use jiff::Timestamp;
-use sqlx::SqliteConnection;
 
 use super::StoreError;
+use super::database::{Session, sql};
 use super::jobs::{JobOrigin, insert};
 use super::rows::json;
 use crate::domain::fits::FitRequest;
@@ -47,7 +47,7 @@ impl<'a> Decision<'a> {
 /// Applies the rig's policy to a run that a token has just added; its jobs are the token's. Gives the jobs that it queued or joined, and a
 /// sentence: the reason for no jobs, or the number of fits.
 pub(super) async fn after_run(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &Rig,
     run: &Run,
     token: Option<TokenId>,
@@ -70,7 +70,7 @@ pub(super) async fn after_run(
 
 /// What the rig's policy makes of a run; changes nothing.
 pub(super) async fn decide<'a>(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &'a Rig,
     run: &PolicyRun,
 ) -> Result<Decision<'a>, StoreError> {
@@ -99,15 +99,13 @@ pub(super) async fn decide<'a>(
 
 /// The job of the rig's policy that is queued for this fit.
 async fn queued(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     fit: &FitRequest,
 ) -> Result<Option<JobId>, StoreError> {
-    let id: Option<String> = sqlx::query_scalar(
-        "SELECT id FROM jobs
-         WHERE rig = ? AND state = 'queued' AND origin = 'policy' AND request = ?
-         ORDER BY id LIMIT 1",
-    )
+    let id: Option<String> = sql("SELECT id FROM jobs
+         WHERE rig = $1 AND state = 'queued' AND origin = 'policy' AND request = $2
+         ORDER BY id LIMIT 1")
     .bind(rig.as_str())
     .bind(json(fit))
     .fetch_optional(connection)
@@ -161,17 +159,11 @@ fn outcome(new: usize, joined: usize, queued: &str) -> String {
 }
 
 /// Seconds of the rig's training runs of these kinds, each measurement once.
-async fn total(
-    connection: &mut SqliteConnection,
-    rig: &RigId,
-    policy: &FitPolicy,
-) -> Result<f64, StoreError> {
+async fn total(connection: &mut Session, rig: &RigId, policy: &FitPolicy) -> Result<f64, StoreError> {
     let kinds: Vec<&str> = policy.kinds.iter().copied().map(RunKind::as_str).collect();
-    let total_s: f64 = sqlx::query_scalar(
-        "SELECT total(duration_s) FROM runs
-         WHERE rig = ? AND split = 'training' AND duplicate_of IS NULL
-           AND kind IN (SELECT value FROM json_each(?))",
-    )
+    let total_s: f64 = sql("SELECT coalesce(sum(duration_s), 0.0) FROM runs
+         WHERE rig = $1 AND split = 'training' AND duplicate_of IS NULL
+           AND kind IN (SELECT value FROM json_each($2))")
     .bind(rig.as_str())
     .bind(json(&kinds))
     .fetch_one(connection)

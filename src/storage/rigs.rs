@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use jiff::Timestamp;
 use serde_json::Value;
-use sqlx::SqliteConnection;
 
+use super::database::{On, sql};
 use super::reserve::with_reserve;
 use super::rows::{RigRow, all, json, us};
 use super::{IdempotencyKey, Store, StoreError, idempotency};
@@ -45,11 +45,9 @@ pub(super) fn if_match(header: &str, etag: &str) -> bool {
 }
 
 /// The rig of this id, as the transaction sees it.
-pub(super) async fn rig_in(connection: &mut SqliteConnection, id: &RigId) -> Result<Option<Rig>, StoreError> {
-    let row: Option<RigRow> = sqlx::query_as("SELECT * FROM rigs WHERE id = ?")
-        .bind(id.as_str())
-        .fetch_optional(connection)
-        .await?;
+pub(super) async fn rig_in<'a>(on: impl Into<On<'a>>, id: &RigId) -> Result<Option<Rig>, StoreError> {
+    let row: Option<RigRow> =
+        sql("SELECT * FROM rigs WHERE id = $1").bind(id.as_str()).fetch_optional(on).await?;
     row.map(Rig::try_from).transpose()
 }
 
@@ -68,12 +66,10 @@ impl Store {
         idempotency::check_unused(&mut tx, key).await?;
         // Revisions start at the present time, so that a rig that is deleted and created again never
         // repeats an `ETag` that a client may still hold.
-        let row: Option<RigRow> = sqlx::query_as(
-            "INSERT INTO rigs (id, name, sample_rate_hz, channels, fit_policy,
+        let row: Option<RigRow> = sql("INSERT INTO rigs (id, name, sample_rate_hz, channels, fit_policy,
                                created_us, updated_us, revision, active_revision)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?6, ?6, ?6)
-             ON CONFLICT (id) DO NOTHING RETURNING *",
-        )
+             VALUES ($1, $2, $3, $4, $5, $6, $6, $6, $6)
+             ON CONFLICT (id) DO NOTHING RETURNING *")
         .bind(draft.id.as_str())
         .bind(if draft.name.is_empty() { draft.id.as_str() } else { &draft.name })
         .bind(draft.sample_rate_hz)
@@ -93,7 +89,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn rig(&self, id: &RigId) -> Result<Option<Rig>, StoreError> {
-        rig_in(&mut *self.reader().acquire().await?, id).await
+        rig_in(self.reader(), id).await
     }
 
     /// Rigs by id; with `among` only those that it names.
@@ -105,11 +101,9 @@ impl Store {
         among: Option<&BTreeSet<RigId>>,
         page: &PageRequest,
     ) -> Result<Page<Rig>, StoreError> {
-        let rows: Vec<RigRow> = sqlx::query_as(
-            "SELECT * FROM rigs
-             WHERE id > ?1 AND (?2 IS NULL OR id IN (SELECT value FROM json_each(?2)))
-             ORDER BY id LIMIT ?3",
-        )
+        let rows: Vec<RigRow> = sql("SELECT * FROM rigs
+             WHERE id > $1 AND ($2 IS NULL OR id IN (SELECT value FROM json_each($2)))
+             ORDER BY id LIMIT $3")
         .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
         .bind(among.map(json))
         .bind(i64::from(page.limit) + 1)
@@ -127,17 +121,16 @@ impl Store {
         among: Option<&BTreeSet<RigId>>,
         page: &PageRequest,
     ) -> Result<Page<RigAtAGlance>, StoreError> {
-        let rows: Vec<(String, String, Option<u32>, Option<String>)> = sqlx::query_as(
-            "SELECT rigs.id, rigs.name, models.version, models.kind FROM rigs
+        let rows: Vec<(String, String, Option<u32>, Option<String>)> =
+            sql("SELECT rigs.id, rigs.name, models.version, models.kind FROM rigs
              LEFT JOIN models ON models.rig = rigs.id AND models.version = rigs.active_version
-             WHERE rigs.id > ?1 AND (?2 IS NULL OR rigs.id IN (SELECT value FROM json_each(?2)))
-             ORDER BY rigs.id LIMIT ?3",
-        )
-        .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
-        .bind(among.map(json))
-        .bind(i64::from(page.limit) + 1)
-        .fetch_all(self.reader())
-        .await?;
+             WHERE rigs.id > $1 AND ($2 IS NULL OR rigs.id IN (SELECT value FROM json_each($2)))
+             ORDER BY rigs.id LIMIT $3")
+            .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
+            .bind(among.map(json))
+            .bind(i64::from(page.limit) + 1)
+            .fetch_all(self.reader())
+            .await?;
         let rigs = rows.into_iter();
         let rigs = rigs.map(|(id, name, version, kind)| RigAtAGlance { id, name, active: version.zip(kind) });
         Ok(Page::cut(rigs.collect(), page.limit, |rig: &RigAtAGlance| rig.id.clone()))
@@ -167,10 +160,8 @@ impl Store {
         if !same_but_for_aliases(&draft.channels, &rig.channels) || draft.sample_rate_hz != rig.sample_rate_hz
         {
             // Models refer to the rig's channels as runs do.
-            let used: bool = sqlx::query_scalar(
-                "SELECT EXISTS (SELECT 1 FROM runs WHERE rig = ?1)
-                     OR EXISTS (SELECT 1 FROM models WHERE rig = ?1)",
-            )
+            let used: bool = sql("SELECT EXISTS (SELECT 1 FROM runs WHERE rig = $1)
+                     OR EXISTS (SELECT 1 FROM models WHERE rig = $1)")
             .bind(id.as_str())
             .fetch_one(&mut *tx)
             .await?;
@@ -178,19 +169,18 @@ impl Store {
                 return Ok(RigUpdate::ChannelsFixed);
             }
         }
-        let row: RigRow = sqlx::query_as(
-            "UPDATE rigs SET name = ?2, sample_rate_hz = ?3, channels = ?4, fit_policy = ?5,
-                             updated_us = ?6, revision = revision + 1
-             WHERE id = ?1 RETURNING *",
-        )
-        .bind(id.as_str())
-        .bind(if draft.name.is_empty() { id.as_str() } else { &draft.name })
-        .bind(draft.sample_rate_hz)
-        .bind(json(&draft.channels))
-        .bind(draft.fit_policy.as_ref().map(json))
-        .bind(us(now))
-        .fetch_one(&mut *tx)
-        .await?;
+        let row: RigRow =
+            sql("UPDATE rigs SET name = $2, sample_rate_hz = $3, channels = $4, fit_policy = $5,
+                             updated_us = $6, revision = revision + 1
+             WHERE id = $1 RETURNING *")
+            .bind(id.as_str())
+            .bind(if draft.name.is_empty() { id.as_str() } else { &draft.name })
+            .bind(draft.sample_rate_hz)
+            .bind(json(&draft.channels))
+            .bind(draft.fit_policy.as_ref().map(json))
+            .bind(us(now))
+            .fetch_one(&mut *tx)
+            .await?;
         tx.commit().await?;
         Ok(RigUpdate::Updated(row.try_into()?))
     }
@@ -206,19 +196,17 @@ impl Store {
 
     async fn delete_rig_rows(&self, id: &RigId) -> Result<bool, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        let objects: Vec<String> = sqlx::query_scalar(
-            "SELECT object FROM runs WHERE rig = ?1 UNION SELECT sha256 FROM models WHERE rig = ?1
-             UNION SELECT findings FROM diagnoses WHERE rig = ?1
-             UNION SELECT report FROM evaluations WHERE rig = ?1",
-        )
-        .bind(id.as_str())
-        .fetch_all(&mut *tx)
-        .await?;
-        let deleted =
-            sqlx::query("DELETE FROM rigs WHERE id = ?").bind(id.as_str()).execute(&mut *tx).await?;
+        let objects: Vec<String> =
+            sql("SELECT object FROM runs WHERE rig = $1 UNION SELECT sha256 FROM models WHERE rig = $1
+             UNION SELECT findings FROM diagnoses WHERE rig = $1
+             UNION SELECT report FROM evaluations WHERE rig = $1")
+            .bind(id.as_str())
+            .fetch_all(&mut *tx)
+            .await?;
+        let deleted = sql("DELETE FROM rigs WHERE id = $1").bind(id.as_str()).execute(&mut *tx).await?;
         tx.commit().await?;
         self.discard_unreferenced(objects).await;
-        Ok(deleted.rows_affected() > 0)
+        Ok(deleted > 0)
     }
 }
 

@@ -6,10 +6,9 @@
 use jiff::Timestamp;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
 
 use super::StoreError;
+use super::database::{FromRow, Row};
 use crate::domain::drift::DriftRow;
 use crate::domain::iteration::IterationReport;
 use crate::domain::{
@@ -101,17 +100,16 @@ pub(super) fn word(value: &impl Serialize) -> String {
     }
 }
 
-/// Defines a row, read from the columns of its fields' names. (The derive macro of sqlx does the same, but compiles
-/// SQLite a second time for the compiler's own use.)
+/// Defines a row, read from the columns of its fields' names.
 macro_rules! row {
     (struct $name:ident { $($visibility:vis $field:ident: $type:ty,)* }) => {
         pub(super) struct $name {
             $($visibility $field: $type,)*
         }
 
-        impl<'r> FromRow<'r, SqliteRow> for $name {
-            fn from_row(row: &'r SqliteRow) -> sqlx::Result<Self> {
-                Ok(Self { $($field: row.try_get(stringify!($field))?,)* })
+        impl FromRow for $name {
+            fn from_row(row: &Row) -> sqlx::Result<Self> {
+                Ok(Self { $($field: row.get(stringify!($field))?,)* })
             }
         }
     };

@@ -1,8 +1,8 @@
 //! Runs in the store.
 
 use jiff::Timestamp;
-use sqlx::SqliteConnection;
 
+use super::database::{On, Session, sql};
 use super::objects::{ObjectWrite, to_the_end};
 use super::policy::PolicyRun;
 use super::prepare::NewRun;
@@ -105,14 +105,14 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn outlook(&self, rig: &RigId, run: &PreparedRun) -> Result<Option<RunOutlook>, StoreError> {
-        let mut tx = self.reader().begin().await?;
+        let mut tx = self.snapshot().await?;
         let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(None) };
-        let original: Option<String> = sqlx::query_scalar(
-            "SELECT id FROM runs WHERE rig = ? AND sha256 = ? AND duplicate_of IS NULL ORDER BY id LIMIT 1",
+        let original: Option<String> = sql(
+            "SELECT id FROM runs WHERE rig = $1 AND sha256 = $2 AND duplicate_of IS NULL ORDER BY id LIMIT 1",
         )
         .bind(rig.id.as_str())
         .bind(&run.row.sha256)
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         let parse = |id: String| {
             let bad = |error: uuid::Error| StoreError::Row {
@@ -137,7 +137,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn run(&self, rig: &RigId, id: RunId) -> Result<Option<Run>, StoreError> {
-        run_in(&mut *self.reader().acquire().await?, rig, id).await
+        run_in(self.reader(), rig, id).await
     }
 
     /// Runs of a rig, oldest first; `None` when there is no such rig.
@@ -150,31 +150,29 @@ impl Store {
         query: &RunQuery,
         page: &PageRequest,
     ) -> Result<Option<Page<Run>>, StoreError> {
-        let mut tx = self.reader().begin().await?;
+        let mut tx = self.snapshot().await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }
-        let rows: Vec<RunRow> = sqlx::query_as(
-            "SELECT * FROM runs
-             WHERE rig = ?1 AND id > ?2
-               AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR split = ?4)
-               AND (?5 IS NULL OR EXISTS (SELECT 1 FROM json_each(tags) WHERE value = ?5))
-             ORDER BY id LIMIT ?6",
-        )
+        let rows: Vec<RunRow> = sql("SELECT * FROM runs
+             WHERE rig = $1 AND id > $2
+               AND ($3 IS NULL OR kind = $3) AND ($4 IS NULL OR split = $4)
+               AND ($5 IS NULL OR EXISTS (SELECT 1 FROM json_each(tags) WHERE value = $5))
+             ORDER BY id LIMIT $6")
         .bind(rig.as_str())
         .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
         .bind(query.kind.map(RunKind::as_str))
         .bind(query.split.map(Split::as_str))
         .bind(query.tag.as_deref())
         .bind(i64::from(page.limit) + 1)
-        .fetch_all(&mut *tx)
+        .fetch_all(&mut tx)
         .await?;
         Ok(Some(Page::cut(all(rows)?, page.limit, |run: &Run| run.id.to_string())))
     }
 
     /// All runs of a rig, oldest first, for selections.
     pub(crate) async fn all_runs(&self, rig: &RigId) -> Result<Vec<Run>, StoreError> {
-        let rows: Vec<RunRow> = sqlx::query_as("SELECT * FROM runs WHERE rig = ? ORDER BY id")
+        let rows: Vec<RunRow> = sql("SELECT * FROM runs WHERE rig = $1 ORDER BY id")
             .bind(rig.as_str())
             .fetch_all(self.reader())
             .await?;
@@ -199,10 +197,8 @@ impl Store {
                 return Ok(RunUpdate::FittedOn(versions));
             }
         }
-        let row: RunRow = sqlx::query_as(
-            "UPDATE runs SET name = ?2, kind = ?3, split = ?4, tags = ?5, started_us = ?6
-             WHERE id = ?1 RETURNING *",
-        )
+        let row: RunRow = sql("UPDATE runs SET name = $2, kind = $3, split = $4, tags = $5, started_us = $6
+             WHERE id = $1 RETURNING *")
         .bind(id.to_string())
         .bind(&meta.name)
         .bind(meta.kind.as_str())
@@ -227,7 +223,7 @@ impl Store {
         let mut tx = self.write_with_reserve().await?;
         let Some(run) = run_in(&mut tx, rig, id).await? else { return Ok(false) };
         promote_duplicate(&mut tx, id).await?;
-        sqlx::query("DELETE FROM runs WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
+        sql("DELETE FROM runs WHERE id = $1").bind(id.to_string()).execute(&mut *tx).await?;
         tx.commit().await?;
         self.discard_unreferenced(vec![run.object]).await;
         Ok(true)
@@ -251,65 +247,59 @@ impl Store {
     }
 }
 
-async fn run_in(
-    connection: &mut SqliteConnection,
-    rig: &RigId,
-    id: RunId,
-) -> Result<Option<Run>, StoreError> {
-    let row: Option<RunRow> = sqlx::query_as("SELECT * FROM runs WHERE rig = ? AND id = ?")
+async fn run_in<'a>(on: impl Into<On<'a>>, rig: &RigId, id: RunId) -> Result<Option<Run>, StoreError> {
+    let row: Option<RunRow> = sql("SELECT * FROM runs WHERE rig = $1 AND id = $2")
         .bind(rig.as_str())
         .bind(id.to_string())
-        .fetch_optional(connection)
+        .fetch_optional(on)
         .await?;
     row.map(Run::try_from).transpose()
 }
 
 pub(super) async fn insert_row(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     rig: &RigId,
     run: &NewRun,
     now: Timestamp,
 ) -> Result<Run, StoreError> {
     let RunMeta { name, kind, split, tags, started_at } = &run.meta;
-    let row: RunRow = sqlx::query_as(
-        "INSERT INTO runs (id, rig, name, kind, split, tags, started_us, created_us, channels, units,
+    let row: RunRow =
+        sql("INSERT INTO runs (id, rig, name, kind, split, tags, started_us, created_us, channels, units,
                            samples, duration_s, sample_rate_hz, sha256, object, quality, duplicate_of)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16,
-                 (SELECT id FROM runs WHERE rig = ?2 AND sha256 = ?14 AND duplicate_of IS NULL
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16,
+                 (SELECT id FROM runs WHERE rig = $2 AND sha256 = $14 AND duplicate_of IS NULL
                   ORDER BY id LIMIT 1))
-         RETURNING *",
-    )
-    .bind(new_id(now).to_string())
-    .bind(rig.as_str())
-    .bind(name)
-    .bind(kind.as_str())
-    .bind(split.as_str())
-    .bind(json(tags))
-    .bind(started_at.map(us))
-    .bind(us(now))
-    .bind(json(&run.channels))
-    .bind(json(&run.units))
-    .bind(int(run.samples))
-    .bind(run.duration_s)
-    .bind(run.sample_rate_hz)
-    .bind(&run.sha256)
-    .bind(run.object.as_str())
-    .bind(json(&run.quality))
-    .fetch_one(connection)
-    .await?;
+         RETURNING *")
+        .bind(new_id(now).to_string())
+        .bind(rig.as_str())
+        .bind(name)
+        .bind(kind.as_str())
+        .bind(split.as_str())
+        .bind(json(tags))
+        .bind(started_at.map(us))
+        .bind(us(now))
+        .bind(json(&run.channels))
+        .bind(json(&run.units))
+        .bind(int(run.samples))
+        .bind(run.duration_s)
+        .bind(run.sample_rate_hz)
+        .bind(&run.sha256)
+        .bind(run.object.as_str())
+        .bind(json(&run.quality))
+        .fetch_one(connection)
+        .await?;
     row.try_into()
 }
 
 /// When an original is deleted, its earliest duplicate takes its place, so that the measurement still
 /// counts once.
-async fn promote_duplicate(connection: &mut SqliteConnection, original: RunId) -> Result<(), StoreError> {
-    let heir: Option<String> =
-        sqlx::query_scalar("SELECT id FROM runs WHERE duplicate_of = ? ORDER BY id LIMIT 1")
-            .bind(original.to_string())
-            .fetch_optional(&mut *connection)
-            .await?;
+async fn promote_duplicate(connection: &mut Session, original: RunId) -> Result<(), StoreError> {
+    let heir: Option<String> = sql("SELECT id FROM runs WHERE duplicate_of = $1 ORDER BY id LIMIT 1")
+        .bind(original.to_string())
+        .fetch_optional(&mut *connection)
+        .await?;
     let Some(heir) = heir else { return Ok(()) };
-    sqlx::query("UPDATE runs SET duplicate_of = nullif(?2, id) WHERE duplicate_of = ?1")
+    sql("UPDATE runs SET duplicate_of = nullif($2, id) WHERE duplicate_of = $1")
         .bind(original.to_string())
         .bind(heir)
         .execute(connection)
@@ -318,16 +308,11 @@ async fn promote_duplicate(connection: &mut SqliteConnection, original: RunId) -
 }
 
 /// Model versions of the rig whose fit used the run's bytes, for training or validation.
-async fn fitted_on(
-    connection: &mut SqliteConnection,
-    rig: &RigId,
-    run: &Run,
-) -> Result<Vec<u32>, StoreError> {
-    let rows: Vec<(u32, String)> =
-        sqlx::query_as("SELECT version, lineage FROM models WHERE rig = ? ORDER BY version")
-            .bind(rig.as_str())
-            .fetch_all(connection)
-            .await?;
+async fn fitted_on(connection: &mut Session, rig: &RigId, run: &Run) -> Result<Vec<u32>, StoreError> {
+    let rows: Vec<(u32, String)> = sql("SELECT version, lineage FROM models WHERE rig = $1 ORDER BY version")
+        .bind(rig.as_str())
+        .fetch_all(connection)
+        .await?;
     let mut versions = Vec::new();
     for (version, lineage) in rows {
         let lineage: Lineage = serde_json::from_str(&lineage).map_err(|error| StoreError::Row {

@@ -5,18 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use sqlx::migrate::MigrateError;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{SqliteConnection, SqlitePool};
+use serde::{Deserialize, Serialize};
 use tokio::sync::RwLock;
 
 use super::bucket::{self, Bucket, BucketSettings};
-use super::error::sqlite_code;
+use super::database::{Pool, Session, postgres, sql, sqlite};
 use super::files::{self, failed, sync_directory};
 use super::journal::{self, Journal};
 use super::objects::off_thread;
 use super::reserve::Reserve;
-use super::{Objects, StoreError, migrations};
+use super::{Objects, PostgresSettings, StoreError};
 
 /// Name of the database in a data directory and in a backup.
 pub(super) const DATABASE: &str = "rigcast.db";
@@ -30,15 +28,14 @@ pub(super) const SCRATCH: &str = "scratch";
 /// How long a start waits for the lock of a process that is about to end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
 
-/// How long a statement waits for a lock of another process, such as a backup tool.
-pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Reads at once.
-const READERS: u32 = 8;
-
-/// Pages that each reader keeps, as SQLite's `cache_size`: KiB, negative. The system has the file in memory anyway, and
-/// SQLite's 2 MiB a reader would fill over weeks.
-const READER_CACHE: &str = "-256";
+/// Where a store is, beyond its data directory.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct StoreSettings {
+    /// Where the objects are; `None`: in the data directory.
+    pub bucket: Option<BucketSettings>,
+    /// Where the registry is; `None`: in the data directory.
+    pub database: Option<PostgresSettings>,
+}
 
 /// The registry and the objects of one data directory. Clones share everything.
 #[derive(Debug, Clone)]
@@ -49,13 +46,12 @@ pub struct Store {
 #[derive(Debug)]
 struct Inner {
     data_dir: PathBuf,
-    /// One connection, so that writers queue here instead of getting `SQLITE_BUSY`.
-    writer: SqlitePool,
-    readers: SqlitePool,
+    writer: Pool,
+    readers: Pool,
     objects: Objects,
-    /// For the worker processes, which open the bucket themselves.
-    bucket_settings: Option<BucketSettings>,
-    /// A store that only reads has none.
+    /// For the processes of jobs, which open the store themselves.
+    settings: StoreSettings,
+    /// A store that only reads has none, and PostgreSQL has its own.
     journal: Option<Journal>,
     reserve: Option<Reserve>,
     /// Held shared from before an object is written until a row refers to it, and exclusively while
@@ -74,44 +70,106 @@ impl Store {
     /// [`StoreError::Locked`] if another process uses it; a damaged or newer database, or one that lacks acknowledged
     /// changes; the file system's errors.
     pub async fn open(data_dir: &Path) -> Result<Self, StoreError> {
-        Self::open_with(data_dir, None).await
+        Self::open_with(data_dir, &StoreSettings::default()).await
     }
 
-    /// As [`Store::open`], with the objects in a bucket. Objects that only the data directory has are stored in it.
+    /// As [`Store::open`], with the objects in a bucket, and the registry on PostgreSQL. Objects that only the data
+    /// directory has are stored in the bucket.
     ///
     /// # Errors
-    /// As of [`Store::open`]; a bucket that cannot be used, or belongs to another service.
-    pub async fn open_with(data_dir: &Path, bucket: Option<&BucketSettings>) -> Result<Self, StoreError> {
-        let opened = bucket.map(Bucket::open).transpose()?;
-        Self::open_in(data_dir, opened, bucket.cloned()).await
+    /// As of [`Store::open`]; a bucket or database that cannot be used, or belongs to another service.
+    pub async fn open_with(data_dir: &Path, settings: &StoreSettings) -> Result<Self, StoreError> {
+        let bucket = settings.bucket.as_ref().map(Bucket::open).transpose()?;
+        Self::open_in(data_dir, bucket, settings.clone()).await
     }
 
     /// As [`Store::open_with`], with an opened bucket.
     pub(super) async fn open_in(
         data_dir: &Path,
         bucket: Option<Bucket>,
-        bucket_settings: Option<BucketSettings>,
+        settings: StoreSettings,
     ) -> Result<Self, StoreError> {
+        if let Some(postgres) = settings.database.clone() {
+            return Self::open_shared(data_dir, bucket, &postgres, settings).await;
+        }
         let lock = lock(data_dir)?;
         prepare_directory(data_dir)?;
         match &bucket {
             None => bucket::refuse_without(data_dir)?,
-            Some(bucket) => bucket.claim(data_dir).await?,
+            Some(bucket) => bucket.claim(data_dir, None).await?,
         }
-        let store = Self::locked(data_dir, lock, bucket, bucket_settings).await?;
+        let store = Self::locked(data_dir, lock, bucket, settings).await?;
         store.sweep_objects().await?;
         store.read_adoptions().await?;
         Ok(store)
     }
 
-    /// As [`Store::open`], for work on rows alone, wherever the objects are.
+    /// Opens a registry on PostgreSQL, which any number of processes share. The data directory is this process' alone,
+    /// and has copies of objects only.
+    async fn open_shared(
+        data_dir: &Path,
+        bucket: Option<Bucket>,
+        postgres: &PostgresSettings,
+        settings: StoreSettings,
+    ) -> Result<Self, StoreError> {
+        let name = postgres.name()?;
+        let refused = |what: String| StoreError::Postgres { database: name.clone(), what };
+        let Some(bucket) = bucket else {
+            let what = "the objects must be where all processes reach them: name a bucket with --objects";
+            return Err(refused(what.into()));
+        };
+        if Self::exists(data_dir) {
+            return Err(refused(format!(
+                "{} has a registry of its own. Choose another data directory, or bring it over with `rigcast move`",
+                data_dir.display()
+            )));
+        }
+        let lock = lock(data_dir)?;
+        prepare_directory(data_dir)?;
+        let opened = postgres.open().await?;
+        bucket.claim(data_dir, Some((&name, opened.service))).await?;
+        let inner = Inner {
+            data_dir: data_dir.to_owned(),
+            writer: Pool::Postgres(opened.writers),
+            readers: Pool::Postgres(opened.readers),
+            objects: Objects::open(&data_dir.join("objects"), Some(bucket))?,
+            settings,
+            journal: None,
+            reserve: Some(Reserve::of(data_dir)),
+            objects_gate: Arc::default(),
+            _lock: Some(lock),
+        };
+        let store = Self { inner: Arc::new(inner) };
+        store.sweep_copies().await?;
+        Ok(store)
+    }
+
+    /// As [`Store::open_with`], for work on rows alone, wherever the objects are. Beside running services only on
+    /// PostgreSQL.
     ///
     /// # Errors
     /// As of [`Store::open`].
-    pub async fn open_rows(data_dir: &Path) -> Result<Self, StoreError> {
-        let lock = lock(data_dir)?;
-        prepare_directory(data_dir)?;
-        Self::locked(data_dir, lock, None, None).await
+    pub async fn open_rows(data_dir: &Path, database: Option<&PostgresSettings>) -> Result<Self, StoreError> {
+        let Some(postgres) = database else {
+            let lock = lock(data_dir)?;
+            prepare_directory(data_dir)?;
+            return Self::locked(data_dir, lock, None, StoreSettings::default()).await;
+        };
+        let opened = postgres.open().await?;
+        // No object is read or written, so that any directory will do.
+        let directory = std::env::temp_dir();
+        let inner = Inner {
+            objects: Objects::open(&directory, None)?,
+            data_dir: directory,
+            writer: Pool::Postgres(opened.writers),
+            readers: Pool::Postgres(opened.readers),
+            settings: StoreSettings { bucket: None, database: Some(postgres.clone()) },
+            journal: None,
+            reserve: None,
+            objects_gate: Arc::default(),
+            _lock: None,
+        };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// Opens a data directory that is locked and prepared.
@@ -119,30 +177,19 @@ impl Store {
         data_dir: &Path,
         lock: File,
         bucket: Option<Bucket>,
-        bucket_settings: Option<BucketSettings>,
+        settings: StoreSettings,
     ) -> Result<Self, StoreError> {
         let database = data_dir.join(DATABASE);
         never_empty(&database, data_dir)?;
-        let options = options(&database).create_if_missing(true);
-        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
-        let writer = writer.map_err(|error| sound(error, &database))?;
-        let mut connection = writer.acquire().await?;
-        let started = start(data_dir, &database, &mut connection).await;
-        drop(connection);
-        let last = match started {
-            Ok(last) => last,
-            Err(error) => {
-                writer.close().await;
-                return Err(error);
-            }
-        };
+        let opened = sqlite::open(data_dir, &database).await?;
+        let journal = Journal::open(data_dir, &opened)?;
         let inner = Inner {
             data_dir: data_dir.to_owned(),
-            writer,
-            readers: readers(&database).await?,
+            writer: Pool::Sqlite(opened.writer),
+            readers: Pool::Sqlite(opened.readers),
             objects: Objects::open(&data_dir.join("objects"), bucket)?,
-            bucket_settings,
-            journal: Some(Journal::open(data_dir, last)?),
+            settings,
+            journal: Some(journal),
             reserve: Some(Reserve::of(data_dir)),
             objects_gate: Arc::default(),
             _lock: Some(lock),
@@ -160,16 +207,18 @@ impl Store {
     ///
     /// # Errors
     /// No database; the file system's errors.
-    pub async fn open_to_read(data_dir: &Path, bucket: Option<&BucketSettings>) -> Result<Self, StoreError> {
-        let bucket_settings = bucket.cloned();
-        let bucket = bucket.map(Bucket::open).transpose()?;
-        let readers = readers(&data_dir.join(DATABASE)).await?;
+    pub async fn open_to_read(data_dir: &Path, settings: &StoreSettings) -> Result<Self, StoreError> {
+        let bucket = settings.bucket.as_ref().map(Bucket::open).transpose()?;
+        let readers = match &settings.database {
+            None => Pool::Sqlite(sqlite::readers(&data_dir.join(DATABASE)).await?),
+            Some(postgres) => Pool::Postgres(postgres.open_to_read()?),
+        };
         let inner = Inner {
             data_dir: data_dir.to_owned(),
             writer: readers.clone(),
             readers,
             objects: Objects::open(&data_dir.join("objects"), bucket)?,
-            bucket_settings,
+            settings: settings.clone(),
             journal: None,
             reserve: None,
             objects_gate: Arc::default(),
@@ -184,7 +233,7 @@ impl Store {
     /// # Errors
     /// Any other failure of the store.
     pub async fn ping(&self) -> Result<bool, StoreError> {
-        sqlx::query("SELECT id FROM rigs LIMIT 1").fetch_optional(self.reader()).await?;
+        sql("SELECT id FROM rigs LIMIT 1").fetch_optional::<String>(self.reader()).await?;
         if let Some(journal) = self.journal() {
             journal.check().await?;
         }
@@ -221,9 +270,25 @@ impl Store {
         self.inner.data_dir.join(SCRATCH)
     }
 
-    /// Where the bucket of the objects is, if they are in one.
-    pub fn bucket_settings(&self) -> Option<&BucketSettings> {
-        self.inner.bucket_settings.as_ref()
+    /// Where the store is, beyond the data directory.
+    pub fn settings(&self) -> &StoreSettings {
+        &self.inner.settings
+    }
+
+    /// Whether other processes may write to the registry too.
+    pub fn is_shared(&self) -> bool {
+        matches!(self.inner.writer, Pool::Postgres(_))
+    }
+
+    /// The time by the clock that all processes of the registry go by; `None`: that of this machine.
+    ///
+    /// # Errors
+    /// The database's failures.
+    pub async fn shared_time(&self) -> Result<Option<jiff::Timestamp>, StoreError> {
+        match self.reader() {
+            Pool::Sqlite(_) => Ok(None),
+            Pool::Postgres(pool) => postgres::time(pool).await.map(Some),
+        }
     }
 
     /// The objects.
@@ -237,15 +302,20 @@ impl Store {
         self.inner.writer.close().await;
     }
 
-    pub(super) fn reader(&self) -> &SqlitePool {
+    pub(super) fn reader(&self) -> &Pool {
         &self.inner.readers
+    }
+
+    /// A transaction that reads all its rows as of one moment.
+    pub(super) async fn snapshot(&self) -> Result<Session, StoreError> {
+        Ok(self.reader().snapshot().await?)
     }
 
     pub(super) fn objects_gate(&self) -> &RwLock<()> {
         &self.inner.objects_gate
     }
 
-    pub(super) fn writer(&self) -> &SqlitePool {
+    pub(super) fn writer(&self) -> &Pool {
         &self.inner.writer
     }
 
@@ -256,37 +326,6 @@ impl Store {
     pub(super) fn journal(&self) -> Option<&Journal> {
         self.inner.journal.as_ref()
     }
-}
-
-/// Compares the database with its journal, migrates it, and brings the journal up to it. Returns the number of its
-/// last change.
-async fn start(
-    data_dir: &Path,
-    database: &Path,
-    connection: &mut SqliteConnection,
-) -> Result<i64, StoreError> {
-    let into_damage = |error: StoreError| error.into_damage(database);
-    check_integrity(connection, database).await?;
-    let compared = journal::compare(data_dir, connection).await.map_err(into_damage)?;
-    check_references(connection, database).await?;
-    migrate(connection, database).await.map_err(into_damage)?;
-    compared.bring_up(data_dir, connection).await.map_err(into_damage)
-}
-
-fn options(database: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new()
-        .filename(database)
-        .create_if_missing(false)
-        .journal_mode(SqliteJournalMode::Wal)
-        .synchronous(SqliteSynchronous::Full)
-        .foreign_keys(true)
-        .busy_timeout(BUSY_TIMEOUT)
-}
-
-/// Read-only connections.
-async fn readers(database: &Path) -> Result<SqlitePool, StoreError> {
-    let reading = options(database).pragma("query_only", "on").pragma("cache_size", READER_CACHE);
-    Ok(SqlitePoolOptions::new().max_connections(READERS).connect_with(reading).await?)
 }
 
 /// Makes the data directory and takes its lock. A process that was just killed may still hold it for a moment.
@@ -344,56 +383,12 @@ fn never_empty(database: &Path, data_dir: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Brings the schema up to this program's.
-async fn migrate(connection: &mut SqliteConnection, database: &Path) -> Result<(), StoreError> {
-    let known = migrations::latest();
-    match migrations::up_to(known).run(connection).await {
-        Err(MigrateError::VersionMissing(found)) if found > known => {
-            Err(StoreError::Newer { path: database.to_owned(), found, known })
-        }
-        done => Ok(done?),
-    }
-}
-
-/// Refuses a damaged database, which must be neither read nor written.
-pub(super) async fn check_integrity(
-    connection: &mut SqliteConnection,
-    database: &Path,
-) -> Result<(), StoreError> {
-    let verdict: String = sqlx::query_scalar("PRAGMA integrity_check(1)")
-        .fetch_one(connection)
-        .await
-        .map_err(|error| sound(error, database))?;
-    if verdict == "ok" {
-        return Ok(());
-    }
-    Err(StoreError::Damaged { path: database.to_owned(), what: verdict })
-}
-
-/// Refuses a database with a row that belongs to a row that is gone.
-pub(super) async fn check_references(
-    connection: &mut SqliteConnection,
-    database: &Path,
-) -> Result<(), StoreError> {
-    let orphan: Option<(String, Option<i64>, String, i64)> =
-        sqlx::query_as("PRAGMA foreign_key_check").fetch_optional(connection).await?;
-    let Some((table, _, parent, _)) = orphan else { return Ok(()) };
-    let what = format!("a row of {table} names one of {parent} that is gone");
-    Err(StoreError::Damaged { path: database.to_owned(), what })
-}
-
-/// Turns SQLite's error about a damaged file into a helpful message.
-fn sound(error: sqlx::Error, database: &Path) -> StoreError {
-    /// `SQLITE_CORRUPT` and `SQLITE_NOTADB`, in any extended code.
-    const DAMAGED: [u32; 2] = [11, 26];
-    if sqlite_code(&error).is_some_and(|code| DAMAGED.contains(&(code & 0xff))) {
-        return StoreError::Damaged { path: database.to_owned(), what: error.to_string() };
-    }
-    error.into()
-}
-
 #[cfg(test)]
 mod tests {
+    use sqlx::SqlitePool;
+    use sqlx::sqlite::SqliteConnectOptions;
+
+    use super::super::migrations;
     use super::super::testing::{TestStore, draft, now};
     use super::*;
     use crate::domain::Origin;
@@ -413,7 +408,7 @@ mod tests {
     async fn a_worker_reads_beside_the_service_and_cannot_write() {
         let store = TestStore::open().await;
         store.insert_rig(&draft("bench"), None, now()).await.unwrap();
-        let reader = Store::open_to_read(store.data_dir(), None).await.unwrap();
+        let reader = Store::open_to_read(store.data_dir(), store.settings()).await.unwrap();
         assert!(reader.rig(&"bench".parse().unwrap()).await.unwrap().is_some());
         assert!(matches!(
             reader.insert_rig(&draft("other"), None, now()).await,
@@ -422,7 +417,7 @@ mod tests {
         store.insert_rig(&draft("third"), None, now()).await.unwrap();
         assert!(reader.rig(&"third".parse().unwrap()).await.unwrap().is_some());
         let nowhere = tempfile::tempdir().unwrap();
-        assert!(Store::open_to_read(nowhere.path(), None).await.is_err());
+        assert!(Store::open_to_read(nowhere.path(), &StoreSettings::default()).await.is_err());
         assert!(!nowhere.path().join("rigcast.db").exists());
     }
 
@@ -481,12 +476,12 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        let journal: String = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut *tx).await.unwrap();
-        let synchronous: i64 = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut *tx).await.unwrap();
-        let keys: i64 = sqlx::query_scalar("PRAGMA foreign_keys").fetch_one(&mut *tx).await.unwrap();
+        let journal: String = sql("PRAGMA journal_mode").fetch_one(&mut *tx).await.unwrap();
+        let synchronous: i64 = sql("PRAGMA synchronous").fetch_one(&mut *tx).await.unwrap();
+        let keys: i64 = sql("PRAGMA foreign_keys").fetch_one(&mut *tx).await.unwrap();
         assert_eq!((journal.as_str(), synchronous, keys), ("wal", 2, 1));
         drop(tx);
-        let refused = sqlx::query("DELETE FROM rigs").execute(store.reader()).await;
+        let refused = sql("DELETE FROM rigs").execute(store.reader()).await;
         assert!(refused.is_err(), "readers cannot write");
     }
 
@@ -516,11 +511,9 @@ mod tests {
     async fn a_database_of_a_newer_program_is_left_alone_and_named() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::open(dir.path()).await.unwrap();
-        let mut writer = store.write_one().await.unwrap();
         let later = "INSERT INTO _sqlx_migrations SELECT 9999, description, installed_on, success, checksum, execution_time
                      FROM _sqlx_migrations WHERE version = 1";
-        sqlx::query(later).execute(&mut *writer).await.unwrap();
-        drop(writer);
+        store.raw(later).await.unwrap();
         store.close().await;
         drop(store);
         let refused = Store::open(dir.path()).await.unwrap_err().to_string();
@@ -558,16 +551,14 @@ mod tests {
         let model = store.model(&bench, 2).await.unwrap().unwrap();
         assert_eq!((model.origin, model.inputs, model.size_bytes), (Origin::Import, vec!["u".to_owned()], 5));
         assert!(model.active);
-        let mut writer = store.write_one().await.unwrap();
-        let adopted = sqlx::query("UPDATE models SET origin = 'diagnosis'").execute(&mut *writer).await;
-        assert_eq!(adopted.unwrap().rows_affected(), 1);
-        let gone = sqlx::query("DELETE FROM models").execute(&mut *writer).await;
+        let adopted = store.raw("UPDATE models SET origin = 'diagnosis'").await;
+        assert_eq!(adopted.unwrap(), 1);
+        let gone = store.raw("DELETE FROM models").await;
         assert!(gone.is_err(), "the rig still points at it");
-        let wrong = sqlx::query("UPDATE models SET origin = 'found'").execute(&mut *writer).await;
+        let wrong = store.raw("UPDATE models SET origin = 'found'").await;
         assert!(wrong.is_err(), "no such origin");
-        sqlx::query("DELETE FROM rigs").execute(&mut *writer).await.unwrap();
-        let left: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM models").fetch_one(&mut *writer).await.unwrap();
+        store.raw("DELETE FROM rigs").await.unwrap();
+        let left: i64 = sql("SELECT count(*) FROM models").fetch_one(store.reader()).await.unwrap();
         assert_eq!(left, 0, "models go with their rig");
     }
 }

@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::database::{Session, either, sql};
 use super::jobs::succeed;
 use super::models::insert_published;
 use super::objects::ObjectWrite;
@@ -26,13 +27,21 @@ pub struct NewStudy {
 /// Every column of a study: its job, what it has found, and while it is under way its report so far.
 macro_rules! select_studies {
     ($rest:literal) => {
+        either(
+            select_studies!("CAST(checkpoints.state AS TEXT)", $rest),
+            select_studies!("convert_from(checkpoints.state, 'UTF8')", $rest),
+        )
+    };
+    ($state:literal, $rest:literal) => {
         concat!(
             "SELECT jobs.id, jobs.rig, jobs.state, jobs.request, jobs.created_us, studies.version,
                     coalesce(studies.report,
-                             (SELECT CAST(checkpoints.state AS TEXT) FROM checkpoints
+                             (SELECT ",
+            $state,
+            " FROM checkpoints
                               WHERE checkpoints.job = jobs.id AND checkpoints.part = 'study')) AS report
              FROM jobs LEFT JOIN studies ON studies.job = jobs.id
-             WHERE jobs.kind = 'study' AND jobs.rig = ?1 AND ",
+             WHERE jobs.kind = 'study' AND jobs.rig = $1 AND ",
             $rest
         )
     };
@@ -95,7 +104,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn study(&self, rig: &RigId, id: StudyId) -> Result<Option<StoredStudy>, StoreError> {
-        let row: Option<StudyRow> = sqlx::query_as(select_studies!("jobs.id = ?2"))
+        let row: Option<StudyRow> = sql(select_studies!("jobs.id = ?2"))
             .bind(rig.as_str())
             .bind(id.to_string())
             .fetch_optional(self.reader())
@@ -106,7 +115,7 @@ impl Store {
 
 /// Stores a report and ends the job; `false` when the lease is lost.
 async fn end(
-    connection: &mut sqlx::SqliteConnection,
+    connection: &mut Session,
     lease: &Lease,
     rig: &RigId,
     report: &StudyReport,
@@ -123,7 +132,7 @@ async fn end(
     if !succeed(connection, lease, &result, stage, now).await? {
         return Ok(false);
     }
-    sqlx::query("INSERT INTO studies (job, version, report, created_us) VALUES (?, ?, ?, ?)")
+    sql("INSERT INTO studies (job, version, report, created_us) VALUES ($1, $2, $3, $4)")
         .bind(job.to_string())
         .bind(version)
         .bind(json(report))

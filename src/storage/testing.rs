@@ -2,13 +2,22 @@
 //! short ways to rigs, runs, models and jobs.
 
 use std::ops::Deref;
+use std::sync::Arc;
 
 use bytes::Bytes;
 use jiff::Timestamp;
+use object_store::memory::InMemory;
+use object_store::path::Path as Key;
+use sqlx::pool::PoolConnection;
+use sqlx::{Connection as _, PgConnection, Sqlite};
 use tempfile::TempDir;
 
 use super::bucket::Bucket;
-use super::{Activation, Asker, Digest, JobInsert, NewModel, PreparedRun, RunInsert, Store, StoreError};
+use super::database::{Pool, sql};
+use super::{
+    Activation, Asker, Digest, JobInsert, NewModel, PostgresSettings, PreparedRun, RunInsert, Store,
+    StoreError, StoreSettings,
+};
 use crate::domain::fits::FitRequest;
 use crate::domain::{
     Channel, InsertedRun, Job, Lineage, Model, Origin, Quantity, Rig, RigDraft, Role, Run, RunKind, RunMeta,
@@ -86,10 +95,13 @@ pub(crate) fn imported(weights: &[u8]) -> NewModel {
     }
 }
 
-/// A store in a temporary directory, which is deleted with it.
+/// A store in a temporary directory, which is deleted with it. With `RIGCAST_TEST_DATABASE`, a PostgreSQL in which
+/// databases may be made, its registry is there, and its objects are in a bucket in memory.
 pub(crate) struct TestStore {
     store: Store,
-    _dir: TempDir,
+    dir: TempDir,
+    bucket: Option<Bucket>,
+    settings: StoreSettings,
 }
 
 impl Deref for TestStore {
@@ -100,32 +112,78 @@ impl Deref for TestStore {
     }
 }
 
+/// A new database of a PostgreSQL.
+async fn new_database(server: &str) -> String {
+    let (place, _) = server.rsplit_once('/').expect("postgres://user@host/database");
+    let name = format!("test_{}", uuid::Uuid::new_v4().simple());
+    let mut connection = PgConnection::connect(server).await.unwrap();
+    let create = sqlx::AssertSqlSafe(format!("CREATE DATABASE {name}"));
+    sqlx::query(create).execute(&mut connection).await.unwrap();
+    connection.close().await.unwrap();
+    format!("{place}/{name}")
+}
+
+impl Store {
+    /// Does statements as they stand.
+    pub(crate) async fn raw(&self, statements: impl Into<String>) -> sqlx::Result<u64> {
+        let statements = sqlx::raw_sql(sqlx::AssertSqlSafe(statements.into()));
+        match self.writer() {
+            Pool::Sqlite(pool) => Ok(statements.execute(pool).await?.rows_affected()),
+            Pool::Postgres(pool) => Ok(statements.execute(pool).await?.rows_affected()),
+        }
+    }
+
+    /// A connection to the database in the data directory.
+    pub(super) async fn sqlite(&self) -> PoolConnection<Sqlite> {
+        match self.reader() {
+            Pool::Sqlite(pool) => pool.acquire().await.unwrap(),
+            Pool::Postgres(_) => panic!("a test of SQLite alone"),
+        }
+    }
+}
+
 impl TestStore {
     pub(crate) async fn open() -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        Self { store: Store::open(dir.path()).await.unwrap(), _dir: dir }
+        let Ok(server) = std::env::var("RIGCAST_TEST_DATABASE") else { return Self::open_sqlite().await };
+        let url = new_database(&server).await;
+        let bucket = Bucket::of(Arc::new(InMemory::new()), Key::from("lab"), "s3://lab/lab", u64::MAX);
+        let settings = StoreSettings { bucket: None, database: Some(PostgresSettings { url }) };
+        Self::made(Some(bucket), settings).await
+    }
+
+    /// A store whose registry is in the data directory, whatever the tests are for.
+    pub(crate) async fn open_sqlite() -> Self {
+        Self::made(None, StoreSettings::default()).await
     }
 
     /// A new one whose objects are in a bucket.
     pub(super) async fn open_in(bucket: Bucket) -> Self {
+        Self::made(Some(bucket), StoreSettings::default()).await
+    }
+
+    async fn made(bucket: Option<Bucket>, settings: StoreSettings) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        Self { store: Store::open_in(dir.path(), Some(bucket), None).await.unwrap(), _dir: dir }
+        let store = Store::open_in(dir.path(), bucket.clone(), settings.clone()).await.unwrap();
+        Self { store, dir, bucket, settings }
+    }
+
+    /// Another process on the same registry and bucket.
+    pub(crate) async fn beside(&self) -> Self {
+        Self::made(self.bucket.clone(), self.settings.clone()).await
     }
 
     /// As [`TestStore::reopened`], with the objects in a bucket.
     pub(super) async fn reopened_in(self, bucket: Bucket) -> Self {
-        let Self { store, _dir } = self;
-        store.close().await;
-        drop(store);
-        Self { store: Store::open_in(_dir.path(), Some(bucket), None).await.unwrap(), _dir }
+        Self { bucket: Some(bucket), ..self }.reopened().await
     }
 
     /// The same data after an orderly stop and a new start.
     pub(crate) async fn reopened(self) -> Self {
-        let Self { store, _dir } = self;
+        let Self { store, dir, bucket, settings } = self;
         store.close().await;
         drop(store);
-        Self { store: Store::open(_dir.path()).await.unwrap(), _dir }
+        let store = Store::open_in(dir.path(), bucket.clone(), settings.clone()).await.unwrap();
+        Self { store, dir, bucket, settings }
     }
 
     /// A run whose drive is `u` and whose response is twice as large.
@@ -156,9 +214,7 @@ impl TestStore {
 
     /// Limits the pages of the database. A limit below its present size acts like a full disk.
     pub(crate) async fn limit_pages(&self, pages: i64) {
-        let mut writer = self.write_one().await.unwrap();
-        let limit = sqlx::AssertSqlSafe(format!("PRAGMA max_page_count = {pages}"));
-        sqlx::query(limit).execute(&mut *writer).await.unwrap();
+        self.raw(format!("PRAGMA max_page_count = {pages}")).await.unwrap();
     }
 
     /// A model that fills some pages of the database, or the store's refusal.
@@ -177,7 +233,7 @@ impl TestStore {
     }
 
     pub(crate) async fn count_checkpoints(&self) -> i64 {
-        sqlx::query_scalar("SELECT count(*) FROM checkpoints").fetch_one(self.reader()).await.unwrap()
+        sql("SELECT count(*) FROM checkpoints").fetch_one(self.reader()).await.unwrap()
     }
 
     pub(crate) async fn queue_fit(&self, rig: &Rig) -> Job {

@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 
+use super::database::sql;
 use super::idempotency::{check_unused, record};
 use super::reserve::with_reserve;
 use super::rows::{TokenRow, all, json, us};
@@ -48,24 +49,22 @@ impl Store {
     ) -> Result<TokenInsert, StoreError> {
         let mut tx = self.write().await?;
         check_unused(&mut tx, key).await?;
-        let any: bool =
-            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
+        let any: bool = sql("SELECT EXISTS (SELECT 1 FROM tokens)").fetch_one(&mut *tx).await?;
         if !any && !draft.may_be_first() {
             return Ok(TokenInsert::FirstMustBeAdmin);
         }
-        let row: TokenRow = sqlx::query_as(
-            "INSERT INTO tokens (id, name, role, rigs, secret_sha256, created_us, expires_us)
-             VALUES (?, ?, ?, ?, ?, ?, ?) RETURNING *",
-        )
-        .bind(new_id(now).to_string())
-        .bind(&draft.name)
-        .bind(draft.role.as_str())
-        .bind(draft.rigs.as_ref().map(json))
-        .bind(&secret.as_bytes()[..])
-        .bind(us(now))
-        .bind(draft.expires_at.map(us))
-        .fetch_one(&mut *tx)
-        .await?;
+        let row: TokenRow =
+            sql("INSERT INTO tokens (id, name, role, rigs, secret_sha256, created_us, expires_us)
+             VALUES ($1, $2, $3, $4, $5, $6, $7) RETURNING *")
+            .bind(new_id(now).to_string())
+            .bind(&draft.name)
+            .bind(draft.role.as_str())
+            .bind(draft.rigs.as_ref().map(json))
+            .bind(&secret.as_bytes()[..])
+            .bind(us(now))
+            .bind(draft.expires_at.map(us))
+            .fetch_one(&mut *tx)
+            .await?;
         let token: Token = row.try_into()?;
         record(&mut tx, key, || Created::token(&token), now).await?;
         tx.commit().await?;
@@ -78,7 +77,7 @@ impl Store {
     /// The store's failures.
     pub async fn tokens(&self, page: &PageRequest) -> Result<Page<Token>, StoreError> {
         let rows: Vec<TokenRow> =
-            sqlx::query_as("SELECT * FROM tokens WHERE revoked_us IS NULL AND id > ? ORDER BY id LIMIT ?")
+            sql("SELECT * FROM tokens WHERE revoked_us IS NULL AND id > $1 ORDER BY id LIMIT $2")
                 .bind(page.cursor.as_ref().map_or("", |cursor| cursor.as_str()))
                 .bind(i64::from(page.limit) + 1)
                 .fetch_all(self.reader())
@@ -91,7 +90,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn token_table(&self) -> Result<TokenTable, StoreError> {
-        let rows: Vec<TokenRow> = sqlx::query_as("SELECT * FROM tokens").fetch_all(self.reader()).await?;
+        let rows: Vec<TokenRow> = sql("SELECT * FROM tokens").fetch_all(self.reader()).await?;
         let mut table = TokenTable::default();
         for row in rows {
             let list = if row.is_revoked() { &mut table.revoked } else { &mut table.tokens };
@@ -110,13 +109,13 @@ impl Store {
 
     async fn revoke_token_row(&self, id: TokenId, now: Timestamp) -> Result<bool, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        let done = sqlx::query("UPDATE tokens SET revoked_us = ?2 WHERE id = ?1 AND revoked_us IS NULL")
+        let done = sql("UPDATE tokens SET revoked_us = $2 WHERE id = $1 AND revoked_us IS NULL")
             .bind(id.to_string())
             .bind(us(now))
             .execute(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(done.rows_affected() == 1)
+        Ok(done == 1)
     }
 }
 

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use jiff::{Timestamp, ToSpan};
-use sqlx::SqliteConnection;
 
+use super::database::{Session, either, sql};
 use super::jobs::{Claim, Lease};
 use super::rows::{JobRow, int, parsed, us};
 use super::{Store, StoreError};
@@ -36,20 +36,19 @@ impl Store {
     ) -> Result<Option<Claim>, StoreError> {
         let mut tx = self.write().await?;
         let Some(next) = next(&mut tx, now).await? else { return Ok(None) };
-        let row: JobRow = sqlx::query_as(
-            "UPDATE jobs SET state = 'running', worker = ?1, lease_until_us = ?2, started_us = ?3,
-                             charged_us = ?3, lease_token = lease_token + 1, attempt = attempt + 1,
+        let row: JobRow =
+            sql("UPDATE jobs SET state = 'running', worker = $1, lease_until_us = $2, started_us = $3,
+                             charged_us = $3, lease_token = lease_token + 1, attempt = attempt + 1,
                              progress = 0, stage = NULL, eta_s = NULL, problem = NULL, goes_on = 0,
                              event = event + 1
-             WHERE id = ?4 AND state = 'queued'
-             RETURNING *",
-        )
-        .bind(worker)
-        .bind(us(lease_until))
-        .bind(us(now))
-        .bind(next.oldest.to_string())
-        .fetch_one(&mut *tx)
-        .await?;
+             WHERE id = $4 AND state = 'queued'
+             RETURNING *")
+            .bind(worker)
+            .bind(us(lease_until))
+            .bind(us(now))
+            .bind(next.oldest.to_string())
+            .fetch_one(&mut *tx)
+            .await?;
         add(&mut tx, &next.owner, &next.rig, START_S, now).await?;
         tx.commit().await?;
         let (request, token) = (row.request()?, row.lease_token.unsigned_abs());
@@ -65,15 +64,13 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn goes_before(&self, lease: &Lease, now: Timestamp) -> Result<Option<Urgency>, StoreError> {
-        let mut tx = self.reader().begin().await?;
-        let row: Option<WaitingRow> = sqlx::query_as(
-            "SELECT owner, rig, urgency, 0, id, ?3 FROM jobs
-             WHERE id = ?1 AND lease_token = ?2 AND state = 'running'",
-        )
+        let mut tx = self.snapshot().await?;
+        let row: Option<WaitingRow> = sql("SELECT owner, rig, urgency, 0, id, $3 FROM jobs
+             WHERE id = $1 AND lease_token = $2 AND state = 'running'")
         .bind(lease.job.to_string())
         .bind(int(lease.token))
         .bind(us(now))
-        .fetch_optional(&mut *tx)
+        .fetch_optional(&mut tx)
         .await?;
         let Some(running) = row.map(waiting_jobs).transpose()? else { return Ok(None) };
         let mut waiting = waiting(&mut tx).await?;
@@ -88,7 +85,7 @@ impl Store {
 }
 
 /// The jobs of which the oldest is next.
-async fn next(connection: &mut SqliteConnection, now: Timestamp) -> Result<Option<WaitingJobs>, StoreError> {
+async fn next(connection: &mut Session, now: Timestamp) -> Result<Option<WaitingJobs>, StoreError> {
     let waiting = waiting(connection).await?;
     if waiting.is_empty() {
         return Ok(None);
@@ -96,20 +93,29 @@ async fn next(connection: &mut SqliteConnection, now: Timestamp) -> Result<Optio
     Ok(turns::next(&waiting, &times(connection).await?, now).cloned())
 }
 
+/// All waiting jobs, by token, rig and urgency. SQLite must be told which index has all that is asked for.
+macro_rules! select_waiting {
+    ($index:literal) => {
+        concat!(
+            "SELECT owner, rig, urgency, goes_on, min(id), min(coalesce(queued_us, created_us))
+             FROM jobs ",
+            $index,
+            " WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on"
+        )
+    };
+}
+
 /// All waiting jobs, by token, rig and urgency.
-async fn waiting(connection: &mut SqliteConnection) -> Result<Vec<WaitingJobs>, StoreError> {
-    let rows: Vec<WaitingRow> = sqlx::query_as(
-        "SELECT owner, rig, urgency, goes_on, min(id), min(coalesce(queued_us, created_us))
-         FROM jobs INDEXED BY jobs_waiting WHERE state = 'queued' GROUP BY owner, rig, urgency, goes_on",
-    )
-    .fetch_all(connection)
-    .await?;
+async fn waiting(connection: &mut Session) -> Result<Vec<WaitingJobs>, StoreError> {
+    let rows: Vec<WaitingRow> = sql(either(select_waiting!("INDEXED BY jobs_waiting"), select_waiting!("")))
+        .fetch_all(connection)
+        .await?;
     rows.into_iter().map(waiting_jobs).collect()
 }
 
-async fn times(connection: &mut SqliteConnection) -> Result<Vec<WorkerTime>, StoreError> {
+async fn times(connection: &mut Session) -> Result<Vec<WorkerTime>, StoreError> {
     let rows: Vec<TimeRow> =
-        sqlx::query_as("SELECT owner, rig, used_s, at_us FROM worker_time").fetch_all(connection).await?;
+        sql("SELECT owner, rig, used_s, at_us FROM worker_time").fetch_all(connection).await?;
     rows.into_iter().map(worker_time).collect()
 }
 
@@ -144,19 +150,19 @@ fn bad(table: &'static str, key: &str, what: impl ToString) -> StoreError {
 /// Charges a token and rig for the time since the last charge of a running job. Does nothing if the lease
 /// is lost.
 pub(super) async fn charge(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     lease: &Lease,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let found: Option<(String, String, Option<i64>)> = sqlx::query_as(
-        "SELECT owner, rig, charged_us FROM jobs WHERE id = ? AND lease_token = ? AND state = 'running'",
+    let found: Option<(String, String, Option<i64>)> = sql(
+        "SELECT owner, rig, charged_us FROM jobs WHERE id = $1 AND lease_token = $2 AND state = 'running'",
     )
     .bind(lease.job.to_string())
     .bind(int(lease.token))
     .fetch_optional(&mut *connection)
     .await?;
     let Some((owner, rig, charged_us)) = found else { return Ok(()) };
-    sqlx::query("UPDATE jobs SET charged_us = ?2 WHERE id = ?1")
+    sql("UPDATE jobs SET charged_us = $2 WHERE id = $1")
         .bind(lease.job.to_string())
         .bind(us(now))
         .execute(&mut *connection)
@@ -169,28 +175,29 @@ pub(super) async fn charge(
 
 /// Adds to the time of a token and rig, and forgets old times.
 async fn add(
-    connection: &mut SqliteConnection,
+    connection: &mut Session,
     owner: &str,
     rig: &RigId,
     seconds: f64,
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let row: Option<TimeRow> =
-        sqlx::query_as("SELECT owner, rig, used_s, at_us FROM worker_time WHERE owner = ? AND rig = ?")
+        sql("SELECT owner, rig, used_s, at_us FROM worker_time WHERE owner = $1 AND rig = $2")
             .bind(owner)
             .bind(rig.as_str())
             .fetch_optional(&mut *connection)
             .await?;
     let before = row.map(worker_time).transpose()?;
-    sqlx::query("INSERT OR REPLACE INTO worker_time (owner, rig, used_s, at_us) VALUES (?, ?, ?, ?)")
-        .bind(owner)
-        .bind(rig.as_str())
-        .bind(before.map_or(0.0, |time| time.left_at(now)) + seconds)
-        .bind(us(now))
-        .execute(&mut *connection)
-        .await?;
+    sql("INSERT INTO worker_time (owner, rig, used_s, at_us) VALUES ($1, $2, $3, $4)
+         ON CONFLICT (owner, rig) DO UPDATE SET used_s = excluded.used_s, at_us = excluded.at_us")
+    .bind(owner)
+    .bind(rig.as_str())
+    .bind(before.map_or(0.0, |time| time.left_at(now)) + seconds)
+    .bind(us(now))
+    .execute(&mut *connection)
+    .await?;
     let oldest = now.checked_sub(KEPT_HOURS.hours()).unwrap_or(Timestamp::MIN);
-    sqlx::query("DELETE FROM worker_time WHERE at_us < ?").bind(us(oldest)).execute(connection).await?;
+    sql("DELETE FROM worker_time WHERE at_us < $1").bind(us(oldest)).execute(connection).await?;
     Ok(())
 }
 
@@ -340,8 +347,7 @@ mod tests {
         fit(&store, &rig, None).await;
         let claimed = claim(&store, now()).await;
         work(&store, &claimed, now(), 10 * 365 * 86400).await;
-        let used: f64 =
-            sqlx::query_scalar("SELECT used_s FROM worker_time").fetch_one(store.reader()).await.unwrap();
+        let used: f64 = sql("SELECT used_s FROM worker_time").fetch_one(store.reader()).await.unwrap();
         assert!((used - MOST.as_secs_f64()).abs() < 1.5, "{used}");
     }
 

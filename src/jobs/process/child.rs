@@ -68,7 +68,7 @@ pub async fn work() -> Result<(), WorkError> {
 async fn make(begin: Begin, control: Arc<Control>) -> Result<JobOutput, JobError> {
     #[cfg(debug_assertions)]
     super::fault::inject(&begin.spec);
-    let store = Store::open_to_read(&begin.data_dir, begin.bucket.as_ref()).await?;
+    let store = Store::open_to_read(&begin.data_dir, &begin.store).await?;
     let settings = ComputeSettings { predict_threads: 1, long_threads: 1, ..ComputeSettings::default() };
     let compute = Compute::new(&settings)?;
     let context = WorkContext {

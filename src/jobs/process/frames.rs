@@ -13,7 +13,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::jobs::control::NewLosses;
 use crate::jobs::problem::JobError;
 use crate::jobs::spec::{JobOutput, JobSpec};
-use crate::storage::{BucketSettings, Checkpoint};
+use crate::storage::{Checkpoint, StoreSettings};
 
 /// From the server to the worker. An end of the stream means that the server is gone.
 #[derive(Debug, Serialize, Deserialize)]
@@ -28,7 +28,7 @@ pub(super) enum Tell {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(in crate::jobs) struct Begin {
     pub data_dir: PathBuf,
-    pub bucket: Option<BucketSettings>,
+    pub store: StoreSettings,
     pub spec: JobSpec,
     pub checkpoint_every: Duration,
     pub memory_bytes: u64,

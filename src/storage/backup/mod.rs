@@ -17,9 +17,10 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Connection, SqliteConnection};
 
 use super::bucket::{Bucket, BucketSettings};
+use super::database::sqlite::{BUSY_TIMEOUT, check_integrity, check_references};
 use super::files::{self, failed, sync_directory};
 use super::objects::{Objects, REFERENCED, off_thread};
-use super::store::{BUSY_TIMEOUT, DATABASE, check_integrity, check_references};
+use super::store::DATABASE;
 use super::{Digest, Store, StoreError, journal};
 use copy::copy_objects;
 

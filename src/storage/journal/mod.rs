@@ -21,9 +21,10 @@ mod tests;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use sqlx::SqliteConnection;
+use sqlx::{SqliteConnection, SqlitePool};
 use tokio::sync::{Mutex, Notify};
 
+use super::database::sqlite::Opened;
 use super::objects::{off_thread, to_the_end};
 use super::{Digest, Store, StoreError};
 use entry::{Entry, Header, RowName};
@@ -40,6 +41,9 @@ const TRIMMED_EVERY: i64 = 1000;
 #[derive(Debug, Clone)]
 pub(super) struct Journal {
     state: Arc<Mutex<State>>,
+    /// The writing connection of the database.
+    writer: SqlitePool,
+    readers: SqlitePool,
     /// Told when a row of the database could not be read.
     doubt: Arc<Notify>,
 }
@@ -64,12 +68,14 @@ pub(super) fn path_in(data_dir: &Path) -> PathBuf {
 }
 
 impl Journal {
-    /// Opens a journal that has every change up to `last`, to append to it.
-    pub(super) fn open(data_dir: &Path, last: i64) -> Result<Self, StoreError> {
+    /// Opens a journal that has every change of the database up to `last`, to append to it.
+    pub(super) fn open(data_dir: &Path, opened: &Opened) -> Result<Self, StoreError> {
+        let Opened { writer, readers, last } = opened;
+        let last = *last;
         let path = path_in(data_dir);
         let file = Some(JournalFile::append_to(&path)?);
         let state = Arc::new(Mutex::new(State { file, path, last, trimmed: last }));
-        Ok(Self { state, doubt: Arc::default() })
+        Ok(Self { state, writer: writer.clone(), readers: readers.clone(), doubt: Arc::default() })
     }
 
     /// Whether changes can be acknowledged.
@@ -93,10 +99,10 @@ impl Store {
     /// The store's failures; the changes are then not acknowledged, and a later call appends them.
     pub(super) async fn write_journal(&self) -> Result<(), StoreError> {
         let Some(journal) = self.journal() else { return Ok(()) };
-        let (store, journal) = (self.clone(), journal.clone());
+        let journal = journal.clone();
         to_the_end(async move {
             let mut state = journal.state.lock().await;
-            let entries = entries_after(&mut *store.reader().acquire().await?, state.last).await?;
+            let entries = entries_after(&mut *journal.readers.acquire().await?, state.last).await?;
             let Some(newest) = entries.last().map(|entry| entry.seq) else { return Ok(()) };
             let path = state.path.clone();
             let mut file = state.file.take().ok_or(StoreError::JournalStopped { path })?;
@@ -111,7 +117,7 @@ impl Store {
             written.map_err(|error| error.on(&state.path))?;
             state.last = newest;
             if newest - state.trimmed >= TRIMMED_EVERY {
-                trim(&store, newest).await?;
+                trim(&journal.writer, newest).await?;
                 state.trimmed = newest;
             }
             Ok(())
@@ -121,11 +127,8 @@ impl Store {
 }
 
 /// Deletes changes that the journal has.
-async fn trim(store: &Store, up_to: i64) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM changes WHERE seq <= ?")
-        .bind(up_to)
-        .execute(&mut *store.write_one().await?)
-        .await?;
+async fn trim(writer: &SqlitePool, up_to: i64) -> Result<(), StoreError> {
+    sqlx::query("DELETE FROM changes WHERE seq <= ?").bind(up_to).execute(writer).await?;
     Ok(())
 }
 

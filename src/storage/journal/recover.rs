@@ -13,9 +13,10 @@ use super::file::{self, Contents};
 use super::tables::{TABLES, Table};
 use super::{FILE, entries_after, last_change, path_in, rewrite, schema};
 use crate::storage::bucket::{Bucket, BucketSettings};
+use crate::storage::database::sqlite::check_integrity;
 use crate::storage::files::{self, failed, sync_directory};
 use crate::storage::objects::{Objects, REFERENCED, all_below, off_thread};
-use crate::storage::store::{DATABASE, DATABASE_FILES, check_integrity, lock};
+use crate::storage::store::{DATABASE, DATABASE_FILES, lock};
 use crate::storage::{StoreError, migrations, quarantine};
 
 /// What a recovery did.

@@ -38,7 +38,7 @@ impl Store {
             );
             return Ok(0);
         };
-        let mut writer = self.write_one().await?;
+        let mut writer = journal.writer.acquire().await?;
         // Lines of another schema have other columns; the next start writes the journal anew.
         let schema = schema(&mut writer).await?;
         if contents.header.as_ref().is_none_or(|header| header.schema != schema) {

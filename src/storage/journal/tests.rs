@@ -21,7 +21,7 @@ use crate::storage::{ActiveUpdate, JobQuery};
 type Rows = std::collections::BTreeMap<RowName, entry::Image>;
 
 async fn rows(store: &Store) -> Rows {
-    let mut connection = store.reader().acquire().await.unwrap();
+    let mut connection = store.sqlite().await;
     let mut all = Rows::new();
     for table in TABLES {
         all.extend(table.rows(&mut connection).await.unwrap());
@@ -350,8 +350,10 @@ async fn the_journal_and_the_changes_do_not_grow_for_ever() {
         let patch = serde_json::from_value(serde_json::json!({"name": format!("name {k}")})).unwrap();
         store.patch_run(&rig.id, run.id, patch).await.unwrap();
     }
-    let left: i64 =
-        sqlx::query_scalar("SELECT count(*) FROM changes").fetch_one(store.reader()).await.unwrap();
+    let left: i64 = sqlx::query_scalar("SELECT count(*) FROM changes")
+        .fetch_one(&mut *store.sqlite().await)
+        .await
+        .unwrap();
     assert!(left < TRIMMED_EVERY, "{left}");
     let before = std::fs::metadata(path_in(store.data_dir())).unwrap().len();
     let store = store.reopened().await;

@@ -1,0 +1,187 @@
+//! PostgreSQL: any number of processes on any machines share it.
+//!
+//! Writers take one lock of the whole database, for the time of a transaction, as they queue for SQLite's one writer:
+//! rows that a transaction has read cannot change before it writes, whichever process does it.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr as _;
+use std::time::Duration;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::migrate::MigrateError;
+use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
+use sqlx::{Connection as _, PgConnection, PgPool};
+use uuid::Uuid;
+
+use super::statement::{Session, sql};
+use crate::storage::{StoreError, migrations};
+
+/// Where a PostgreSQL is.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PostgresSettings {
+    /// `postgres://user@host/database`; a password may be in it, or in `PGPASSWORD` or `PGPASSFILE`.
+    pub url: String,
+}
+
+/// Without the URL, which may hold a password.
+impl fmt::Debug for PostgresSettings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PostgresSettings")
+    }
+}
+
+/// Connections of a service that write, and as many that read.
+const SERVICE: u32 = 8;
+
+/// Connections of the process of a job, which only reads.
+const JOB: u32 = 2;
+
+/// How long a request waits for a connection, and a statement for a lock.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Keys of the advisory locks.
+mod locks {
+    /// Held to migrate.
+    pub(super) const MIGRATE: i64 = 0x5249_4743_0001;
+    /// Held while a transaction writes.
+    pub(super) const WRITE: i64 = 0x5249_4743_0002;
+    /// Held shared from before an object is stored until its row is, and alone to remove objects.
+    pub(super) const OBJECTS: i64 = 0x5249_4743_0003;
+}
+
+/// An opened database.
+pub(in crate::storage) struct Opened {
+    pub(in crate::storage) writers: PgPool,
+    pub(in crate::storage) readers: PgPool,
+    /// Which service it belongs to.
+    pub(in crate::storage) service: Uuid,
+}
+
+impl PostgresSettings {
+    /// Host and name of the database, for people.
+    ///
+    /// # Errors
+    /// [`StoreError::Postgres`] for a URL that is none.
+    pub fn name(&self) -> Result<String, StoreError> {
+        Ok(name(&self.options()?))
+    }
+
+    fn options(&self) -> Result<PgConnectOptions, StoreError> {
+        // The parser's own message may repeat the URL.
+        let refused = || StoreError::Postgres {
+            database: "--database".into(),
+            what: "write postgres://user@host:port/database".into(),
+        };
+        let is_one = ["postgres://", "postgresql://"].iter().any(|scheme| self.url.starts_with(scheme));
+        let options = if is_one { PgConnectOptions::from_str(&self.url).ok() } else { None };
+        let timeout = format!("{}s", PATIENCE.as_secs());
+        let options = options.ok_or_else(refused)?;
+        Ok(options.application_name("rigcast").options([("lock_timeout", timeout.as_str())]))
+    }
+
+    /// Opens the database and brings its schema up to this program's.
+    ///
+    /// # Errors
+    /// [`StoreError::Postgres`] if it cannot be reached or used, [`StoreError::Newer`] for a newer schema.
+    pub(in crate::storage) async fn open(&self) -> Result<Opened, StoreError> {
+        let options = self.options()?;
+        let refused =
+            |error: sqlx::Error| StoreError::Postgres { database: name(&options), what: in_words(&error) };
+        let mut connection =
+            tokio::time::timeout(PATIENCE, PgConnection::connect_with(&options)).await.map_err(|_| {
+                let what = format!("no answer within {} s", PATIENCE.as_secs());
+                StoreError::Postgres { database: name(&options), what }
+            })?;
+        let connection = connection
+            .as_mut()
+            .map_err(|error| StoreError::Postgres { database: name(&options), what: in_words(error) })?;
+        migrate(connection, &name(&options)).await?;
+        let service: String = sqlx::query_scalar("SELECT id FROM service")
+            .fetch_one(&mut *connection)
+            .await
+            .map_err(refused)?;
+        let bad = |error: uuid::Error| StoreError::Row {
+            table: "service",
+            key: service.clone(),
+            what: error.to_string(),
+        };
+        Ok(Opened {
+            writers: pool(SERVICE, options.clone()),
+            readers: pool(SERVICE, options.clone().options([("default_transaction_read_only", "on")])),
+            service: service.parse().map_err(bad)?,
+        })
+    }
+
+    /// Opens the database to read from it.
+    ///
+    /// # Errors
+    /// [`StoreError::Postgres`] for a URL that is none.
+    pub(in crate::storage) fn open_to_read(&self) -> Result<PgPool, StoreError> {
+        Ok(pool(JOB, self.options()?.options([("default_transaction_read_only", "on")])))
+    }
+}
+
+fn pool(most: u32, options: PgConnectOptions) -> PgPool {
+    PgPoolOptions::new().max_connections(most).acquire_timeout(PATIENCE).connect_lazy_with(options)
+}
+
+fn name(options: &PgConnectOptions) -> String {
+    let database = options.get_database().unwrap_or_else(|| options.get_username());
+    format!("postgres://{}:{}/{database}", options.get_host(), options.get_port())
+}
+
+/// Brings the schema up to this program's, while no other process does.
+async fn migrate(connection: &mut PgConnection, database: &str) -> Result<(), StoreError> {
+    let refused =
+        |what: &sqlx::Error| StoreError::Postgres { database: database.to_owned(), what: in_words(what) };
+    let lock = "SELECT pg_advisory_lock($1)";
+    sqlx::query(lock).bind(locks::MIGRATE).execute(&mut *connection).await.map_err(|e| refused(&e))?;
+    let known = migrations::latest();
+    let migrated = match migrations::postgres().run(&mut *connection).await {
+        Err(MigrateError::VersionMissing(found)) if found > known => {
+            Err(StoreError::Newer { path: PathBuf::from(database), found, known })
+        }
+        Err(MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _)) => Err(refused(&error)),
+        done => done.map_err(StoreError::Migrate),
+    };
+    let unlock = "SELECT pg_advisory_unlock($1)";
+    sqlx::query(unlock).bind(locks::MIGRATE).execute(connection).await.map_err(|e| refused(&e))?;
+    migrated
+}
+
+/// Lets no one else write until the transaction ends.
+pub(in crate::storage) async fn write_alone(session: &mut Session) -> sqlx::Result<()> {
+    sql("SELECT pg_advisory_xact_lock($1)").bind(locks::WRITE).execute(session).await.map(drop)
+}
+
+/// Lets no one remove objects until the transaction ends.
+pub(in crate::storage) async fn keep_objects(session: &mut Session) -> sqlx::Result<()> {
+    sql("SELECT pg_advisory_xact_lock_shared($1)").bind(locks::OBJECTS).execute(session).await.map(drop)
+}
+
+/// Lets no one store objects until the transaction ends.
+pub(in crate::storage) async fn remove_objects(session: &mut Session) -> sqlx::Result<()> {
+    sql("SELECT pg_advisory_xact_lock($1)").bind(locks::OBJECTS).execute(session).await.map(drop)
+}
+
+/// The time by the database's clock.
+pub(in crate::storage) async fn time(pool: &PgPool) -> Result<Timestamp, StoreError> {
+    let us: i64 = sqlx::query_scalar("SELECT (extract(epoch FROM clock_timestamp()) * 1000000)::bigint")
+        .fetch_one(pool)
+        .await?;
+    let bad =
+        |error: jiff::Error| StoreError::Row { table: "clock", key: us.to_string(), what: error.to_string() };
+    Timestamp::from_microsecond(us).map_err(bad)
+}
+
+/// The cause, without what was sent.
+fn in_words(error: &sqlx::Error) -> String {
+    match error {
+        sqlx::Error::Database(error) => error.message().to_owned(),
+        sqlx::Error::Io(error) => error.to_string(),
+        sqlx::Error::PoolTimedOut => "no connection in time".into(),
+        other => other.to_string(),
+    }
+}
