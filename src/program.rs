@@ -12,7 +12,9 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::app::{self, Address, App};
-use crate::config::{BackupArgs, Command, CopyArgs, DemoArgs, HealthArgs, LogArgs, RecoverArgs, ServeArgs};
+use crate::config::{
+    BackupArgs, Command, Config, CopyArgs, DemoArgs, HealthArgs, LogArgs, RecoverArgs, ServeArgs, WorkArgs,
+};
 use crate::engine::simd::Isa;
 use crate::storage;
 use crate::telemetry::{self, LogFormat};
@@ -30,7 +32,8 @@ pub fn run(command: Command) -> ExitCode {
         Command::Backup(args) => backup(&args),
         Command::Restore(args) => restore(&args),
         Command::Recover(args) => recover(&args),
-        Command::Work(log) => work(&log),
+        Command::Work(args) => work(&args),
+        Command::Job(log) => job(&log),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -42,12 +45,27 @@ pub fn run(command: Command) -> ExitCode {
 }
 
 fn serve(args: &ServeArgs) -> Result<(), Failure> {
+    begin(&args.log)?;
+    run_service(args.check()?)
+}
+
+fn work(args: &WorkArgs) -> Result<(), Failure> {
+    begin(&args.log)?;
+    run_service(args.check()?)
+}
+
+/// What comes before everything else in a process that stays.
+fn begin(log: &LogArgs) -> Result<(), Failure> {
     let thresholds = allocator::fix_thresholds();
-    telemetry::init_logging(&args.log.log, args.log.log_format)?;
+    telemetry::init_logging(&log.log, log.log_format)?;
     if let Err(error) = thresholds {
         tracing::warn!(%error, "the allocator's thresholds stay as they are: freed memory may be kept");
     }
-    let mut config = args.check()?;
+    Ok(())
+}
+
+/// Runs a part of the service until it is told to stop.
+fn run_service(mut config: Config) -> Result<(), Failure> {
     // A core dump would hold secrets from requests.
     setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
     let connections = &mut config.connections;
@@ -58,7 +76,7 @@ fn serve(args: &ServeArgs) -> Result<(), Failure> {
         // Signals are caught before anything is opened, so that a stop during the start is clean.
         let mut terminate = signal(SignalKind::terminate())?;
         let mut interrupt = signal(SignalKind::interrupt())?;
-        let address = Address::take(args.listen)?;
+        let address = Address::take(config.listen)?;
         let app = App::build(&config).await?;
         let listener = address.listen()?;
         let address = listener.local_addr()?;
@@ -169,7 +187,7 @@ fn recover(args: &RecoverArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn work(log: &LogArgs) -> Result<(), Failure> {
+fn job(log: &LogArgs) -> Result<(), Failure> {
     telemetry::init_logging(&log.log, log.log_format)?;
     let runtime = runtime()?;
     let ended = runtime.block_on(crate::jobs::work());

@@ -71,7 +71,7 @@ pub struct Args {
 
 fn main() -> ExitCode {
     // The service is this program, and so are its workers.
-    if matches!(std::env::args().nth(1).as_deref(), Some("serve" | "work")) {
+    if matches!(std::env::args().nth(1).as_deref(), Some("serve" | "job")) {
         return rigcast::program::run(Cli::parse().command);
     }
     match run(&Args::parse()) {

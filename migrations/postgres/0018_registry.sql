@@ -196,10 +196,10 @@ CREATE TRIGGER checkpoints_go_with_the_end_of_their_job AFTER UPDATE OF state ON
 WHEN (NEW.state IN ('succeeded', 'failed', 'cancelled'))
 EXECUTE FUNCTION forget_checkpoints();
 
--- Every process hears of the jobs that change, whichever process changes them.
+-- Every process hears of the jobs that change, whichever process changes them: the state and the id.
 CREATE FUNCTION tell_of_a_job() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN
-    PERFORM pg_notify('rigcast_jobs', NEW.id);
+    PERFORM pg_notify('rigcast_jobs', NEW.state || ' ' || NEW.id);
     RETURN NULL;
 END
 $$;

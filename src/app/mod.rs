@@ -4,9 +4,9 @@ mod address;
 mod connection;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
@@ -19,7 +19,7 @@ use tokio::sync::watch;
 use tower::Layer;
 
 use crate::compute::{Compute, ComputeError, ComputeSettings};
-use crate::config::{Config, ConnectionSettings};
+use crate::config::{Config, ConnectionSettings, Part};
 use crate::domain::TokenRole;
 use crate::http::{
     self, Admission, Auth, ClientAddress, Comparisons, Http, PredictionMemory, RunViews, Shared,
@@ -89,9 +89,30 @@ pub struct App {
     connections: Arc<Connections>,
 }
 
-/// The one place that reads the clock; everything below receives this function.
+/// The one place that reads the clock; everything below receives this function. Where processes share a registry they go
+/// by the clock of its database, so that clocks that differ end no lease and no token.
 pub fn now() -> jiff::Timestamp {
-    jiff::Timestamp::now()
+    let shared = SHARED_CLOCK.read().unwrap_or_else(PoisonError::into_inner);
+    match *shared {
+        None => jiff::Timestamp::now(),
+        Some((read, time)) => time.checked_add(read.elapsed()).unwrap_or(time),
+    }
+}
+
+/// When the database's clock was read last, and what it said.
+static SHARED_CLOCK: RwLock<Option<(Instant, jiff::Timestamp)>> = RwLock::new(None);
+
+/// How often the database's clock is read.
+const CLOCK_CHECK: Duration = Duration::from_secs(20);
+
+/// Reads the clock of a registry that is shared.
+async fn read_clock(store: &Store) -> Result<(), StoreError> {
+    if let Some(time) = store.shared_time().await? {
+        // As of after the answer, so that the time never runs ahead of the database's.
+        let read = Instant::now();
+        *SHARED_CLOCK.write().unwrap_or_else(PoisonError::into_inner) = Some((read, time));
+    }
+    Ok(())
 }
 
 /// Whether there is a token in force that can create all others.
@@ -110,12 +131,15 @@ impl App {
     /// without an admin's token; no threads.
     pub async fn build(config: &Config) -> Result<Self, AppError> {
         let on_loopback = config.listen.ip().is_loopback();
-        if !on_loopback && config.store.database.is_none() && !Store::exists(&config.data_dir) {
+        // Who only works answers nothing but monitors.
+        let is_closed = on_loopback || config.part == Part::Work;
+        if !is_closed && config.store.database.is_none() && !Store::exists(&config.data_dir) {
             // A missing directory holds no token, and a refused start must not create it.
             return Err(AppError::OpenToNetwork(config.listen));
         }
         let store = Store::open_with(&config.data_dir, &config.store).await?;
-        if !on_loopback && !has_admin(&store).await? {
+        read_clock(&store).await?;
+        if !is_closed && !has_admin(&store).await? {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));
         }
@@ -144,7 +168,11 @@ impl App {
         http::begin_metrics(&http);
         let settings = config.connections.clone();
         let connections = Connections::new(&settings);
-        Ok(Self { router: http::router(http.clone()), http, store, jobs, draining, settings, connections })
+        let router = match config.part {
+            Part::Serve => http::router(http.clone()),
+            Part::Work => http::monitors_router(http.clone()),
+        };
+        Ok(Self { router, http, store, jobs, draining, settings, connections })
     }
 
     /// The router, for callers that bring requests another way than [`App::serve`].
@@ -161,6 +189,7 @@ impl App {
             () = self.accept(&listener, &connections) => {}
             () = self.upkeep() => {}
             () = self.check_rows() => {}
+            () = self.check_clock() => {}
             () = shutdown => {}
         }
         tracing::info!("stopping: soon no more connections are accepted");
@@ -222,6 +251,17 @@ impl App {
         loop {
             upkeep.tick().await;
             self.http.metrics.run_upkeep();
+        }
+    }
+
+    /// Follows the clock of a registry that is shared, until it is dropped.
+    async fn check_clock(&self) {
+        loop {
+            tokio::time::sleep(CLOCK_CHECK).await;
+            if let Err(error) = read_clock(&self.store).await {
+                error.count();
+                tracing::warn!(%error, "the database's clock could not be read: the last time that was read goes on");
+            }
         }
     }
 

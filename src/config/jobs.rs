@@ -12,8 +12,9 @@ use crate::jobs::{JobSettings, WorkerProgram};
 /// Settings of jobs.
 #[derive(Debug, Clone, Args)]
 pub struct JobArgs {
-    /// Jobs that run at the same time, each in a process of its own; a fit uses all cores by itself.
-    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
+    /// Jobs that run at the same time, each in a process of its own; a fit uses all cores by itself. 0 leaves all jobs to
+    /// other processes of a shared registry.
+    #[arg(long, env = "RIGCAST_WORKERS", default_value_t = 1, value_parser = clap::value_parser!(u16).range(0..=64))]
     pub workers: u16,
 
     /// Lease of a job: a job is taken from a worker after so many seconds without a heartbeat, and a worker
@@ -65,7 +66,7 @@ impl JobArgs {
         let memory = self.job_memory_mib.map(|mib| mib << 20);
         let program = WorkerProgram {
             program: own_program(),
-            arguments: log.as_arguments("work"),
+            arguments: log.as_arguments("job"),
             memory_bytes: memory.unwrap_or_else(|| WorkerProgram::default_memory_bytes(self.workers)),
             time_limit: self.job_time_limit_s,
         };

@@ -58,9 +58,11 @@ pub enum Command {
     Restore(CopyArgs),
     /// Make the database of a stopped service anew from its journal, after a start was refused.
     Recover(RecoverArgs),
-    /// Do one job for the `rigcast serve` that starts this process.
+    /// Run jobs of services that share a PostgreSQL, on this or another machine, until told to stop.
+    Work(Box<WorkArgs>),
+    /// Do one job for the `rigcast serve` or `rigcast work` that starts this process.
     #[command(hide = true)]
-    Work(LogArgs),
+    Job(LogArgs),
 }
 
 /// Settings of logs.
@@ -120,9 +122,48 @@ pub struct ServeArgs {
     pub drive_limit_bytes: u64,
 }
 
+/// How `rigcast work` runs.
+#[derive(Debug, Clone, Args)]
+pub struct WorkArgs {
+    /// Address and port that answer `/livez`, `/readyz` and `/metrics`; port 0 takes a free one.
+    #[arg(long, env = "RIGCAST_LISTEN", default_value = "127.0.0.1:8081", value_parser = address)]
+    pub listen: SocketAddr,
+
+    /// Directory of copies of objects; made if missing, locked while in use.
+    #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-work")]
+    pub data_dir: PathBuf,
+
+    /// Registry.
+    #[command(flatten)]
+    pub database: DatabaseArgs,
+
+    /// Objects.
+    #[command(flatten)]
+    pub objects: ObjectArgs,
+
+    /// Jobs.
+    #[command(flatten)]
+    pub jobs: JobArgs,
+
+    /// Logs.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// What a process of the service does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Answers requests, and runs jobs if it has workers.
+    Serve,
+    /// Runs jobs; tells monitors how it is.
+    Work,
+}
+
 /// Everything that the service needs to know to start.
 #[derive(Debug, Clone)]
 pub struct Config {
+    /// What the process does.
+    pub part: Part,
     /// Directory of the registry, the signals and the weights.
     pub data_dir: PathBuf,
     /// Where registry and objects are, if not in the data directory.
@@ -145,6 +186,7 @@ impl Config {
     /// The default settings, with jobs on threads of this process.
     pub fn new(data_dir: PathBuf, listen: SocketAddr) -> Self {
         Self {
+            part: Part::Serve,
             data_dir,
             store: StoreSettings::default(),
             listen,
@@ -171,6 +213,12 @@ pub enum ConfigError {
         /// The lease.
         lease: Duration,
     },
+    /// Nobody would ever do a job.
+    #[error("--workers 0 is for services that share a PostgreSQL (--database) with a `rigcast work`")]
+    NoWorkers,
+    /// A process that only works needs jobs of others.
+    #[error("`rigcast work` runs jobs of services that share a PostgreSQL: name it with --database")]
+    NothingShared,
 }
 
 /// An address with its port; `localhost` is this machine's IPv4 loopback.
@@ -199,9 +247,13 @@ impl ServeArgs {
     /// The settings of the service, checked together.
     ///
     /// # Errors
-    /// [`ConfigError::Heartbeat`].
+    /// [`ConfigError::Heartbeat`], [`ConfigError::NoWorkers`].
     pub fn check(&self) -> Result<Config, ConfigError> {
+        if self.jobs.workers == 0 && self.database.postgres().is_none() {
+            return Err(ConfigError::NoWorkers);
+        }
         Ok(Config {
+            part: Part::Serve,
             data_dir: self.data_dir.clone(),
             store: StoreSettings { bucket: self.objects.bucket(), database: self.database.postgres() },
             listen: self.listen,
@@ -217,6 +269,25 @@ impl ServeArgs {
             compute: self.load.compute(),
             admission: self.load.admission(),
             connections: self.load.connections(),
+        })
+    }
+}
+
+impl WorkArgs {
+    /// The settings of the process, checked together.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn check(&self) -> Result<Config, ConfigError> {
+        if self.jobs.workers == 0 {
+            return Err(ConfigError::NoWorkers);
+        }
+        let database = self.database.postgres().ok_or(ConfigError::NothingShared)?;
+        Ok(Config {
+            part: Part::Work,
+            store: StoreSettings { bucket: self.objects.bucket(), database: Some(database) },
+            jobs: self.jobs.check(&self.log)?,
+            ..Config::new(self.data_dir.clone(), self.listen)
         })
     }
 }
@@ -265,18 +336,37 @@ mod tests {
     }
 
     #[test]
-    fn no_workers_at_all_is_refused() {
-        assert!(Cli::try_parse_from(["rigcast", "serve", "--workers", "0"]).is_err());
+    fn no_workers_at_all_is_refused_unless_others_share_the_registry() {
+        assert!(matches!(serve(&["--workers", "0"]).check(), Err(ConfigError::NoWorkers)));
+        let shared = ["--workers", "0", "--database", "postgres://lab:hunter2@db/rigcast"];
+        assert_eq!(serve(&shared).check().expect("sound settings").jobs.workers, 0);
+        let shown = format!("{:?} {:?}", serve(&shared), serve(&shared).check());
+        assert!(!shown.contains("hunter2"), "{shown}");
+    }
+
+    #[test]
+    fn who_only_works_shares_a_registry() {
+        let work = |arguments: &[&str]| {
+            let cli =
+                Cli::try_parse_from(["rigcast", "work"].iter().chain(arguments)).expect("valid arguments");
+            match cli.command {
+                Command::Work(args) => args.check(),
+                other => panic!("{other:?}"),
+            }
+        };
+        assert!(matches!(work(&[]), Err(ConfigError::NothingShared)));
+        let config = work(&["--database", "postgres://db/rigcast"]).expect("sound settings");
+        assert_eq!((config.part, config.jobs.workers), (Part::Work, 1));
     }
 
     #[test]
     fn jobs_get_processes_that_log_as_the_service_does() {
         let jobs = serve(&["--log", "debug", "--job-memory-mib", "7"]).check().expect("sound").jobs;
         let program = jobs.program.expect("a process for each job");
-        assert_eq!(program.arguments, ["work", "--log", "debug", "--log-format", "text"]);
+        assert_eq!(program.arguments, ["job", "--log", "debug", "--log-format", "text"]);
         assert_eq!(program.memory_bytes, 7 << 20);
-        let work = Cli::try_parse_from(["rigcast".into()].into_iter().chain(program.arguments));
-        assert!(matches!(work.expect("its arguments are read").command, Command::Work(_)));
+        let job = Cli::try_parse_from(["rigcast".into()].into_iter().chain(program.arguments));
+        assert!(matches!(job.expect("its arguments are read").command, Command::Job(_)));
     }
 
     #[test]

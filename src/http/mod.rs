@@ -163,8 +163,18 @@ impl Http {
 
 /// The router: every route of the table, behind the checks of its right and its class of traffic.
 pub fn router(http: Shared) -> Router {
+    router_of(http, |_| true)
+}
+
+/// The router of a process that only runs jobs: what monitors ask for.
+pub fn monitors_router(http: Shared) -> Router {
+    router_of(http, |route| ["/livez", "/readyz", "/metrics"].contains(&route.path))
+}
+
+fn router_of(http: Shared, has: impl Fn(&routes::Route) -> bool) -> Router {
     routes::ROUTES
         .iter()
+        .filter(|route| has(route))
         .fold(Router::new(), |router, route| {
             let guard = from_fn_with_state((http.clone(), route.right), auth::guard);
             // Inside the guard, so that a repeated answer goes only to the caller that got it first.

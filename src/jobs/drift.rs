@@ -109,6 +109,7 @@ impl Inner {
     /// Judges one run of each rig that has one waiting, so that no rig waits for all runs of another. Returns how many.
     async fn pass(&self) -> Result<usize, StoreError> {
         let mut judged = 0;
+        let Some(_turn) = self.store.drift_turn().await? else { return Ok(0) };
         for due in self.store.due_runs().await? {
             if *self.stopping.borrow() {
                 return Ok(0);

@@ -128,9 +128,12 @@ impl Jobs {
         settings: JobSettings,
         fit: FitFunction,
     ) -> Result<Self, StoreError> {
-        // The data directory is locked, so the process that had these jobs is gone.
-        for id in store.requeue_interrupted(clock()).await? {
-            tracing::warn!(job.id = %id, "a job was interrupted when the service died");
+        // A data directory is locked, so the process that had these jobs is gone. Those of a registry that is shared may
+        // be at work elsewhere: their leases tell.
+        if !store.is_shared() {
+            for id in store.requeue_interrupted(clock()).await? {
+                tracing::warn!(job.id = %id, "a job was interrupted when the service died");
+            }
         }
         let count = settings.workers;
         let executor = match settings.program.clone() {
@@ -145,6 +148,9 @@ impl Jobs {
         let mut workers: Vec<_> =
             (0..count).map(|i| tokio::spawn(Arc::clone(&runner).work(runner::worker_name(i)))).collect();
         workers.push(tokio::spawn(Arc::clone(&runner).sweep()));
+        if runner.store.is_shared() {
+            workers.push(tokio::spawn(Arc::clone(&runner).listen()));
+        }
         Ok(Self { runner, workers: Arc::new(Mutex::new(workers)) })
     }
 

@@ -140,6 +140,31 @@ impl Runner {
         }
     }
 
+    /// Hears of jobs that other processes queue or change, until the service stops. What is missed while the database is
+    /// away is found by looking, as without announcements.
+    pub(super) async fn listen(self: Arc<Self>) {
+        let mut stopping = self.stopping.subscribe();
+        while !*stopping.borrow() {
+            let heard = self.store.hear_of_jobs(|id, waits| {
+                self.hub.changed(id);
+                if waits {
+                    self.queued.notify_one();
+                }
+            });
+            tokio::select! {
+                error = heard => {
+                    error.count();
+                    tracing::warn!(%error, "jobs of other processes are not announced for now");
+                }
+                _ = stopping.wait_for(|stopping| *stopping) => return,
+            }
+            tokio::select! {
+                () = tokio::time::sleep(self.settings.sweep) => {}
+                _ = stopping.wait_for(|stopping| *stopping) => {}
+            }
+        }
+    }
+
     async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
         let now = (self.clock)();
         self.store.claim_job(name, self.lease_until(now), now).await

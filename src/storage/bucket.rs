@@ -620,7 +620,7 @@ mod tests {
     #[tokio::test]
     async fn a_data_directory_moves_into_a_bucket_and_keeps_the_copies_that_were_used_last() {
         let storage = Arc::<Storage>::default();
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = rig(&store).await;
         let mut runs = Vec::new();
         for i in 0..4 {

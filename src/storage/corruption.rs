@@ -101,7 +101,7 @@ mod tests {
 
     #[tokio::test]
     async fn what_is_damaged_is_named_until_it_is_whole_or_gone() {
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let run = store.upload(&rig, &[1.0]).await.run;
         let model = store.import(&rig, b"weights").await;

@@ -2,11 +2,16 @@
 
 use jiff::Timestamp;
 
-use super::database::sql;
+use super::database::{Pool, Session, postgres, sql};
 use super::rows::{DriftEntry, all, json, parsed, us};
 use super::{Store, StoreError};
 use crate::domain::RigId;
 use crate::domain::drift::{DriftRow, DueRun, Outcome};
+
+/// The right to judge runs.
+pub struct DriftTurn {
+    _held: Option<Session>,
+}
 
 /// Runs without an outcome under the active version of their rig.
 macro_rules! due_runs {
@@ -38,6 +43,17 @@ impl Store {
             Ok(DueRun { rig: parsed("rigs", &rig, &rig)?, version, run: parsed("runs", &run, &run)? })
         };
         rows.into_iter().map(due).collect()
+    }
+
+    /// The right to judge runs, which one process has at a time; `None` while another has it. It ends when it is dropped.
+    ///
+    /// # Errors
+    /// The store's failures.
+    pub async fn drift_turn(&self) -> Result<Option<DriftTurn>, StoreError> {
+        let Pool::Postgres(_) = self.reader() else { return Ok(Some(DriftTurn { _held: None })) };
+        let mut held = self.snapshot().await?;
+        let is_ours = postgres::take_turn(&mut held).await?;
+        Ok(is_ours.then_some(DriftTurn { _held: Some(held) }))
     }
 
     /// Number of runs of a rig that wait to be predicted by its active model.

@@ -186,7 +186,7 @@ mod tests {
 
     #[tokio::test]
     async fn evaluations_are_listed_newest_first_and_a_damaged_report_is_named() {
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let mut ids = Vec::new();
         for report in [&b"1"[..], b"2"] {

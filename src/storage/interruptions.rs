@@ -8,7 +8,7 @@ use jiff::Timestamp;
 
 use super::database::sql;
 use super::jobs::leave_running;
-use super::rows::{JobRow, all, us};
+use super::rows::{JobRow, all, json, us};
 use super::{Outcome, Store, StoreError};
 use crate::domain::job::MAX_SERVICE_DEATHS;
 use crate::domain::{Job, JobId, Problem};
@@ -21,11 +21,26 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn requeue_interrupted(&self, now: Timestamp) -> Result<Vec<JobId>, StoreError> {
+        self.requeue_of_dead(Timestamp::MAX, &[], now).await
+    }
+
+    /// As [`Store::requeue_interrupted`], of the jobs whose lease ended before `expired_at`, without those `held`.
+    async fn requeue_of_dead(
+        &self,
+        expired_at: Timestamp,
+        held: &[JobId],
+        now: Timestamp,
+    ) -> Result<Vec<JobId>, StoreError> {
         let mut tx = self.write_with_reserve().await?;
-        let rows: Vec<JobRow> =
-            sql("UPDATE jobs SET service_deaths = service_deaths + 1 WHERE state = 'running' RETURNING *")
-                .fetch_all(&mut *tx)
-                .await?;
+        let held: Vec<String> = held.iter().map(JobId::to_string).collect();
+        let rows: Vec<JobRow> = sql("UPDATE jobs SET service_deaths = service_deaths + 1
+             WHERE state = 'running' AND coalesce(lease_until_us, 0) <= $1
+               AND id NOT IN (SELECT value FROM json_each($2))
+             RETURNING *")
+        .bind(us(expired_at))
+        .bind(json(&held))
+        .fetch_all(&mut *tx)
+        .await?;
         let mut ids = Vec::with_capacity(rows.len());
         for row in rows {
             let deaths = row.service_deaths;
@@ -48,6 +63,9 @@ impl Store {
     /// Puts jobs whose lease ended before `expired_at` back into the queue, or fails them if their
     /// attempts are used up. Returns their ids. Jobs in `held` stay as they are.
     ///
+    /// Where processes share the registry, each tells of the end of its own workers: who lets a lease end is a service
+    /// that has died, or stood still.
+    ///
     /// # Errors
     /// The store's failures.
     pub async fn requeue_expired(
@@ -56,6 +74,9 @@ impl Store {
         held: &[JobId],
         now: Timestamp,
     ) -> Result<Vec<JobId>, StoreError> {
+        if self.is_shared() {
+            return self.requeue_of_dead(expired_at, held, now).await;
+        }
         let mut tx = self.write_with_reserve().await?;
         let rows: Vec<JobRow> =
             sql("SELECT * FROM jobs WHERE state = 'running' AND lease_until_us <= $1 ORDER BY id")
@@ -90,7 +111,10 @@ mod tests {
     use crate::domain::job::{MAX_ATTEMPTS, SUSPECT_AFTER};
 
     async fn queued() -> (TestStore, JobId) {
-        let store = TestStore::open().await;
+        queued_in(TestStore::open().await).await
+    }
+
+    async fn queued_in(store: TestStore) -> (TestStore, JobId) {
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let id = store.queue_fit(&rig).await.id;
         (store, id)
@@ -106,7 +130,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_job_whose_worker_is_lost_is_tried_three_times() {
-        let (store, id) = queued().await;
+        let (store, id) = queued_in(TestStore::open_sqlite().await).await;
         for attempt in 1..=MAX_ATTEMPTS {
             let claimed = claim(&store).await.unwrap();
             assert_eq!((claimed.job.attempt, claimed.lease.token), (attempt, u64::from(attempt)));

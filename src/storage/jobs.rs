@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use jiff::Timestamp;
 use serde::Serialize;
 
-use super::database::{Session, sql};
+use super::database::{Pool, Session, postgres, sql};
 use super::reserve::with_reserve;
 use super::rigs::rig_in;
 use super::rows::{JobRow, all, int, json, us};
@@ -230,6 +230,18 @@ impl Store {
         let job = insert_requested(&mut tx, rig, request, asker, key, now).await?;
         tx.commit().await?;
         Ok(JobInsert::Queued(Box::new(job)))
+    }
+
+    /// Calls `heard` with each job that any process queues or changes, and whether it waits now, until the database
+    /// fails. Never returns where the registry is not shared.
+    pub async fn hear_of_jobs(&self, mut heard: impl FnMut(JobId, bool)) -> StoreError {
+        let Pool::Postgres(pool) = self.reader() else { return std::future::pending().await };
+        let waits = JobState::Queued.as_str();
+        let parse = |state: &str, id: &str| id.parse().into_iter().for_each(|id| heard(id, state == waits));
+        match postgres::hear_of_jobs(pool, parse).await {
+            Ok(()) => sqlx::Error::PoolClosed.into(),
+            Err(error) => error.into(),
+        }
     }
 
     /// One job.

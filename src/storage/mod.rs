@@ -35,6 +35,8 @@ mod rigs;
 mod rows;
 mod runs;
 mod samples;
+#[cfg(test)]
+mod shared_tests;
 mod store;
 mod studies;
 #[cfg(test)]
@@ -51,6 +53,7 @@ pub use checkpoints::Checkpoint;
 pub use corruption::CorruptObject;
 pub use database::postgres::PostgresSettings;
 pub use diagnoses::NewDiagnosis;
+pub use drift::DriftTurn;
 pub use error::{Acknowledged, StoreError};
 pub use evaluations::NewEvaluation;
 pub use idempotency::{IdempotencyKey, StoredAnswer};

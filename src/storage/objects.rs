@@ -629,7 +629,7 @@ mod tests {
 
     #[tokio::test]
     async fn an_object_that_was_put_aside_comes_back_with_its_row() {
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let run = store.upload(&rig, &[1.0]).await.run;
         let data_dir = store.data_dir().to_owned();

@@ -224,7 +224,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_damaged_or_missing_object_is_found_before_a_sample_is_read() {
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         let run = store.upload(&rig, &[0.5; 40_000]).await.run;
         let path = store.objects().path_of(&run.object);

@@ -487,7 +487,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_full_database_refuses_writes_loses_nothing_and_works_again_with_more_room() {
-        let store = TestStore::open().await;
+        let store = TestStore::open_sqlite().await;
         let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
         store.limit_pages(1).await;
         let mut accepted = 0;

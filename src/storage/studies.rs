@@ -94,7 +94,7 @@ impl Store {
         rig: &RigId,
         page: &PageRequest,
     ) -> Result<Option<Page<StudySummary>>, StoreError> {
-        let sql = select_studies!("(?2 IS NULL OR jobs.id < ?2) ORDER BY jobs.id DESC LIMIT ?3");
+        let sql = select_studies!("($2 IS NULL OR jobs.id < $2) ORDER BY jobs.id DESC LIMIT $3");
         let found = self.newest::<StudyRow, StoredStudy>(sql, rig, page, |one| one.summary.id.to_string());
         Ok(found.await?.map(|page| page.map(|one| one.summary)))
     }
@@ -104,7 +104,7 @@ impl Store {
     /// # Errors
     /// The store's failures.
     pub async fn study(&self, rig: &RigId, id: StudyId) -> Result<Option<StoredStudy>, StoreError> {
-        let row: Option<StudyRow> = sql(select_studies!("jobs.id = ?2"))
+        let row: Option<StudyRow> = sql(select_studies!("jobs.id = $2"))
             .bind(rig.as_str())
             .bind(id.to_string())
             .fetch_optional(self.reader())

@@ -34,6 +34,7 @@ mod lab_files;
 mod large_answers;
 mod large_uploads;
 mod logs;
+mod many_machines;
 mod model_reports;
 mod models;
 mod operations;

@@ -276,7 +276,7 @@ async fn a_worker_that_freezes_past_its_lease_never_makes_a_second_model() {
 
 #[test]
 fn a_worker_that_nobody_tells_what_to_do_says_so() {
-    let mut alone = crate::support::rigcast(&["work"]);
+    let mut alone = crate::support::rigcast(&["job"]);
     let ended = alone.stdin(std::process::Stdio::null()).output().expect("it ends");
     assert_eq!(ended.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&ended.stderr).contains("rigcast serve"), "{ended:?}");

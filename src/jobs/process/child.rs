@@ -22,10 +22,10 @@ const SAY_EVERY: Duration = Duration::from_millis(250);
 #[derive(Debug, thiserror::Error)]
 pub enum WorkError {
     /// Its standard input and output do not belong to a server.
-    #[error("`rigcast work` is started by `rigcast serve`, which talks to it: {0}")]
+    #[error("`rigcast job` is started by `rigcast serve`, which talks to it: {0}")]
     Server(#[from] std::io::Error),
     /// The server sent no work.
-    #[error("`rigcast work` is started by `rigcast serve`, which sends it its work; nothing was sent")]
+    #[error("`rigcast job` is started by `rigcast serve`, which sends it its work; nothing was sent")]
     Nothing,
 }
 

@@ -22,7 +22,7 @@ fn quiet() -> Progress {
 
 /// A store with a run and a model, and a directory for backups.
 async fn lab() -> (TestStore, tempfile::TempDir) {
-    let store = TestStore::open().await;
+    let store = TestStore::open_sqlite().await;
     let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
     store.upload(&rig, &[1.0, 2.0]).await;
     store.import(&rig, b"weights").await;

@@ -11,7 +11,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::migrate::MigrateError;
-use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
+use sqlx::postgres::{PgConnectOptions, PgListener, PgPoolOptions};
 use sqlx::{Connection as _, PgConnection, PgPool};
 use uuid::Uuid;
 
@@ -41,6 +41,9 @@ const JOB: u32 = 2;
 /// How long a request waits for a connection, and a statement for a lock.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// Channel of the changes of jobs, which a trigger announces.
+const JOBS: &str = "rigcast_jobs";
+
 /// Keys of the advisory locks.
 mod locks {
     /// Held to migrate.
@@ -49,6 +52,8 @@ mod locks {
     pub(super) const WRITE: i64 = 0x5249_4743_0002;
     /// Held shared from before an object is stored until its row is, and alone to remove objects.
     pub(super) const OBJECTS: i64 = 0x5249_4743_0003;
+    /// Held to hold active models against new runs.
+    pub(super) const DRIFT: i64 = 0x5249_4743_0004;
 }
 
 /// An opened database.
@@ -164,6 +169,27 @@ pub(in crate::storage) async fn keep_objects(session: &mut Session) -> sqlx::Res
 /// Lets no one store objects until the transaction ends.
 pub(in crate::storage) async fn remove_objects(session: &mut Session) -> sqlx::Result<()> {
     sql("SELECT pg_advisory_xact_lock($1)").bind(locks::OBJECTS).execute(session).await.map(drop)
+}
+
+/// Takes the turn of a kind of work that one process does at a time, until the transaction ends; `false` if another has
+/// it.
+pub(in crate::storage) async fn take_turn(session: &mut Session) -> sqlx::Result<bool> {
+    sql("SELECT pg_try_advisory_xact_lock($1)").bind(locks::DRIFT).fetch_one(session).await
+}
+
+/// Calls `heard` with state and id of each job that any process queues or changes, until the connection fails.
+pub(in crate::storage) async fn hear_of_jobs(
+    pool: &PgPool,
+    mut heard: impl FnMut(&str, &str),
+) -> sqlx::Result<()> {
+    let mut listener = PgListener::connect_with(pool).await?;
+    listener.listen(JOBS).await?;
+    while let Some(told) = listener.try_recv().await? {
+        if let Some((state, id)) = told.payload().split_once(' ') {
+            heard(state, id);
+        }
+    }
+    Ok(())
 }
 
 /// The time by the database's clock.

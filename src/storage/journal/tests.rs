@@ -31,7 +31,7 @@ async fn rows(store: &Store) -> Rows {
 
 /// A service with some of everything, with changes in its write-ahead log.
 async fn service() -> TestStore {
-    let store = TestStore::open().await;
+    let store = TestStore::open_sqlite().await;
     let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
     let gone = store.insert_rig(&draft("gone"), None, now()).await.unwrap().unwrap();
     store.upload(&gone, &[9.0]).await;
@@ -343,7 +343,7 @@ async fn a_commit_that_a_crash_kept_from_the_journal_is_taken_over_at_the_start(
 
 #[tokio::test]
 async fn the_journal_and_the_changes_do_not_grow_for_ever() {
-    let store = TestStore::open().await;
+    let store = TestStore::open_sqlite().await;
     let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
     let run = store.upload(&rig, &[1.0]).await.run;
     for k in 0..2 * TRIMMED_EVERY {

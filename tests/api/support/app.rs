@@ -237,7 +237,7 @@ async fn build(config: &Config) -> App {
 fn worker() -> WorkerProgram {
     WorkerProgram {
         program: env!("CARGO_BIN_EXE_rigcast").into(),
-        arguments: ["work", "--log", "error"].map(Into::into).to_vec(),
+        arguments: ["job", "--log", "error"].map(Into::into).to_vec(),
         memory_bytes: 4 << 30,
         time_limit: Duration::from_secs(600),
     }

@@ -3,15 +3,19 @@
 mod app;
 mod contract;
 mod fixtures;
+mod postgres;
 mod program;
 mod raw;
 mod reply;
+mod storage;
 mod vectors;
 
 pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
+pub use postgres::Postgres;
 pub use program::{Program, lives, rigcast, signal, try_signal};
 pub use raw::{exchange, read_all};
 pub use reply::{Call, Reply};
+pub use storage::Storage;
 pub use vectors::{columns, vector_file, vector_rig};

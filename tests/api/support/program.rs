@@ -83,6 +83,12 @@ impl Program {
         Self::started(serve(address, data_dir).envs(environment.iter().copied()))
     }
 
+    /// `rigcast work` on `data_dir` and a free port of loopback.
+    pub fn work(data_dir: &Path, environment: &[(&str, &str)]) -> Self {
+        let mut work = rigcast(&["work", "--listen", "127.0.0.1:0", "--data-dir"]);
+        Self::started(work.arg(data_dir).envs(environment.iter().copied()))
+    }
+
     fn started(command: &mut Command) -> Self {
         let mut child = command.spawn().expect("the program starts");
         let mut log = BufReader::new(child.stderr.take().expect("piped")).lines();
