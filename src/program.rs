@@ -13,10 +13,12 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::app::{self, Address, App};
 use crate::config::{
-    BackupArgs, Command, Config, CopyArgs, DemoArgs, HealthArgs, LogArgs, RecoverArgs, ServeArgs, WorkArgs,
+    BackupArgs, Command, Config, ConfigError, CopyArgs, DemoArgs, HealthArgs, LogArgs, MoveArgs, RecoverArgs,
+    ServeArgs, WorkArgs,
 };
 use crate::engine::simd::Isa;
 use crate::storage;
+use crate::storage::backup::Source;
 use crate::telemetry::{self, LogFormat};
 use crate::token::{self, CreateArgs, TokenCommand};
 
@@ -32,6 +34,7 @@ pub fn run(command: Command) -> ExitCode {
         Command::Backup(args) => backup(&args),
         Command::Restore(args) => restore(&args),
         Command::Recover(args) => recover(&args),
+        Command::Move(args) => move_registry(&args),
         Command::Work(args) => work(&args),
         Command::Job(log) => job(&log),
     };
@@ -131,9 +134,11 @@ fn health(args: &HealthArgs) -> Result<(), Failure> {
 }
 
 fn backup(args: &BackupArgs) -> Result<(), Failure> {
-    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous, objects } = args;
+    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous, database, objects } = args;
     let (previous, bucket, now) = (previous.as_deref(), objects.bucket(), jiff::Timestamp::now());
-    let work = storage::backup::backup(data_dir, bucket.as_ref(), backup, previous, now, told_each_second());
+    let database = database.postgres();
+    let source = database.as_ref().map_or(Source::DataDir(data_dir), Source::Postgres);
+    let work = storage::backup::backup(source, bucket.as_ref(), backup, previous, now, told_each_second());
     let made = runtime()?.block_on(work)?;
     println!("backed up {} objects of {} bytes into {}", made.objects, made.bytes, backup.display());
     Ok(())
@@ -144,6 +149,24 @@ fn restore(args: &CopyArgs) -> Result<(), Failure> {
     let made = runtime()?.block_on(storage::backup::restore(backup, data_dir, told_each_second()))?;
     let (n, path) = (made.objects, data_dir.display());
     println!("restored {n} objects of {} bytes, as of {}, into {path}", made.bytes, made.created_at);
+    Ok(())
+}
+
+fn move_registry(args: &MoveArgs) -> Result<(), Failure> {
+    let MoveArgs { data_dir, back, database, objects } = args;
+    let (Some(database), Some(bucket)) = (database.postgres(), objects.bucket()) else {
+        return Err(ConfigError::Nowhere.into());
+    };
+    telemetry::init_logging("warn", LogFormat::Text)?;
+    let (path, name) = (data_dir.display(), database.name()?);
+    if *back {
+        let work = storage::backup::move_back(&database, &bucket, data_dir, told_each_second());
+        let n = runtime()?.block_on(work)?;
+        println!("{path} has the registry of {name} and its {n} objects; both stay where they were");
+        return Ok(());
+    }
+    let moved = runtime()?.block_on(storage::move_into(data_dir, &bucket, &database, told_each_second()))?;
+    println!("{name} has the registry of {path}, and {} its {} objects", bucket.url, moved.objects);
     Ok(())
 }
 

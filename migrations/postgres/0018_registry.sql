@@ -26,7 +26,7 @@ CREATE TABLE rigs (
 
 CREATE TABLE runs (
     id             TEXT             COLLATE "C" NOT NULL PRIMARY KEY,
-    rig            TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig            TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     name           TEXT             COLLATE "C" NOT NULL,
     kind           TEXT             COLLATE "C" NOT NULL CHECK (kind IN ('noise', 'service', 'sine', 'sweep', 'other')),
     split          TEXT             COLLATE "C" NOT NULL CHECK (split IN ('training', 'validation', 'test')),
@@ -41,7 +41,7 @@ CREATE TABLE runs (
     sha256         TEXT             COLLATE "C" NOT NULL,
     object         TEXT             COLLATE "C" NOT NULL,
     quality        TEXT             COLLATE "C" NOT NULL,
-    duplicate_of   TEXT             COLLATE "C" REFERENCES runs (id)
+    duplicate_of   TEXT             COLLATE "C" REFERENCES runs (id) DEFERRABLE
 );
 
 CREATE INDEX runs_by_rig ON runs (rig, id);
@@ -50,7 +50,7 @@ CREATE INDEX runs_by_object ON runs (object);
 CREATE INDEX runs_by_original ON runs (duplicate_of);
 
 CREATE TABLE models (
-    rig             TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig             TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     version         BIGINT           NOT NULL,
     kind            TEXT             COLLATE "C" NOT NULL CHECK (kind IN ('frf', 'lstm', 'hybrid1', 'hybrid2')),
     inputs          TEXT             COLLATE "C" NOT NULL,
@@ -72,11 +72,11 @@ CREATE TABLE models (
 );
 
 CREATE INDEX models_by_digest ON models (sha256);
-ALTER TABLE rigs ADD FOREIGN KEY (id, active_version) REFERENCES models (rig, version);
+ALTER TABLE rigs ADD FOREIGN KEY (id, active_version) REFERENCES models (rig, version) DEFERRABLE;
 
 CREATE TABLE jobs (
     id               TEXT             COLLATE "C" NOT NULL PRIMARY KEY,
-    rig              TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig              TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     kind             TEXT             COLLATE "C" NOT NULL
                      CHECK (kind IN ('fit', 'evaluation', 'diagnosis', 'iteration', 'study')),
     state            TEXT             COLLATE "C" NOT NULL
@@ -136,7 +136,7 @@ CREATE TABLE worker_time (
 );
 
 CREATE TABLE job_losses (
-    job      TEXT             COLLATE "C" NOT NULL REFERENCES jobs (id) ON DELETE CASCADE,
+    job      TEXT             COLLATE "C" NOT NULL REFERENCES jobs (id) ON DELETE CASCADE DEFERRABLE,
     stopped  BIGINT           NOT NULL,
     seed     BIGINT           NOT NULL,
     epoch    BIGINT           NOT NULL,
@@ -146,7 +146,7 @@ CREATE TABLE job_losses (
 );
 
 CREATE TABLE checkpoints (
-    job        TEXT   COLLATE "C" NOT NULL REFERENCES jobs (id) ON DELETE CASCADE,
+    job        TEXT   COLLATE "C" NOT NULL REFERENCES jobs (id) ON DELETE CASCADE DEFERRABLE,
     part       TEXT   COLLATE "C" NOT NULL,
     fits       TEXT   COLLATE "C" NOT NULL,
     sha256     TEXT   COLLATE "C" NOT NULL,
@@ -156,7 +156,7 @@ CREATE TABLE checkpoints (
 );
 
 CREATE TABLE studies (
-    job        TEXT   COLLATE "C" NOT NULL PRIMARY KEY REFERENCES jobs (id) ON DELETE CASCADE,
+    job        TEXT   COLLATE "C" NOT NULL PRIMARY KEY REFERENCES jobs (id) ON DELETE CASCADE DEFERRABLE,
     version    BIGINT,
     report     TEXT   COLLATE "C" NOT NULL,
     created_us BIGINT NOT NULL
@@ -208,7 +208,7 @@ CREATE TRIGGER jobs_tell AFTER INSERT OR UPDATE ON jobs FOR EACH ROW EXECUTE FUN
 
 CREATE TABLE diagnoses (
     id           TEXT             COLLATE "C" NOT NULL PRIMARY KEY,
-    rig          TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig          TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     job          TEXT             COLLATE "C" NOT NULL,
     version      BIGINT,
     model_sha256 TEXT             COLLATE "C",
@@ -251,7 +251,7 @@ CREATE INDEX idempotency_keys_by_age ON idempotency_keys (created_us);
 
 CREATE TABLE iterations (
     id           TEXT             COLLATE "C" NOT NULL PRIMARY KEY,
-    rig          TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig          TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     job          TEXT             COLLATE "C" NOT NULL,
     version      BIGINT           NOT NULL,
     model_sha256 TEXT             COLLATE "C" NOT NULL,
@@ -266,7 +266,7 @@ CREATE INDEX iterations_by_rig ON iterations (rig, id);
 
 CREATE TABLE evaluations (
     id         TEXT             COLLATE "C" NOT NULL PRIMARY KEY,
-    rig        TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE,
+    rig        TEXT             COLLATE "C" NOT NULL REFERENCES rigs (id) ON DELETE CASCADE DEFERRABLE,
     job        TEXT             COLLATE "C" NOT NULL,
     request    TEXT             COLLATE "C" NOT NULL,
     outline    TEXT             COLLATE "C" NOT NULL,
@@ -283,18 +283,18 @@ CREATE TABLE fit_records (
     version BIGINT NOT NULL,
     record  TEXT   COLLATE "C" NOT NULL,
     PRIMARY KEY (rig, version),
-    FOREIGN KEY (rig, version) REFERENCES models (rig, version) ON DELETE CASCADE
+    FOREIGN KEY (rig, version) REFERENCES models (rig, version) ON DELETE CASCADE DEFERRABLE
 );
 
 CREATE TABLE drift (
     rig        TEXT             COLLATE "C" NOT NULL,
     version    BIGINT           NOT NULL,
-    run        TEXT             COLLATE "C" NOT NULL REFERENCES runs (id) ON DELETE CASCADE,
+    run        TEXT             COLLATE "C" NOT NULL REFERENCES runs (id) ON DELETE CASCADE DEFERRABLE,
     outcome    TEXT             COLLATE "C" NOT NULL,
     ratio      DOUBLE PRECISION,
     created_us BIGINT           NOT NULL,
     PRIMARY KEY (rig, version, run),
-    FOREIGN KEY (rig, version) REFERENCES models (rig, version) ON DELETE CASCADE
+    FOREIGN KEY (rig, version) REFERENCES models (rig, version) ON DELETE CASCADE DEFERRABLE
 );
 
 CREATE INDEX drift_by_run ON drift (run);

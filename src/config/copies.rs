@@ -1,10 +1,10 @@
-//! Settings of backup, restore and recovery.
+//! Settings of backup, restore, recovery and moves.
 
 use std::path::PathBuf;
 
 use clap::Args;
 
-use super::ObjectArgs;
+use super::{DatabaseArgs, ObjectArgs};
 
 /// Arguments of `rigcast backup`.
 #[derive(Debug, Clone, Args)]
@@ -16,6 +16,10 @@ pub struct BackupArgs {
     /// An earlier backup; what it has is linked and not copied again.
     #[arg(long)]
     pub previous: Option<PathBuf>,
+
+    /// Registry. With one on PostgreSQL there is no data directory to back up.
+    #[command(flatten)]
+    pub database: DatabaseArgs,
 
     /// Objects.
     #[command(flatten)]
@@ -39,6 +43,26 @@ pub struct RecoverArgs {
     /// Directory of the registry, the signals and the weights.
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
+
+    /// Objects.
+    #[command(flatten)]
+    pub objects: ObjectArgs,
+}
+
+/// Arguments of `rigcast move`.
+#[derive(Debug, Clone, Args)]
+pub struct MoveArgs {
+    /// Directory of the registry, the signals and the weights.
+    #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
+    pub data_dir: PathBuf,
+
+    /// Make the data directory from the PostgreSQL and the bucket, which stay as they are.
+    #[arg(long)]
+    pub back: bool,
+
+    /// Registry.
+    #[command(flatten)]
+    pub database: DatabaseArgs,
 
     /// Objects.
     #[command(flatten)]

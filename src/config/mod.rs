@@ -23,7 +23,7 @@ use crate::telemetry::LogFormat;
 use crate::token::TokenCommand;
 
 pub use connections::ConnectionSettings;
-pub use copies::{BackupArgs, CopyArgs, RecoverArgs};
+pub use copies::{BackupArgs, CopyArgs, MoveArgs, RecoverArgs};
 pub use database::DatabaseArgs;
 pub use demo::DemoArgs;
 pub use health::HealthArgs;
@@ -58,6 +58,8 @@ pub enum Command {
     Restore(CopyArgs),
     /// Make the database of a stopped service anew from its journal, after a start was refused.
     Recover(RecoverArgs),
+    /// Copy a data directory, whose service is stopped, into a PostgreSQL and a bucket, or back.
+    Move(MoveArgs),
     /// Run jobs of services that share a PostgreSQL, on this or another machine, until told to stop.
     Work(Box<WorkArgs>),
     /// Do one job for the `rigcast serve` or `rigcast work` that starts this process.
@@ -216,6 +218,11 @@ pub enum ConfigError {
     /// Nobody would ever do a job.
     #[error("--workers 0 is for services that share a PostgreSQL (--database) with a `rigcast work`")]
     NoWorkers,
+    /// A move needs both.
+    #[error(
+        "`rigcast move` needs --database and --objects: where the registry and the objects go, or come from"
+    )]
+    Nowhere,
     /// A process that only works needs jobs of others.
     #[error("`rigcast work` runs jobs of services that share a PostgreSQL: name it with --database")]
     NothingShared,

@@ -22,6 +22,7 @@ pub mod rig;
 pub mod run;
 pub mod strict;
 pub mod study;
+pub mod text;
 pub mod token;
 pub mod turns;
 pub mod units;

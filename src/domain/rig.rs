@@ -10,6 +10,7 @@ use super::fits::FitRequest;
 use super::ids::RigId;
 use super::problem::FieldError;
 use super::strict::Strict;
+use super::text::check_text;
 use crate::engine::Quantity;
 use crate::engine::RunKind;
 use crate::engine::wording::plain;
@@ -25,9 +26,6 @@ pub const MIN_SAMPLE_RATE_HZ: f64 = 1e-6;
 
 /// Highest sample rate.
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1e6;
-
-/// Most characters of a name, unit, axis, group or tag.
-pub const MAX_NAME_CHARS: usize = 1000;
 
 /// Most fits of a fit policy.
 pub const MAX_POLICY_FITS: usize = 16;
@@ -243,7 +241,7 @@ impl RigDraft {
         let mut aliases = HashSet::new();
         for (i, channel) in self.channels.iter().enumerate() {
             let at = |field: &str| format!("/channels/{i}/{field}");
-            check_text(errors, &at("name"), &channel.name, 1);
+            check_text(errors, at("name"), &channel.name, 1);
             // Blanks around a name, commas and control characters would not survive a CSV header
             // or `?channels=a,b`.
             if channel.name.trim() != channel.name || channel.name.chars().any(|c| c == ',' || c.is_control())
@@ -251,15 +249,15 @@ impl RigDraft {
                 let limit = "no comma, no control character, no blank at either end";
                 errors.push(FieldError::new(at("name"), limit).on_channel(&channel.name));
             }
-            check_text(errors, &at("unit"), &channel.unit, 0);
-            check_text(errors, &at("axis"), channel.axis.as_deref().unwrap_or_default(), 0);
+            check_text(errors, at("unit"), &channel.unit, 0);
+            check_text(errors, at("axis"), channel.axis.as_deref().unwrap_or_default(), 0);
             if let Some(first) = seen.insert(&channel.name, i) {
                 let limit = format!("a name of its own: /channels/{first} has this one");
                 errors.push(FieldError::new(at("name"), limit).on_channel(&channel.name));
             }
             self.check_aliases(i, &mut aliases, errors);
             if let Some(group) = &channel.group {
-                check_text(errors, &at("group"), group, 1);
+                check_text(errors, at("group"), group, 1);
                 *groups.entry(group).or_default() += 1;
             }
         }
@@ -284,7 +282,7 @@ impl RigDraft {
         }
         for (i, alias) in aliases.iter().enumerate() {
             let at = format!("/channels/{channel}/aliases/{i}");
-            check_text(errors, &at, alias, 1);
+            check_text(errors, at.as_str(), alias, 1);
             let limit = if alias.trim() != alias || alias.chars().any(char::is_control) {
                 "no control character, no blank at either end"
             } else if self.channels.iter().any(|other| other.name == *alias) || !seen.insert(alias) {
@@ -320,13 +318,6 @@ impl FitPolicy {
     }
 }
 
-fn check_text(errors: &mut Vec<FieldError>, pointer: &str, text: &str, least: usize) {
-    let chars = text.chars().count();
-    if chars < least || chars > MAX_NAME_CHARS {
-        errors.push(FieldError::new(pointer, format!("{least} to {MAX_NAME_CHARS} characters")));
-    }
-}
-
 /// RFC 7396: objects merge, `null` removes, everything else replaces.
 fn merge(target: &mut Value, patch: &Value) {
     let Value::Object(changes) = patch else {
@@ -351,6 +342,7 @@ pub(super) mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::domain::text::MAX_NAME_CHARS;
 
     pub(in super::super) fn draft(body: Value) -> RigDraft {
         serde_json::from_value(body).unwrap()

@@ -7,7 +7,7 @@ use super::fits::FitRequest;
 use super::ids::{JobId, RigId, RunId};
 use super::problem::FieldError;
 use super::quality::Quality;
-use super::rig::MAX_NAME_CHARS;
+use super::text::check_text;
 use crate::engine::{RunKind, Split};
 
 /// Most tags of a run.
@@ -35,18 +35,12 @@ impl RunMeta {
     /// Every field that leaves its limit, by its name in the query (`/name`, `/tag/0`).
     pub fn check(mut self) -> Result<Self, Vec<FieldError>> {
         let mut errors = Vec::new();
-        if self.name.chars().count() > MAX_NAME_CHARS {
-            errors.push(FieldError::new("/name", format!("at most {MAX_NAME_CHARS} characters")));
-        }
+        check_text(&mut errors, "/name", &self.name, 0);
         if self.tags.len() > MAX_TAGS {
             errors.push(FieldError::new("/tags", format!("at most {MAX_TAGS} tags")));
         }
         for (i, tag) in self.tags.iter().enumerate() {
-            let chars = tag.chars().count();
-            if chars == 0 || chars > MAX_NAME_CHARS {
-                let limit = format!("1 to {MAX_NAME_CHARS} characters");
-                errors.push(FieldError::new(format!("/tags/{i}"), limit));
-            }
+            check_text(&mut errors, format!("/tags/{i}"), tag, 1);
         }
         if !errors.is_empty() {
             return Err(errors);

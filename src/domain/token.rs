@@ -14,7 +14,7 @@ use subtle::ConstantTimeEq;
 
 use super::ids::RigId;
 use super::problem::FieldError;
-use super::rig::MAX_NAME_CHARS;
+use super::text::check_text;
 
 /// Id of a token (UUID v7); not secret.
 pub type TokenId = uuid::Uuid;
@@ -159,9 +159,7 @@ impl TokenDraft {
     /// The fields outside their limits, each with its limit.
     pub fn check(&self, now: Timestamp) -> Result<(), Vec<FieldError>> {
         let mut errors = Vec::new();
-        if self.name.chars().count() > MAX_NAME_CHARS {
-            errors.push(FieldError::new("/name", format!("at most {MAX_NAME_CHARS} characters")));
-        }
+        check_text(&mut errors, "/name", &self.name, 0);
         if self.rigs.as_ref().is_some_and(|rigs| rigs.is_empty() || rigs.len() > MAX_RIGS) {
             errors.push(FieldError::new("/rigs", format!("1 to {MAX_RIGS} rigs, or null for all")));
         }

@@ -44,7 +44,10 @@ impl Store {
     }
 
     /// What the weight file of a row says of its effects; the base's digest while that version is there.
-    async fn adoption_of(&self, model: &Model) -> Result<Option<Adoption>, Box<dyn std::error::Error>> {
+    async fn adoption_of(
+        &self,
+        model: &Model,
+    ) -> Result<Option<Adoption>, Box<dyn std::error::Error + Send + Sync>> {
         let bytes = self.weights(model).await?;
         let read = off_thread(move || Ok(from_safetensors(&bytes))).await??;
         let version = model.lineage.diagnoses.first().map(|adopted| adopted.version);

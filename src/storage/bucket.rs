@@ -326,7 +326,6 @@ impl Bucket {
         shared: Option<(&str, Uuid)>,
     ) -> Result<(), StoreError> {
         let refused = |what: String| StoreError::Bucket { bucket: self.name.to_string(), what };
-        let file = data_dir.join(BELONGS);
         let known = belongs(data_dir)?;
         if let Some(known) = &known
             && known.url != *self.name
@@ -351,11 +350,33 @@ impl Bucket {
         let service = known.map_or_else(Uuid::new_v4, |known| known.service);
         let service = shared.map_or(service, |(_, service)| service);
         if is_new {
-            let belongs = Belongs { url: self.name.to_string(), service, database };
-            let json = serde_json::to_vec(&belongs).expect("texts serialise");
-            let path = file.clone();
-            off_thread(move || super::files::write(&path, &json)).await?;
+            self.belong(data_dir, service, database).await?;
         }
+        let marked = self.mark(service).await;
+        if is_new && marked.is_err() {
+            super::files::remove(&data_dir.join(BELONGS))?;
+        }
+        marked
+    }
+
+    /// Notes in a data directory that its objects are here, and its rows in `database`.
+    pub(super) async fn belong(
+        &self,
+        data_dir: &Path,
+        service: Uuid,
+        database: Option<String>,
+    ) -> Result<(), StoreError> {
+        let belongs = Belongs { url: self.name.to_string(), service, database };
+        let json = serde_json::to_vec(&belongs).expect("texts serialise");
+        let path = data_dir.join(BELONGS);
+        off_thread(move || super::files::write(&path, &json)).await
+    }
+
+    /// Marks the prefix as a service's, or makes sure that it is.
+    ///
+    /// # Errors
+    /// [`StoreError::Bucket`] if it belongs to another service.
+    pub(super) async fn mark(&self, service: Uuid) -> Result<(), StoreError> {
         let mark = self.prefix.clone().join(MARK);
         let json = serde_json::to_vec(&Mark { service }).expect("texts serialise");
         let put = self.store.put_opts(&mark, json.into(), PutMode::Create.into());
@@ -365,23 +386,16 @@ impl Bucket {
                 let found = self.done(0, async { self.store.get(&mark).await?.bytes().await }).await?;
                 serde_json::from_slice::<Mark>(&found).ok().map(|mark| mark.service)
             }
-            Err(error) => {
-                if is_new {
-                    super::files::remove(&file)?;
-                }
-                return Err(self.failed(&error));
-            }
+            Err(error) => return Err(self.failed(&error)),
         };
         if found == Some(service) {
             return Ok(());
         }
-        if is_new {
-            super::files::remove(&file)?;
-        }
-        Err(refused(format!(
+        let what = format!(
             "it belongs to another Rigcast, so that this one would remove what it does not know. Choose another prefix, or \
              restore the data directory that the mark {MARK} in the bucket belongs to"
-        )))
+        );
+        Err(StoreError::Bucket { bucket: self.name.to_string(), what })
     }
 }
 
@@ -405,6 +419,14 @@ pub(super) fn refuse_without(data_dir: &Path) -> Result<(), StoreError> {
             Err(StoreError::Bucket { bucket: known.url, what })
         }
     }
+}
+
+/// The service that a data directory's bucket is marked with; `None`: its objects are in itself.
+///
+/// # Errors
+/// The file system's errors.
+pub(super) fn service_of(data_dir: &Path) -> Result<Option<Uuid>, StoreError> {
+    Ok(belongs(data_dir)?.map(|known| known.service))
 }
 
 fn belongs(data_dir: &Path) -> Result<Option<Belongs>, StoreError> {

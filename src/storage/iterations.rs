@@ -15,7 +15,7 @@ use super::rows::{IterationRow, int, json, us};
 use super::runs::insert_row;
 use super::{Asker, Digest, IdempotencyKey, JobInsert, Lease, PrepareError, PreparedRun, Store, StoreError};
 use crate::domain::iteration::{IterationReport, IterationTarget};
-use crate::domain::rig::MAX_NAME_CHARS;
+use crate::domain::text::MAX_NAME_CHARS;
 use crate::domain::{
     IterationId, IterationRequest, IterationSummary, JobResult, Page, PageRequest, Rig, RigId, RunKind,
     RunMeta, Split, StoredIteration, UsedModel, new_id,

@@ -13,6 +13,7 @@ use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
 use tokio::sync::RwLockReadGuard;
 
+use super::backup::Progress;
 use super::bucket::Bucket;
 use super::corruption::CorruptObjects;
 use super::database::{Pool, Session, postgres, sql};
@@ -550,6 +551,26 @@ impl Store {
             tracing::info!(objects = filled, "stored objects in the bucket that only the data directory had");
         }
         objects.make_room("").await
+    }
+
+    /// Stores every object that a row names in a bucket, unless it is there. Returns how many there are.
+    ///
+    /// # Errors
+    /// A damaged or missing object, by name; a bucket out of reach.
+    pub(super) async fn store_all_in(&self, bucket: &Bucket, progress: &Progress) -> Result<u64, StoreError> {
+        let (wanted, there) = (self.referenced().await?, bucket.list().await?);
+        let all = wanted.len() as u64;
+        for (done, digest) in wanted.iter().enumerate() {
+            let path = self.objects().path_of(digest);
+            let size = std::fs::metadata(&path).ok().map(|file| file.len());
+            let is_there = there.get(digest).is_some_and(|there| size.is_none_or(|size| size == there.bytes));
+            if !is_there {
+                drop(self.objects().read(digest).await?);
+                bucket.put_file(digest, &path, size.unwrap_or_default(), true).await?;
+            }
+            progress(done as u64 + 1, all);
+        }
+        Ok(all)
     }
 
     /// Removes objects of the bucket that no row has named for a week. For an orderly stop, never after a crash.

@@ -113,7 +113,7 @@ impl Deref for TestStore {
 }
 
 /// A new database of a PostgreSQL.
-async fn new_database(server: &str) -> String {
+pub(super) async fn new_database(server: &str) -> String {
     let (place, _) = server.rsplit_once('/').expect("postgres://user@host/database");
     let name = format!("test_{}", uuid::Uuid::new_v4().simple());
     let mut connection = PgConnection::connect(server).await.unwrap();
@@ -170,6 +170,12 @@ impl TestStore {
     /// Another process on the same registry and bucket.
     pub(crate) async fn beside(&self) -> Self {
         Self::made(self.bucket.clone(), self.settings.clone()).await
+    }
+
+    /// Its directory after an orderly stop.
+    pub(crate) async fn stopped(self) -> TempDir {
+        self.store.close().await;
+        self.dir
     }
 
     /// As [`TestStore::reopened`], with the objects in a bucket.

@@ -12,11 +12,12 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 
 use crate::compute::Class;
+use crate::domain::text::limit_of;
 use crate::domain::{Created, RunPatch};
 use crate::http::auth::Caller;
 use crate::http::idempotency::{RequestKey, created};
 use crate::http::jobs::word;
-use crate::http::params::{NoParams, Params, page};
+use crate::http::params::{NoParams, Params, invalid, page};
 use crate::http::paths::{OfRig, OfRun, no_rig, no_run};
 use crate::http::problem::{Answer, FieldError, Problem};
 use crate::http::{Shared, codes, errors, json, rigs};
@@ -35,6 +36,9 @@ pub async fn list(State(http): State<Shared>, OfRig(rig): OfRig, mut params: Par
         split: word(&mut params, "split", SPLITS)?,
         tag: params.one("tag")?,
     };
+    if let Some(limit) = query.tag.as_deref().and_then(|tag| limit_of(tag, 0)) {
+        return Err(invalid("tag", "does not fit", &limit));
+    }
     let page = page(&mut params)?;
     params.finish()?;
     json::answer(&http.store.runs(&rig, &query, &page).await?.ok_or_else(|| no_rig(rig.as_str()))?)

@@ -260,13 +260,12 @@ fn pointer(field: &str, name: &str) -> String {
 
 /// Name of the run that will hold the drive.
 fn name(rig: &Rig, asked: Option<&str>, target: &str, errors: &mut Vec<FieldError>) -> String {
-    use crate::domain::rig::MAX_NAME_CHARS;
+    use crate::domain::text::{MAX_NAME_CHARS, check_text};
     match asked {
-        Some(name) if name.chars().count() > MAX_NAME_CHARS => {
-            errors.push(FieldError::new("/name", format!("at most {MAX_NAME_CHARS} characters")));
-            String::new()
+        Some(name) => {
+            check_text(errors, "/name", name, 0);
+            name.to_owned()
         }
-        Some(name) => name.to_owned(),
         None => {
             let of = if target.is_empty() { rig.id.as_str() } else { target };
             format!("drive for {of}").chars().take(MAX_NAME_CHARS).collect()

@@ -21,7 +21,7 @@ use super::database::sqlite::{BUSY_TIMEOUT, check_integrity, check_references};
 use super::files::{self, failed, sync_directory};
 use super::objects::{Objects, REFERENCED, off_thread};
 use super::store::DATABASE;
-use super::{Digest, Store, StoreError, journal};
+use super::{Digest, PostgresSettings, Store, StoreError, journal, transfer};
 use copy::copy_objects;
 
 pub use copy::Progress;
@@ -34,36 +34,55 @@ const UNFINISHED: &str = "unfinished";
 /// How often the database is copied again because objects of the last copy were removed meanwhile.
 const SNAPSHOTS: usize = 5;
 
-/// Backs a data directory up into `target`, which is empty, missing, or an incomplete backup. A service may run on
-/// it. Objects come from the data directory, or from its `bucket`. Those that `previous`, an earlier backup, has are linked to it, or copied from it if its file system cannot.
+/// What is backed up.
+#[derive(Debug, Clone, Copy)]
+pub enum Source<'a> {
+    /// A data directory.
+    DataDir(&'a Path),
+    /// A registry on PostgreSQL, whose objects are in a bucket.
+    Postgres(&'a PostgresSettings),
+}
+
+/// Backs a registry and its objects up into `target`, which is empty, missing, or an incomplete backup. Services may run
+/// on it. Objects come from the data directory, or from the `bucket`. Those that `previous`, an earlier backup, has are
+/// linked to it, or copied from it if its file system cannot.
 ///
 /// # Errors
 /// A missing or damaged database; a missing or damaged object, by name; a target that holds something else; a
 /// `previous` that is no backup; the file system's errors.
 pub async fn backup(
-    data_dir: &Path,
+    source: Source<'_>,
     bucket: Option<&BucketSettings>,
     target: &Path,
     previous: Option<&Path>,
     now: Timestamp,
     progress: Progress,
 ) -> Result<Manifest, StoreError> {
-    if !Store::exists(data_dir) {
+    if let Source::DataDir(data_dir) = source
+        && !Store::exists(data_dir)
+    {
         let what = format!("it has no {DATABASE}; name the one that `rigcast serve` uses with --data-dir");
         return Err(something_else(data_dir, "data directory", what));
     }
     if let Some(previous) = previous {
         manifest::of(previous)?;
     }
-    let bucket = Bucket::of_data_dir(data_dir, bucket)?;
+    let bucket = match source {
+        Source::DataDir(data_dir) => Bucket::of_data_dir(data_dir, bucket)?,
+        Source::Postgres(database) => Some(bucket_of(database, bucket)?),
+    };
     begin(target)?;
     let objects = target.join("objects");
     std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
-    let from = data_dir.join("objects");
+    let from = match source {
+        Source::DataDir(data_dir) => data_dir.join("objects"),
+        // All of them come from the bucket.
+        Source::Postgres(_) => objects.clone(),
+    };
     let previous = previous.map(|previous| previous.join("objects"));
     let copy = target.join(DATABASE);
     for attempt in 1.. {
-        snapshot(&data_dir.join(DATABASE), &copy).await?;
+        snapshot(source, &copy).await?;
         let wanted = referenced(&copy).await?;
         match copy_objects(&from, bucket.as_ref(), previous.as_deref(), &objects, &wanted, &progress).await {
             // A run or model was deleted after the copy; a new copy does not name it.
@@ -109,13 +128,46 @@ pub async fn restore(source: &Path, data_dir: &Path, progress: Progress) -> Resu
     let wanted = referenced(&copy).await?;
     copy_objects(&source.join("objects"), None, None, &objects, &wanted, &progress).await?;
     Objects::open(&objects, None)?.retain(&wanted)?;
-    let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&copy)).await?;
+    make_data_dir(data_dir, &copy).await?;
+    Ok(manifest)
+}
+
+/// Makes a data directory, which is empty, missing, or of a command that was cut short, from a registry on PostgreSQL and
+/// its bucket, which stay as they are. No service may run meanwhile. Returns the number of objects.
+///
+/// # Errors
+/// Services that run; a missing or damaged object, by name; a data directory that holds something else; the file system's,
+/// the bucket's and the database's errors.
+pub async fn move_back(
+    database: &PostgresSettings,
+    bucket: &BucketSettings,
+    data_dir: &Path,
+    progress: Progress,
+) -> Result<u64, StoreError> {
+    transfer::alone(database).await?;
+    let bucket = Bucket::open(bucket)?;
+    begin(data_dir)?;
+    let objects = data_dir.join("objects");
+    std::fs::create_dir_all(&objects).map_err(failed(&objects))?;
+    let copy = data_dir.join("rigcast.db.restoring");
+    snapshot(Source::Postgres(database), &copy).await?;
+    let wanted = referenced(&copy).await?;
+    copy_objects(&objects, Some(&bucket), None, &objects, &wanted, &progress).await?;
+    Objects::open(&objects, None)?.retain(&wanted)?;
+    make_data_dir(data_dir, &copy).await?;
+    Ok(wanted.len() as u64)
+}
+
+/// Makes the registry of a directory that has its objects from a database in it. The database comes last, so that no
+/// service starts before.
+async fn make_data_dir(data_dir: &Path, database: &Path) -> Result<(), StoreError> {
+    let options = SqliteConnectOptions::new().filename(database);
+    let mut connection = SqliteConnection::connect_with(&options).await?;
     journal::rewrite(data_dir, &mut connection).await?;
     connection.close().await?;
     let place = data_dir.join(DATABASE);
-    std::fs::rename(&copy, &place).map_err(failed(&place))?;
-    end(data_dir)?;
-    Ok(manifest)
+    std::fs::rename(database, &place).map_err(failed(&place))?;
+    end(data_dir)
 }
 
 /// Marks a directory as unfinished. One that holds anything must have the mark already.
@@ -140,13 +192,31 @@ fn something_else(path: &Path, wanted: &'static str, what: String) -> StoreError
     StoreError::SomethingElse { path: path.to_owned(), wanted, what }
 }
 
-/// Copies a database as of one moment, even while others write to it.
-async fn snapshot(database: &Path, copy: &Path) -> Result<(), StoreError> {
+/// The bucket of a registry on PostgreSQL, which always has one.
+fn bucket_of(database: &PostgresSettings, bucket: Option<&BucketSettings>) -> Result<Bucket, StoreError> {
+    match bucket {
+        Some(settings) => Bucket::open(settings),
+        None => {
+            let what = "its objects are in a bucket: name it with --objects".into();
+            Err(StoreError::Postgres { database: database.name()?, what })
+        }
+    }
+}
+
+/// Copies a database into an SQLite file as of one moment, even while others write to it.
+async fn snapshot(source: Source<'_>, copy: &Path) -> Result<(), StoreError> {
     files::remove(copy)?;
-    let options = SqliteConnectOptions::new().filename(database).busy_timeout(BUSY_TIMEOUT);
-    let mut connection = SqliteConnection::connect_with(&options).await?;
-    sqlx::query("VACUUM INTO ?").bind(copy.to_string_lossy().as_ref()).execute(&mut connection).await?;
-    connection.close().await?;
+    match source {
+        Source::Postgres(database) => transfer::snapshot(database, copy).await?,
+        Source::DataDir(data_dir) => {
+            let database = data_dir.join(DATABASE);
+            let options = SqliteConnectOptions::new().filename(database).busy_timeout(BUSY_TIMEOUT);
+            let mut connection = SqliteConnection::connect_with(&options).await?;
+            let into = copy.to_string_lossy();
+            sqlx::query("VACUUM INTO ?").bind(into.as_ref()).execute(&mut connection).await?;
+            connection.close().await?;
+        }
+    }
     std::fs::File::open(copy).and_then(|file| file.sync_all()).map_err(failed(copy))?;
     sync_directory(copy.parent().unwrap_or(Path::new(".")))
 }

@@ -34,7 +34,8 @@ async fn what_is_restored_is_what_was_backed_up_while_the_service_ran() {
     let (store, dir) = lab().await;
     let rig = store.rig(&"bench".parse().unwrap()).await.unwrap().unwrap();
     let (copy, again) = (dir.path().join("backup"), dir.path().join("again"));
-    let manifest = backup(store.data_dir(), None, &copy, None, now(), quiet()).await.unwrap();
+    let manifest =
+        backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), quiet()).await.unwrap();
     assert_eq!(manifest.objects, 2);
     // Later additions are not in the backup; later deletions still are.
     store.upload(&rig, &[3.0]).await;
@@ -55,14 +56,24 @@ async fn what_is_restored_is_what_was_backed_up_while_the_service_ran() {
 async fn a_directory_that_holds_something_is_not_written_to() {
     let (store, dir) = lab().await;
     let copy = dir.path().join("backup");
-    backup(store.data_dir(), None, &copy, None, now(), quiet()).await.unwrap();
-    let refused = backup(store.data_dir(), None, &copy, None, now(), quiet()).await.unwrap_err().to_string();
+    backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), quiet()).await.unwrap();
+    let refused = backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), quiet())
+        .await
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains("not empty"), "{refused}");
     let refused = restore(&copy, store.data_dir(), quiet()).await.unwrap_err().to_string();
     assert!(refused.contains("not empty"), "{refused}");
-    let none = backup(&dir.path().join("nowhere"), None, &dir.path().join("b"), None, now(), quiet())
-        .await
-        .unwrap_err();
+    let none = backup(
+        Source::DataDir(&dir.path().join("nowhere")),
+        None,
+        &dir.path().join("b"),
+        None,
+        now(),
+        quiet(),
+    )
+    .await
+    .unwrap_err();
     assert!(none.to_string().contains("nowhere is no data directory: it has no rigcast.db"), "{none}");
     assert!(!dir.path().join("b").exists());
 }
@@ -73,7 +84,7 @@ async fn a_restore_of_something_else_says_what_it_is_and_makes_nothing() {
     let (file, empty, cut) = (dir.path().join("file"), dir.path().join("empty"), dir.path().join("cut"));
     std::fs::write(&file, b"x").unwrap();
     std::fs::create_dir(&empty).unwrap();
-    backup(store.data_dir(), None, &cut, None, now(), quiet()).await.unwrap();
+    backup(Source::DataDir(store.data_dir()), None, &cut, None, now(), quiet()).await.unwrap();
     std::fs::remove_file(cut.join(MANIFEST)).unwrap();
     let target = dir.path().join("target");
     for (source, words) in [
@@ -93,7 +104,7 @@ async fn a_restore_of_something_else_says_what_it_is_and_makes_nothing() {
 async fn every_flipped_byte_of_a_backup_is_found_and_nothing_is_started_on_it() {
     let (store, dir) = lab().await;
     let copy = dir.path().join("backup");
-    backup(store.data_dir(), None, &copy, None, now(), quiet()).await.unwrap();
+    backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), quiet()).await.unwrap();
     let object = objects_of(&copy).into_iter().next().unwrap().0;
     let files = [copy.join(DATABASE), copy.join("objects").join(&object[..2]).join(&object)];
     for (i, file) in files.iter().enumerate() {
@@ -120,8 +131,10 @@ async fn a_damaged_object_is_named_and_not_backed_up() {
     let path = store.data_dir().join("objects").join(&object[..2]).join(&object);
     std::fs::write(path, b"other").unwrap();
     let target = dir.path().join("backup");
-    let refused =
-        backup(store.data_dir(), None, &target, None, now(), quiet()).await.unwrap_err().to_string();
+    let refused = backup(Source::DataDir(store.data_dir()), None, &target, None, now(), quiet())
+        .await
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains(&object), "{refused}");
     assert!(!target.join(MANIFEST).exists());
 }
@@ -132,9 +145,10 @@ async fn a_later_backup_shares_what_an_earlier_one_has_and_is_whole_without_it()
     let (store, dir) = lab().await;
     let rig = store.rig(&"bench".parse().unwrap()).await.unwrap().unwrap();
     let (first, second) = (dir.path().join("first"), dir.path().join("second"));
-    backup(store.data_dir(), None, &first, None, now(), quiet()).await.unwrap();
+    backup(Source::DataDir(store.data_dir()), None, &first, None, now(), quiet()).await.unwrap();
     store.upload(&rig, &[3.0]).await;
-    let manifest = backup(store.data_dir(), None, &second, Some(&first), now(), quiet()).await.unwrap();
+    let manifest =
+        backup(Source::DataDir(store.data_dir()), None, &second, Some(&first), now(), quiet()).await.unwrap();
     assert_eq!(manifest.objects, 3);
     let links = |directory: &Path| {
         let objects = objects_of(directory);
@@ -146,7 +160,9 @@ async fn a_later_backup_shares_what_an_earlier_one_has_and_is_whole_without_it()
     assert_eq!(shared, [1, 2, 2], "two of three are those of the first");
     std::fs::remove_dir_all(&first).unwrap();
     assert_eq!(restore(&second, &dir.path().join("again"), quiet()).await.unwrap(), manifest);
-    let refused = backup(store.data_dir(), None, &dir.path().join("x"), Some(&first), now(), quiet()).await;
+    let refused =
+        backup(Source::DataDir(store.data_dir()), None, &dir.path().join("x"), Some(&first), now(), quiet())
+            .await;
     assert!(refused.unwrap_err().to_string().contains("first is no backup"));
 }
 
@@ -154,10 +170,10 @@ async fn a_later_backup_shares_what_an_earlier_one_has_and_is_whole_without_it()
 async fn a_damaged_object_of_an_earlier_backup_is_not_shared() {
     let (store, dir) = lab().await;
     let (first, second) = (dir.path().join("first"), dir.path().join("second"));
-    backup(store.data_dir(), None, &first, None, now(), quiet()).await.unwrap();
+    backup(Source::DataDir(store.data_dir()), None, &first, None, now(), quiet()).await.unwrap();
     let (object, _) = objects_of(&first).into_iter().next().unwrap();
     std::fs::write(first.join("objects").join(&object[..2]).join(&object), b"other").unwrap();
-    backup(store.data_dir(), None, &second, Some(&first), now(), quiet()).await.unwrap();
+    backup(Source::DataDir(store.data_dir()), None, &second, Some(&first), now(), quiet()).await.unwrap();
     assert_eq!(objects_of(&second), objects_of(store.data_dir()));
 }
 
@@ -168,7 +184,7 @@ async fn a_backup_and_a_restore_that_were_cut_short_go_on_where_they_were() {
     let path = store.data_dir().join("objects").join(&object[..2]).join(&object);
     let (copy, again) = (dir.path().join("copy"), dir.path().join("again"));
     std::fs::write(&path, b"other").unwrap();
-    backup(store.data_dir(), None, &copy, None, now(), quiet()).await.unwrap_err();
+    backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), quiet()).await.unwrap_err();
     std::fs::write(&path, bytes).unwrap();
     std::fs::create_dir_all(copy.join("objects").join("le")).unwrap();
     std::fs::write(copy.join("objects").join("le").join("leftover"), b"half").unwrap();
@@ -177,7 +193,7 @@ async fn a_backup_and_a_restore_that_were_cut_short_go_on_where_they_were() {
         let told = Arc::clone(&told);
         Arc::new(move |done, all| told.lock().unwrap().push((done, all)))
     };
-    let manifest = backup(store.data_dir(), None, &copy, None, now(), tell).await.unwrap();
+    let manifest = backup(Source::DataDir(store.data_dir()), None, &copy, None, now(), tell).await.unwrap();
     let mut told = told.lock().unwrap().clone();
     told.sort_unstable();
     assert_eq!(told, [(1, 2), (2, 2)]);

@@ -10,8 +10,9 @@ mod statement;
 
 use sqlx::{PgPool, SqlitePool};
 
+pub use postgres::PostgresSettings;
 pub(super) use row::{FromRow, Row};
-pub(super) use statement::{On, Session, Sql, either, sql};
+pub(super) use statement::{On, Session, Sql, Value, either, sql};
 
 /// Connections to one of the databases.
 #[derive(Debug, Clone)]
@@ -55,6 +56,17 @@ impl Pool {
 }
 
 impl Session {
+    /// Whether it is on SQLite.
+    pub(super) fn is_sqlite(&self) -> bool {
+        matches!(self, Self::Sqlite(_))
+    }
+
+    /// Checks references between rows at the end of the transaction only.
+    pub(super) async fn defer_references(&mut self) -> sqlx::Result<()> {
+        let defer = either("PRAGMA defer_foreign_keys = ON", "SET CONSTRAINTS ALL DEFERRED");
+        sql(defer).execute(self).await.map(drop)
+    }
+
     /// Commits. Dropping a session takes its writes back.
     pub(super) async fn commit(self) -> sqlx::Result<()> {
         match self {

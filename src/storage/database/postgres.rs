@@ -192,6 +192,18 @@ pub(in crate::storage) async fn hear_of_jobs(
     Ok(())
 }
 
+/// Sets which service the database belongs to.
+pub(in crate::storage) async fn set_service(session: &mut Session, service: Uuid) -> sqlx::Result<()> {
+    sql("UPDATE service SET id = $1").bind(service.to_string()).execute(session).await.map(drop)
+}
+
+/// Number of connections that other processes of this program have to the database.
+pub(in crate::storage) async fn others(pool: &PgPool) -> Result<i64, StoreError> {
+    let count = "SELECT count(*) FROM pg_stat_activity
+                 WHERE datname = current_database() AND application_name = 'rigcast' AND pid <> pg_backend_pid()";
+    Ok(sqlx::query_scalar(count).fetch_one(pool).await?)
+}
+
 /// The time by the database's clock.
 pub(in crate::storage) async fn time(pool: &PgPool) -> Result<Timestamp, StoreError> {
     let us: i64 = sqlx::query_scalar("SELECT (extract(epoch FROM clock_timestamp()) * 1000000)::bigint")

@@ -4,6 +4,8 @@ use sqlx::postgres::PgRow;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{ColumnIndex, Row as _, TypeInfo as _, ValueRef as _};
 
+use super::statement::Value;
+
 /// A row.
 pub(in crate::storage) enum Row {
     Sqlite(SqliteRow),
@@ -23,6 +25,37 @@ impl Row {
     /// A column's value. One of another type is an error of the whole row, which names the column.
     pub(in crate::storage) fn get<T: Column>(&self, at: impl At) -> sqlx::Result<T> {
         T::read(self, at)
+    }
+
+    /// Number of its columns.
+    pub(in crate::storage) fn len(&self) -> usize {
+        match self {
+            Self::Sqlite(row) => row.len(),
+            Self::Postgres(row) => row.len(),
+        }
+    }
+
+    /// A column's value as it is; NULL as that of a text.
+    pub(in crate::storage) fn value(&self, at: usize) -> sqlx::Result<Value> {
+        let (kind, is_null) = match self {
+            Self::Sqlite(row) => {
+                let raw = row.try_get_raw(at)?;
+                (raw.type_info().name().to_owned(), raw.is_null())
+            }
+            Self::Postgres(row) => {
+                let raw = row.try_get_raw(at)?;
+                (raw.type_info().name().to_owned(), raw.is_null())
+            }
+        };
+        if is_null {
+            return Ok(Value::Text(None));
+        }
+        Ok(match kind.as_str() {
+            "INTEGER" | "INT8" => Value::Int(self.get(at)?),
+            "REAL" | "FLOAT8" => Value::Real(self.get(at)?),
+            "BLOB" | "BYTEA" => Value::Bytes(self.get(at)?),
+            _ => Value::Text(self.get(at)?),
+        })
     }
 }
 

@@ -3,12 +3,13 @@
 use bytes::Bytes;
 use sqlx::postgres::PgArguments;
 use sqlx::sqlite::SqliteArguments;
-use sqlx::{Arguments, Postgres, Sqlite, Transaction};
+use sqlx::{Arguments, AssertSqlSafe, Postgres, SqlSafeStr as _, SqlStr, Sqlite, Transaction};
 
 use super::Pool;
 use super::row::{FromRow, Row};
 
-/// A value of a parameter, of the type of its column, `None` being NULL.
+/// A value of a parameter or a column, of the type of its column, `None` being NULL.
+#[derive(Debug, Clone, PartialEq)]
 pub(in crate::storage) enum Value {
     Text(Option<String>),
     Int(Option<i64>),
@@ -43,22 +44,60 @@ value! {
     Bytes: &[u8] => <[u8]>::to_vec, &Bytes => |bytes| bytes.to_vec();
 }
 
+impl Value {
+    /// The value, or NULL of a column of this type of SQLite.
+    pub(in crate::storage) fn or_null_of(self, kind: &str) -> Self {
+        match (&self, kind) {
+            (Self::Text(None), "INTEGER") => Self::Int(None),
+            (Self::Text(None), "REAL") => Self::Real(None),
+            (Self::Text(None), "BLOB") => Self::Bytes(None),
+            _ => self,
+        }
+    }
+}
+
 /// The text of a statement, which is the same for both databases or has a form for each.
-#[derive(Debug, Clone, Copy)]
-pub(in crate::storage) struct Sql {
-    sqlite: &'static str,
-    postgres: &'static str,
+#[derive(Debug, Clone)]
+pub(in crate::storage) enum Sql {
+    /// The same for both.
+    Both(&'static str),
+    /// Made of names that this program knows, never of what a client sends.
+    Made(String),
+    /// One for each.
+    Either { sqlite: &'static str, postgres: &'static str },
+}
+
+impl Sql {
+    fn sqlite(self) -> SqlStr {
+        match self {
+            Self::Both(text) | Self::Either { sqlite: text, .. } => text.into_sql_str(),
+            Self::Made(text) => AssertSqlSafe(text).into_sql_str(),
+        }
+    }
+
+    fn postgres(self) -> SqlStr {
+        match self {
+            Self::Both(text) | Self::Either { postgres: text, .. } => text.into_sql_str(),
+            Self::Made(text) => AssertSqlSafe(text).into_sql_str(),
+        }
+    }
 }
 
 impl From<&'static str> for Sql {
     fn from(both: &'static str) -> Self {
-        Self { sqlite: both, postgres: both }
+        Self::Both(both)
+    }
+}
+
+impl From<String> for Sql {
+    fn from(made: String) -> Self {
+        Self::Made(made)
     }
 }
 
 /// A statement that the databases write differently.
 pub(in crate::storage) const fn either(sqlite: &'static str, postgres: &'static str) -> Sql {
-    Sql { sqlite, postgres }
+    Sql::Either { sqlite, postgres }
 }
 
 /// A statement and the values of its parameters `$1`, `$2` and so on.
@@ -100,19 +139,19 @@ impl<'a> From<&'a mut Session> for On<'a> {
 /// Does a statement on whichever database it is for.
 macro_rules! done {
     ($query:ident, $on:ident, $method:ident, $sqlite:expr, $postgres:expr) => {{
-        let Query { sql: Sql { sqlite, postgres }, values } = $query;
+        let Query { sql, values } = $query;
         match $on.into() {
             On::Pool(Pool::Sqlite(pool)) => {
-                $sqlite(sqlx::query_with(sqlite, for_sqlite(values)?).$method(pool).await?)
+                $sqlite(sqlx::query_with(sql.sqlite(), for_sqlite(values)?).$method(pool).await?)
             }
             On::Session(Session::Sqlite(tx)) => {
-                $sqlite(sqlx::query_with(sqlite, for_sqlite(values)?).$method(&mut **tx).await?)
+                $sqlite(sqlx::query_with(sql.sqlite(), for_sqlite(values)?).$method(&mut **tx).await?)
             }
             On::Pool(Pool::Postgres(pool)) => {
-                $postgres(sqlx::query_with(postgres, for_postgres(values)?).$method(pool).await?)
+                $postgres(sqlx::query_with(sql.postgres(), for_postgres(values)?).$method(pool).await?)
             }
             On::Session(Session::Postgres(tx)) => {
-                $postgres(sqlx::query_with(postgres, for_postgres(values)?).$method(&mut **tx).await?)
+                $postgres(sqlx::query_with(sql.postgres(), for_postgres(values)?).$method(&mut **tx).await?)
             }
         }
     }};
