@@ -4,6 +4,8 @@
 //! paper's size) in NPY and in JSON. The other measurements run by name and print one JSON line each:
 //!
 //! - `cargo bench --bench http -- p50`: median of 60 s and 10 s requests, as a client sees them;
+//! - `scripts/on_cluster.sh cargo bench --bench http -- shared`: the medians through PostgreSQL and a storage of S3's
+//!   protocol over those through SQLite and files, in turns;
 //! - `cargo bench --bench http -- whole`: 20 s in JSON with six targets, errors, damage and Multi-Rain of two groups;
 //! - `cargo bench --bench http -- hour`: peak resident memory of the service for 1 h of drive;
 //! - `cargo bench --bench http -- beside`: 10 s of drive, alone and while 1 h is predicted;
@@ -36,7 +38,10 @@ const MINUTE: usize = 60_000;
 const HOUR: usize = 60 * MINUTE;
 
 fn ready(recombine: Recombine, low_pass_hz: Option<f64>) -> Service {
-    let service = Service::start();
+    ready_on(Service::start(), recombine, low_pass_hz)
+}
+
+fn ready_on(service: Service, recombine: Recombine, low_pass_hz: Option<f64>) -> Service {
     create(&service);
     activate(&service, recombine, low_pass_hz);
     service
@@ -60,6 +65,7 @@ fn main() {
     let named = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     match named.as_deref() {
         Some("p50") => p50(),
+        Some("shared") => shared(),
         Some("whole") => whole(),
         Some("hour") => hour(),
         Some("beside") => beside(),
@@ -107,6 +113,38 @@ fn p50() {
     for (work, request) in &works {
         (0..5).for_each(|_| _ = timed(&mut connection, request));
         tell(work, "s", (0..101).map(|_| timed(&mut connection, request)).collect());
+    }
+}
+
+/// The same predictions by a service of its own and by one that shares its registry, in turns.
+fn shared() {
+    if std::env::var_os("RIGCAST_DATABASE").is_none() {
+        println!("skipped: RIGCAST_DATABASE names no PostgreSQL (scripts/on_cluster.sh)");
+        return;
+    }
+    let services = [false, true].map(|shared| ready_on(Service::start_where(shared), Recombine::Welch, None));
+    let mut connections = services.each_ref().map(Service::connect);
+    let works = [
+        ("10s", npy_request(MINUTE / 6, Dtype::F4)),
+        ("json_10s", json_request(MINUTE / 6)),
+        ("60s", npy_request(MINUTE, Dtype::F4)),
+    ];
+    for (work, request) in &works {
+        let mut times = [Vec::new(), Vec::new()];
+        for k in 0..211 {
+            for (connection, times) in connections.iter_mut().zip(&mut times) {
+                let time = timed(connection, request);
+                if k >= 10 {
+                    times.push(time);
+                }
+            }
+        }
+        for times in &mut times {
+            times.sort_by(f64::total_cmp);
+        }
+        let [alone, shared] = times.map(|times| times[times.len() / 2]);
+        let figures = json!({"alone_s": alone, "shared_s": shared, "ratio": shared / alone});
+        println!("{}", json!({"work": format!("shared_{work}"), "figures": figures}));
     }
 }
 

@@ -21,8 +21,17 @@ pub struct Service {
 impl Service {
     /// Starts the program that was built with this benchmark and waits until it listens.
     pub fn start() -> Self {
+        Self::start_where(false)
+    }
+
+    /// The same; with its registry and objects where the environment says, if it is shared.
+    pub fn start_where(is_shared: bool) -> Self {
         let data_dir = TempDir::with_prefix("rigcast-bench-").expect("a temporary directory");
-        let mut child = Command::new(env!("CARGO_BIN_EXE_rigcast"))
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rigcast"));
+        if !is_shared {
+            command.env_remove("RIGCAST_DATABASE").env_remove("RIGCAST_OBJECTS");
+        }
+        let mut child = command
             .args(["serve", "--listen", "127.0.0.1:0", "--log-format", "json", "--data-dir"])
             .arg(data_dir.path())
             .stderr(Stdio::piped())

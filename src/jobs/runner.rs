@@ -212,7 +212,35 @@ impl Runner {
         control.report("publishing", 1.0);
         // Publishing ends the job, and with it the right to write about it.
         self.store_losses(&claim, &control).await;
-        publish(&self, &claim, made).await
+        self.publish_when_there(&claim, &control, made).await
+    }
+
+    /// Publishes an output. While the store is out of reach it is kept: the work may have taken hours.
+    async fn publish_when_there(
+        &self,
+        claim: &Claim,
+        control: &Control,
+        made: JobOutput,
+    ) -> Result<(), JobError> {
+        let began = Instant::now();
+        loop {
+            match publish(self, claim, made.clone()).await {
+                Err(JobError::Retry(problem))
+                    if problem.code == codes::STORE_UNAVAILABLE
+                        && control.stopped().is_none()
+                        && began.elapsed() < STORE_PATIENCE =>
+                {
+                    control.report("waiting for the store", 1.0);
+                    tokio::time::sleep(RETRY_PAUSE).await;
+                }
+                done => return done,
+            }
+        }
+    }
+
+    /// Whether registry or objects are out of reach, for every job alike.
+    async fn store_is_away(&self) -> bool {
+        self.store.ping().await.is_err() || self.store.ping_bucket().await.is_err()
     }
 
     async fn make(&self, claim: &Claim, control: &Arc<Control>) -> Result<JobOutput, JobError> {
@@ -356,7 +384,12 @@ impl Runner {
                 // Memory or disk may be free again in a moment.
                 let mut stopping = self.stopping.subscribe();
                 let _ = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
-                Outcome::Retry(*problem)
+                if problem.code == codes::STORE_UNAVAILABLE && self.store_is_away().await {
+                    // No fault of the job, which waits for the store as all others do.
+                    Outcome::Released
+                } else {
+                    Outcome::Retry(*problem)
+                }
             }
             Err(JobError::Stopped) => match control.stopped() {
                 Some(Stop::Cancelled) => Outcome::Cancelled,
@@ -375,6 +408,9 @@ impl Runner {
         Ok(())
     }
 }
+
+/// How long the output of a job is kept while the store is out of reach.
+const STORE_PATIENCE: Duration = Duration::from_secs(3600);
 
 /// How long the turn of a study lasts at least before a job of this urgency ends it: each change costs the start of a
 /// process and the loading of the runs.

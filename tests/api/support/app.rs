@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::Path;
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -11,7 +13,7 @@ use rigcast::app::{App, AppError};
 use rigcast::config::Config;
 use rigcast::http::Limits;
 use rigcast::jobs::WorkerProgram;
-use rigcast::storage::StoreError;
+use rigcast::storage::{BucketSettings, PostgresSettings, StoreError, StoreSettings};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
@@ -23,6 +25,8 @@ pub struct TestApp {
     address: SocketAddr,
     client: reqwest::Client,
     directory: Arc<TempDir>,
+    /// Where its registry and objects are, if not in the directory.
+    store: StoreSettings,
     /// An admin's token, once there is one; requests send it unless told otherwise.
     token: Option<String>,
     /// Ids of the operations that have answered with success.
@@ -44,24 +48,29 @@ impl TestApp {
 
     /// Starts a service with settings that differ from the default.
     pub fn start_as(change: impl FnOnce(Config) -> Config) -> Self {
-        Self::start_in(Arc::new(TempDir::new().expect("a directory")), change)
+        Self::start_in(Arc::new(TempDir::new().expect("a directory")), shared_store(), change)
     }
 
     /// Stops the service and starts another one on the same data.
     pub fn restart(mut self) -> Self {
         self.end();
-        let mut next = Self::start_in(self.directory.clone(), |config| config);
+        let mut next = Self::start_in(self.directory.clone(), self.store.clone(), |config| config);
         next.token = self.token.take();
         next
     }
 
     /// The server has threads of its own, so that a test that waits never starves it.
-    fn start_in(directory: Arc<TempDir>, change: impl FnOnce(Config) -> Config) -> Self {
+    fn start_in(
+        directory: Arc<TempDir>,
+        store: StoreSettings,
+        change: impl FnOnce(Config) -> Config,
+    ) -> Self {
         let (stop, stopped) = oneshot::channel::<()>();
         let (started, ready) = std::sync::mpsc::channel();
         let listen = ([127, 0, 0, 1], 0).into();
         let mut config = change(Config::new(directory.path().to_owned(), listen));
         config.jobs.program = Some(worker());
+        config.store = store.clone();
         let server = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
             runtime.expect("a runtime").block_on(async {
@@ -84,6 +93,7 @@ impl TestApp {
                 .build()
                 .expect("a client"),
             directory,
+            store,
             token: None,
             succeeded: Arc::default(),
             stop: Some(stop),
@@ -231,6 +241,32 @@ async fn build(config: &Config) -> App {
         }
     }
     panic!("the directory stays locked")
+}
+
+/// With `RIGCAST_TEST_DATABASE`, a PostgreSQL in which databases may be made, and `RIGCAST_TEST_STORAGE`, the endpoint of
+/// a storage with a bucket `lab`, tests have their registry and objects there. Those that look into the data directory
+/// fail then, and those that start the program itself go on as ever.
+fn shared_store() -> StoreSettings {
+    let (Ok(server), Ok(endpoint)) =
+        (std::env::var("RIGCAST_TEST_DATABASE"), std::env::var("RIGCAST_TEST_STORAGE"))
+    else {
+        return StoreSettings::default();
+    };
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let name = format!("api_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+    let made = Command::new("psql").args([&server, "-qc", &format!("CREATE DATABASE {name}")]).status();
+    assert!(made.expect("psql is there").success());
+    let (place, _) = server.rsplit_once('/').expect("a database");
+    StoreSettings {
+        bucket: Some(BucketSettings {
+            url: format!("s3://lab/{name}"),
+            endpoint: Some(endpoint),
+            region: None,
+            virtual_hosted: false,
+            cache_bytes: 1 << 30,
+        }),
+        database: Some(PostgresSettings { url: format!("{place}/{name}") }),
+    }
 }
 
 /// Jobs run as in `rigcast serve`: each in a process of the real program.

@@ -9,6 +9,7 @@ mod raw;
 mod reply;
 mod storage;
 mod vectors;
+mod weather;
 
 pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
@@ -19,3 +20,4 @@ pub use raw::{exchange, read_all};
 pub use reply::{Call, Reply};
 pub use storage::Storage;
 pub use vectors::{columns, vector_file, vector_rig};
+pub use weather::{Way, Weather};

@@ -83,9 +83,9 @@ impl Program {
         Self::started(serve(address, data_dir).envs(environment.iter().copied()))
     }
 
-    /// `rigcast work` on `data_dir` and a free port of loopback.
-    pub fn work(data_dir: &Path, environment: &[(&str, &str)]) -> Self {
-        let mut work = rigcast(&["work", "--listen", "127.0.0.1:0", "--data-dir"]);
+    /// `rigcast work` on `data_dir`.
+    pub fn work(address: &str, data_dir: &Path, environment: &[(&str, &str)]) -> Self {
+        let mut work = rigcast(&["work", "--listen", address, "--data-dir"]);
         Self::started(work.arg(data_dir).envs(environment.iter().copied()))
     }
 
@@ -130,6 +130,11 @@ impl Program {
     /// Kills it at once, as a power cut would.
     pub fn kill(mut self) {
         self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
+    }
+
+    /// Waits for its end after it was killed.
+    pub fn wait(&mut self) {
         self.child.wait().expect("it ends");
     }
 

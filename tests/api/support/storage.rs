@@ -1,7 +1,7 @@
 //! S3-compatible storage, which the Python package `moto` has. `scripts/python_env.sh storage` installs it.
 
 use std::io::{BufRead, BufReader};
-use std::net::{TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -50,6 +50,16 @@ impl Storage {
             ("AWS_ACCESS_KEY_ID", "engineer"),
             ("AWS_SECRET_ACCESS_KEY", "hunter2hunter2"),
         ]
+    }
+
+    /// Its URL.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// Its address.
+    pub fn address(&self) -> SocketAddr {
+        self.endpoint.trim_start_matches("http://").parse().expect("an address")
     }
 
     pub fn signal(&self, name: &str) {

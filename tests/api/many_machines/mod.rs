@@ -9,26 +9,45 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::{Postgres, Program, Storage, bench, noise_csv, rigcast};
+use crate::support::{Postgres, Program, Storage, Way, Weather, bench, noise_csv, rigcast, signal};
+
+mod faults;
+mod rolling;
 
 /// The engines that the processes share.
 struct Cluster {
     postgres: Postgres,
     storage: Storage,
+    way: Option<Way>,
     url: String,
+    endpoint: String,
 }
 
 impl Cluster {
     fn start() -> Option<Self> {
         let storage = Storage::start()?;
         let postgres = Postgres::start()?;
-        let url = postgres.url();
-        Some(Self { postgres, storage, url })
+        let (url, endpoint) = (postgres.url(), storage.endpoint().to_owned());
+        Some(Self { postgres, storage, way: None, url, endpoint })
+    }
+
+    /// The same with a storage that can fail.
+    fn start_behind_weather() -> Option<Self> {
+        let cluster = Self::start()?;
+        let way = Way::to(cluster.storage.address());
+        let endpoint = format!("http://{}", way.address());
+        Some(Self { way: Some(way), endpoint, ..cluster })
+    }
+
+    fn set_weather(&self, weather: Weather) {
+        self.way.as_ref().expect("it was asked for").set(weather);
     }
 
     fn environment(&self) -> Vec<(&str, &str)> {
         let mut environment = self.storage.environment();
+        environment.retain(|(name, _)| *name != "RIGCAST_S3_ENDPOINT");
         environment.extend([
+            ("RIGCAST_S3_ENDPOINT", self.endpoint.as_str()),
             ("RIGCAST_DATABASE", self.url.as_str()),
             ("RIGCAST_LEASE_S", "3"),
             ("RIGCAST_HEARTBEAT_S", "1"),
@@ -37,17 +56,49 @@ impl Cluster {
         environment
     }
 
-    /// A service that runs no jobs itself.
     fn serve(&self) -> Machine {
-        let mut environment = self.environment();
-        environment.push(("RIGCAST_WORKERS", "0"));
-        let directory = TempDir::new().expect("a directory");
-        Machine { program: Program::start(&directory, &environment), _directory: directory }
+        self.machine(Kind::Serve)
     }
 
     fn work(&self) -> Machine {
-        let directory = TempDir::new().expect("a directory");
-        Machine { program: Program::work(directory.path(), &self.environment()), _directory: directory }
+        self.machine(Kind::Work)
+    }
+
+    /// A service that runs no jobs itself, or a worker.
+    fn machine(&self, kind: Kind) -> Machine {
+        let directory = directory();
+        Machine { program: self.program(kind, &directory, "127.0.0.1:0"), kind, directory }
+    }
+
+    fn program(&self, kind: Kind, directory: &TempDir, address: &str) -> Program {
+        let mut environment = self.environment();
+        match kind {
+            Kind::Work => Program::work(address, directory.path(), &environment),
+            Kind::Serve => {
+                environment.push(("RIGCAST_WORKERS", "0"));
+                Program::listening(address, directory.path(), &environment)
+            }
+        }
+    }
+
+    /// Kills a process and starts it again where it was.
+    fn kill_and_start(&self, machine: &mut Machine) {
+        let address = machine.program.base().trim_start_matches("http://").to_owned();
+        signal("-KILL", machine.program.id());
+        machine.program.wait();
+        machine.program = self.program(machine.kind, &machine.directory, &address);
+    }
+
+    /// What a command of the program on a data directory says, and whether it succeeds.
+    fn command(&self, arguments: &[&str], data_dir: &Path, succeeds: bool) -> String {
+        let mut command = rigcast(arguments);
+        let command = command.arg("--data-dir").arg(data_dir).envs(self.environment());
+        let done = command.stdout(std::process::Stdio::piped()).output().expect("it ends");
+        let said = [done.stdout, done.stderr].concat();
+        let said = String::from_utf8(said).expect("text");
+        assert_eq!(done.status.success(), succeeds, "{said}");
+        assert!(!said.contains("hunter"), "{said}");
+        said
     }
 
     /// What a start says that is refused.
@@ -64,10 +115,22 @@ impl Cluster {
     }
 }
 
+fn directory() -> TempDir {
+    TempDir::new().expect("a directory")
+}
+
+/// What a process does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Serve,
+    Work,
+}
+
 /// A process and its directory.
 struct Machine {
     program: Program,
-    _directory: TempDir,
+    kind: Kind,
+    directory: TempDir,
 }
 
 impl Machine {
@@ -236,9 +299,9 @@ async fn a_database_that_restarts_loses_nothing_and_is_back_soon() {
 #[test]
 fn a_registry_that_cannot_be_used_stops_the_start_with_its_reason() {
     let Some(cluster) = Cluster::start() else { return };
-    let first = TempDir::new().expect("a directory");
+    let first = directory();
     Program::start(&first, &cluster.environment()).kill();
-    let other = TempDir::new().expect("a directory");
+    let other = directory();
     let said = cluster.refused(first.path(), &[("RIGCAST_DATABASE", "")]);
     assert!(said.contains("Start it with that one as --database"), "{said}");
     let said = cluster.refused(first.path(), &[("RIGCAST_DATABASE", ""), ("RIGCAST_OBJECTS", "")]);
@@ -256,7 +319,7 @@ fn a_registry_that_cannot_be_used_stops_the_start_with_its_reason() {
         let said = cluster.refused(other.path(), &[("RIGCAST_DATABASE", wrong)]);
         assert!(said.contains("write postgres://user@host:port/database"), "{said}");
     }
-    let own = TempDir::new().expect("a directory");
+    let own = directory();
     Program::start(&own, &[]).kill();
     let said = cluster.refused(own.path(), &[]);
     assert!(said.contains("has a registry of its own"), "{said}");
@@ -266,6 +329,58 @@ fn a_registry_that_cannot_be_used_stops_the_start_with_its_reason() {
     );
     let said = cluster.refused(first.path(), &[]);
     assert!(said.contains("newer Rigcast") && said.contains("9999"), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_registry_moves_from_a_directory_and_back_and_is_backed_up_on_the_way() {
+    let Some(cluster) = Cluster::start() else { return };
+    let (own, back, copies) = (directory(), directory(), directory());
+    let program = Program::start(&own, &[]);
+    let client = Client::new(program.base(), None).expect("a client");
+    client.post("/v1/rigs", &bench()).await.expect("a rig");
+    let csv = noise_csv(6000, 1).into_bytes();
+    let run = client.upload("bench", &[("kind", "noise")], "text/csv", csv).await.expect("a run");
+    let fit = client.fit("bench", &json!({"kind": "frf", "runs": [run["id"]]})).await.expect("a job");
+    client.wait(&fit, |_| {}).await.expect("a model");
+    let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
+    let predicted = client.post("/v1/rigs/bench/predict", &drive).await.expect("a prediction");
+    let run = format!("/v1/rigs/bench/runs/{}", run["id"].as_str().expect("an id"));
+    let described = client.get(&run).await.expect("a run");
+    let refused = cluster.command(&["move"], own.path(), false);
+    assert!(refused.contains("is in use by another rigcast"), "{refused}");
+    program.signal("-TERM");
+    program.ended();
+    let said = cluster.command(&["move"], own.path(), true);
+    assert!(said.contains("and s3://lab/one its 2 objects"), "{said}");
+
+    let service = cluster.serve();
+    let client = service.client(None);
+    assert_eq!(client.get(&run).await.expect("the run"), described);
+    assert_eq!(client.post("/v1/rigs/bench/predict", &drive).await.expect("the same"), predicted);
+    let csv = noise_csv(500, 2).into_bytes();
+    client.upload("bench", &[("kind", "noise")], "text/csv", csv).await.expect("a run");
+    let runs = client.get("/v1/rigs/bench/runs").await.expect("runs");
+
+    // A backup beside the running service; a data directory only once it has stopped.
+    let backup = copies.path().join("backup");
+    let said = cluster.command(&["backup", backup.to_str().expect("UTF-8")], own.path(), true);
+    assert!(said.contains("backed up 3 objects"), "{said}");
+    let refused = cluster.command(&["move", "--back"], back.path(), false);
+    assert!(refused.contains("stop them first"), "{refused}");
+    service.program.signal("-TERM");
+    service.program.ended();
+    let said = cluster.command(&["move", "--back"], back.path(), true);
+    assert!(said.contains("its 3 objects"), "{said}");
+    let restored = copies.path().join("restored");
+    let done = rigcast(&["restore", backup.to_str().expect("UTF-8"), "--data-dir"]).arg(&restored).output();
+    assert!(done.expect("it ends").status.success());
+    for directory in [back.path(), &restored] {
+        let program = Program::start_on(directory, &[]);
+        let client = Client::new(program.base(), None).expect("a client");
+        assert_eq!(client.get("/v1/rigs/bench/runs").await.expect("runs"), runs);
+        assert_eq!(client.post("/v1/rigs/bench/predict", &drive).await.expect("the same"), predicted);
+        program.kill();
+    }
 }
 
 #[test]
