@@ -5,11 +5,15 @@ use std::collections::BTreeMap;
 use std::ops::{ControlFlow, Range};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use crate::engine::{Loss, Progress};
 use crate::storage::Checkpoint;
+
+/// Time between two signs of life.
+const RENEW_EVERY: Duration = Duration::from_secs(2);
 
 /// Why work must stop before its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,6 +62,8 @@ pub(super) struct Control {
     scope: Mutex<(String, Range<f64>)>,
     /// Checkpoints that were not stored yet, the latest of each part.
     kept: Mutex<BTreeMap<String, Checkpoint>>,
+    /// One that is handed over again and again, and when it was last.
+    renewed: Mutex<Option<(Checkpoint, Option<Instant>)>>,
     losses: Mutex<NewLosses>,
 }
 
@@ -68,6 +74,7 @@ impl Default for Control {
             progress: Mutex::default(),
             scope: Mutex::new((String::new(), 0.0..1.0)),
             kept: Mutex::default(),
+            renewed: Mutex::default(),
             losses: Mutex::default(),
         }
     }
@@ -118,8 +125,20 @@ impl Control {
         kept.insert(checkpoint.part.clone(), checkpoint);
     }
 
+    /// Hands over a checkpoint again and again, as a sign of life, in place of the last such one.
+    pub(super) fn renew(&self, checkpoint: Option<Checkpoint>) {
+        *self.renewed.lock().unwrap_or_else(PoisonError::into_inner) = checkpoint.map(|one| (one, None));
+    }
+
     /// Checkpoints since the last call.
     pub(super) fn take_kept(&self) -> Vec<Checkpoint> {
+        let mut renewed = self.renewed.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((checkpoint, last)) = &mut *renewed
+            && last.is_none_or(|last| last.elapsed() >= RENEW_EVERY)
+        {
+            *last = Some(Instant::now());
+            self.keep(checkpoint.clone());
+        }
         std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner)).into_values().collect()
     }
 

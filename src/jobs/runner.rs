@@ -12,7 +12,7 @@ use tracing::Instrument;
 
 use crate::domain::turns::Urgency;
 use crate::domain::{Clock, JobId, JobKind};
-use crate::storage::{Beat, Claim, Outcome, Store, StoreError};
+use crate::storage::{Beat, Claim, Lease, Outcome, Store, StoreError};
 use crate::telemetry::names;
 
 use super::JobSettings;
@@ -46,14 +46,16 @@ pub(super) struct Runner {
     pub(super) stopping: watch::Sender<bool>,
     /// Jobs at work in this process.
     at_work: Mutex<HashMap<JobId, Arc<Control>>>,
+    /// Jobs of other processes that this one helps with, or has helped with until nothing was left.
+    helped: Mutex<Vec<Lease>>,
 }
 
 impl Runner {
     pub(super) fn new(store: Store, clock: Clock, settings: JobSettings, executor: Executor) -> Self {
         let stopping = watch::Sender::new(false);
         let hub = Hub::new(stopping.clone());
-        let (queued, at_work) = (Notify::new(), Mutex::default());
-        Self { store, clock, executor, settings, hub, queued, stopping, at_work }
+        let (queued, at_work, helped) = (Notify::new(), Mutex::default(), Mutex::default());
+        Self { store, clock, executor, settings, hub, queued, stopping, at_work, helped }
     }
 
     /// Asks a job to stop if it runs in this process; tells whether it does.
@@ -94,6 +96,11 @@ impl Runner {
                     self.queued.notify_one();
                     Arc::clone(&self).run_claimed(claim).await;
                     continue;
+                }
+                Ok(None) if self.store.is_shared() => {
+                    if self.help().await {
+                        continue;
+                    }
                 }
                 Ok(None) => {}
                 Err(error) => {
@@ -163,6 +170,73 @@ impl Runner {
                 _ = stopping.wait_for(|stopping| *stopping) => {}
             }
         }
+    }
+
+    /// Helps with a job of another process until nothing of it is left, or a job waits; `false` if there is none.
+    async fn help(&self) -> bool {
+        let claim = {
+            let mut not = self.helped().clone();
+            match self.store.job_to_help(&not).await {
+                Ok(Some(claim)) if !self.at_work().contains_key(&claim.job.id) => {
+                    not.push(claim.lease.clone());
+                    // Those of jobs that have ended are of no use.
+                    let old = not.len().saturating_sub(HELPED);
+                    *self.helped() = not.split_off(old);
+                    claim
+                }
+                Ok(_) => return false,
+                Err(error) => {
+                    error.count();
+                    tracing::warn!(%error, "nobody knows which jobs want help");
+                    return false;
+                }
+            }
+        };
+        let span = tracing::info_span!("help", job.id = %claim.job.id, rig.id = %claim.job.rig);
+        self.help_with(&claim).instrument(span).await
+    }
+
+    async fn help_with(&self, claim: &Claim) -> bool {
+        tracing::info!("helps with a job of another process");
+        let control = Arc::new(Control::default());
+        let spec = JobSpec { helps: true, ..JobSpec::from(claim) };
+        let work = self.make_as(spec, &control);
+        tokio::pin!(work);
+        let mut ticks = tokio::time::interval(self.settings.progress_every);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let end = loop {
+            tokio::select! {
+                biased;
+                end = &mut work => break end,
+                _ = ticks.tick() => {
+                    self.store_checkpoints(claim, &control).await;
+                    if *self.stopping.borrow() {
+                        control.stop(Stop::Shutdown);
+                    }
+                    match self.store.wants_help(&claim.lease).await {
+                        Ok(true) => {}
+                        Ok(false) => control.stop(Stop::Yield),
+                        Err(error) => {
+                            error.count();
+                            control.stop(Stop::Lost);
+                        }
+                    }
+                }
+            }
+        };
+        self.store_checkpoints(claim, &control).await;
+        if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = &end {
+            tracing::warn!(problem.code, "could not help: {}", problem.detail);
+        }
+        if control.stopped() == Some(Stop::Yield) {
+            // It may be helped again once nothing else waits.
+            self.helped().retain(|lease| *lease != claim.lease);
+        }
+        true
+    }
+
+    fn helped(&self) -> MutexGuard<'_, Vec<Lease>> {
+        self.helped.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
@@ -244,7 +318,10 @@ impl Runner {
     }
 
     async fn make(&self, claim: &Claim, control: &Arc<Control>) -> Result<JobOutput, JobError> {
-        let spec = JobSpec::from(claim);
+        self.make_as(JobSpec::from(claim), control).await
+    }
+
+    async fn make_as(&self, spec: JobSpec, control: &Arc<Control>) -> Result<JobOutput, JobError> {
         match &self.executor {
             Executor::InProcess(context) => context.make(&spec, control).await,
             Executor::Subprocess(program) => {
@@ -408,6 +485,9 @@ impl Runner {
         Ok(())
     }
 }
+
+/// Jobs that a process remembers to have helped with.
+const HELPED: usize = 64;
 
 /// How long the output of a job is kept while the store is out of reach.
 const STORE_PATIENCE: Duration = Duration::from_secs(3600);

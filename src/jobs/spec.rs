@@ -16,6 +16,8 @@ pub(super) struct JobSpec {
     pub rig: RigId,
     pub kind: JobKind,
     pub request: serde_json::Value,
+    /// Whether the job is another worker's, which this work helps with. It has no output then.
+    pub helps: bool,
 }
 
 impl JobSpec {
@@ -35,6 +37,7 @@ impl From<&Claim> for JobSpec {
             rig: claim.job.rig.clone(),
             kind: claim.job.kind,
             request: claim.request.clone(),
+            helps: false,
         }
     }
 }

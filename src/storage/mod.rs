@@ -37,6 +37,7 @@ mod runs;
 mod samples;
 #[cfg(test)]
 mod shared_tests;
+mod shares;
 mod store;
 mod studies;
 #[cfg(test)]

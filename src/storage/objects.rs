@@ -16,7 +16,7 @@ use tokio::sync::RwLockReadGuard;
 use super::backup::Progress;
 use super::bucket::Bucket;
 use super::corruption::CorruptObjects;
-use super::database::{Pool, Session, postgres, sql};
+use super::database::{Session, postgres, sql};
 use super::files::{self, failed};
 use super::object_file::ObjectFile;
 use super::store::SCRATCH;
@@ -415,9 +415,9 @@ impl Store {
     /// later, so that a lost connection loses both.
     async fn hold_objects(&self) -> Result<(RwLockReadGuard<'_, ()>, Option<Session>), StoreError> {
         let gate = self.objects_gate().read().await;
-        let held = match self.writer() {
-            Pool::Sqlite(_) => None,
-            Pool::Postgres(pool) => {
+        let held = match self.holders() {
+            None => None,
+            Some(pool) => {
                 let mut held = Session::Postgres(pool.begin().await?);
                 postgres::keep_objects(&mut held).await?;
                 Some(held)
@@ -482,7 +482,7 @@ impl Store {
 
     /// With a shared registry, a transaction that keeps the other processes from storing objects.
     async fn remove_objects_alone(&self) -> Result<Option<Session>, StoreError> {
-        let Pool::Postgres(pool) = self.writer() else { return Ok(None) };
+        let Some(pool) = self.holders() else { return Ok(None) };
         let mut session = Session::Postgres(pool.begin().await?);
         postgres::remove_objects(&mut session).await?;
         Ok(Some(session))

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
+use sqlx::PgPool;
 use tokio::sync::RwLock;
 
 use super::bucket::{self, Bucket, BucketSettings};
@@ -48,6 +49,8 @@ struct Inner {
     data_dir: PathBuf,
     writer: Pool,
     readers: Pool,
+    /// For transactions that begin before an object is stored, on PostgreSQL.
+    holders: Option<PgPool>,
     objects: Objects,
     /// For the processes of jobs, which open the store themselves.
     settings: StoreSettings,
@@ -132,6 +135,7 @@ impl Store {
             data_dir: data_dir.to_owned(),
             writer: Pool::Postgres(opened.writers),
             readers: Pool::Postgres(opened.readers),
+            holders: Some(opened.holders),
             objects: Objects::open(&data_dir.join("objects"), Some(bucket))?,
             settings,
             journal: None,
@@ -163,6 +167,7 @@ impl Store {
             data_dir: directory,
             writer: Pool::Postgres(opened.writers),
             readers: Pool::Postgres(opened.readers),
+            holders: None,
             settings: StoreSettings { bucket: None, database: Some(postgres.clone()) },
             journal: None,
             reserve: None,
@@ -187,6 +192,7 @@ impl Store {
             data_dir: data_dir.to_owned(),
             writer: Pool::Sqlite(opened.writer),
             readers: Pool::Sqlite(opened.readers),
+            holders: None,
             objects: Objects::open(&data_dir.join("objects"), bucket)?,
             settings,
             journal: Some(journal),
@@ -217,6 +223,7 @@ impl Store {
             data_dir: data_dir.to_owned(),
             writer: readers.clone(),
             readers,
+            holders: None,
             objects: Objects::open(&data_dir.join("objects"), bucket)?,
             settings: settings.clone(),
             journal: None,
@@ -300,6 +307,9 @@ impl Store {
     pub async fn close(&self) {
         self.inner.readers.close().await;
         self.inner.writer.close().await;
+        if let Some(holders) = &self.inner.holders {
+            holders.close().await;
+        }
     }
 
     pub(super) fn reader(&self) -> &Pool {
@@ -313,6 +323,11 @@ impl Store {
 
     pub(super) fn objects_gate(&self) -> &RwLock<()> {
         &self.inner.objects_gate
+    }
+
+    /// Connections for transactions that begin before an object is stored or removed; `None` where none are needed.
+    pub(super) fn holders(&self) -> Option<&PgPool> {
+        self.inner.holders.as_ref()
     }
 
     pub(super) fn writer(&self) -> &Pool {

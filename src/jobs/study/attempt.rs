@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::compute::Class;
 use crate::domain::JobId;
 use crate::engine::EngineError;
+use crate::engine::checkpoint::{CheckpointStore, NoCheckpoints};
 use crate::engine::model::{FitData, FitSettings, Fitted, try_out};
 use crate::jobs::checkpoints::JobCheckpoints;
 use crate::jobs::control::Control;
@@ -20,6 +21,8 @@ pub(super) struct Bench<'a> {
     pub control: &'a Arc<Control>,
     /// Digest of everything that the fits of the study depend on.
     pub fits: &'a str,
+    /// Whether the study is another worker's.
+    pub helps: bool,
 }
 
 impl Bench<'_> {
@@ -38,8 +41,12 @@ impl Bench<'_> {
         let fits = digest(&(self.fits, place));
         let (store, every) = (&self.context.store, self.context.checkpoint_every);
         let checkpoints = JobCheckpoints::open(store, self.job, fits, every, self.control).await?;
-        let watched = Arc::clone(self.control);
-        let work = move || try_out(&data, &settings, &checkpoints, &|progress| watched.watch(progress));
+        let (watched, helps) = (Arc::clone(self.control), self.helps);
+        let work = move || {
+            // The parts of two fits of one job would take each other's place.
+            let kept: &dyn CheckpointStore = if helps { &NoCheckpoints } else { &checkpoints };
+            try_out(&data, &settings, kept, &|progress| watched.watch(progress))
+        };
         match self.context.compute.run(Class::Fit, None, work).await? {
             Err(EngineError::Cancelled) => Err(JobError::Stopped),
             tried => Ok(tried),

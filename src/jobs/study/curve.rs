@@ -15,6 +15,7 @@ use crate::storage::NewStudy;
 
 use super::attempt::{Bench, digest};
 use super::plan::StudyPlan;
+use super::shares::{Fits, Place, Shares};
 use super::table::Table;
 use super::{Making, StudyProblem};
 
@@ -31,7 +32,7 @@ pub(super) async fn make(
     curve: &LearningCurve,
     fit: &FitPlan,
 ) -> Result<StudyOutput, JobError> {
-    let Making { context, job, control, .. } = *making;
+    let Making { context, job, control, helps, .. } = *making;
     control.report("loading runs", 0.0);
     let mut fit = fit.clone();
     let given = GivenParts::load(context, &mut fit).await?;
@@ -46,43 +47,34 @@ pub(super) async fn make(
     let pool = Pool::new(data, &held_out, segment.max(2 * window))
         .map_err(|error| of_engine(&error, &fit.channels()))?;
     let sizes = pool.sizes(curve.sizes);
-    let mut report = match kept {
+    let report = match kept {
         Some(StudyReport::LearningCurve(report)) => report,
         _ => LearningCurveReport { planned: sizes.len() * curve.repeats, ..LearningCurveReport::default() },
     };
-    let bench = Bench { context, job, control, fits: &fits };
-    let total = report.planned as f64;
-    for (size, &blocks) in sizes.iter().enumerate() {
-        for repeat in 0..curve.repeats {
-            let number = size * curve.repeats + repeat;
-            if report.fits.iter().any(|done| (done.size, done.repeat) == (size, repeat)) {
-                continue;
-            }
-            let stage = format!("fit {} of {}: ", number + 1, report.planned);
-            control.scope(stage, number as f64 / total..(number as f64 + 1.0) / total);
-            let (subset, samples) = pool.subset(blocks, plan.request.seed.wrapping_add(number as u64));
-            let mut settings = fit::settings(&fit, &given);
-            if fit.request.kind != ModelKind::Frf {
-                // Another start for each subset: what it adds to the scatter belongs to the error of a fit.
-                settings.lstm.seeds = Some(vec![repeat as u64 + 1]);
-            }
-            let tried = bench.fit((size, repeat), settings, Arc::new(subset)).await?;
-            let (rms, reason) = match tried {
-                Ok(fitted) => (fitted.report.validation_rms, None),
-                Err(error) => (Vec::new(), Some(error.to_string())),
-            };
-            let share = samples as f64 / pool.n_samples() as f64;
-            report.fits.push(SubsetFit {
-                size,
-                repeat,
-                minutes: samples as f64 / rate / 60.0,
-                share,
-                rms,
-                reason,
-            });
-            table.keep(&StudyReport::LearningCurve(report.clone()));
-        }
+    let bench = Bench { context, job, control, fits: &fits, helps };
+    let shares = Shares::open(&context.store, control, job, &fits, helps).await?;
+    let seed = plan.request.seed;
+    let mut subsets = Subsets {
+        bench,
+        fit: &fit,
+        given: &given,
+        pool,
+        sizes: &sizes,
+        repeats: curve.repeats,
+        seed,
+        rate,
+        table,
+        report,
+    };
+    let places: Vec<Place> =
+        (0..sizes.len()).flat_map(|size| (0..curve.repeats).map(move |repeat| (size, repeat))).collect();
+    shares.all(&mut subsets, &places).await?;
+    if helps {
+        return Err(JobError::Stopped);
     }
+    let mut report = subsets.report;
+    // In the order of one worker, whoever has done what.
+    report.fits.sort_by_key(|one| (one.size, one.repeat));
     report.outputs = outputs(&fit.outputs, &report.fits, curve.more_min);
     if report.fits.iter().all(|one| one.reason.is_some()) {
         let reason = report.fits.iter().find_map(|one| one.reason.clone()).unwrap_or_default();
@@ -94,6 +86,59 @@ pub(super) async fn make(
     };
     let study = NewStudy { report: StudyReport::LearningCurve(report), model: None };
     Ok(StudyOutput { study, said, why: String::new(), no_bytes: bytes::Bytes::new() })
+}
+
+/// Everything that the fits to subsets use.
+struct Subsets<'a> {
+    bench: Bench<'a>,
+    fit: &'a FitPlan,
+    given: &'a GivenParts,
+    pool: Pool,
+    /// Blocks of each size.
+    sizes: &'a [usize],
+    repeats: usize,
+    /// Seed of the study.
+    seed: u64,
+    /// Sample rate, Hz.
+    rate: f64,
+    table: Table,
+    report: LearningCurveReport,
+}
+
+impl Fits for Subsets<'_> {
+    type Row = SubsetFit;
+
+    fn has(&self, (size, repeat): Place) -> bool {
+        self.report.fits.iter().any(|done| (done.size, done.repeat) == (size, repeat))
+    }
+
+    fn add(&mut self, row: SubsetFit) {
+        self.report.fits.push(row);
+        if !self.bench.helps {
+            self.table.keep(&StudyReport::LearningCurve(self.report.clone()));
+        }
+    }
+
+    async fn try_one(&mut self, (size, repeat): Place) -> Result<SubsetFit, JobError> {
+        let (done, total) = (self.report.fits.len() as f64, self.report.planned as f64);
+        let stage = format!("fit {} of {}: ", self.report.fits.len() + 1, self.report.planned);
+        self.bench.control.scope(stage, done / total..(done + 1.0) / total);
+        let number = size * self.repeats + repeat;
+        let (subset, samples) = self.pool.subset(self.sizes[size], self.seed.wrapping_add(number as u64));
+        let mut settings = fit::settings(self.fit, self.given);
+        if self.fit.request.kind != ModelKind::Frf {
+            // Another start for each subset: what it adds to the scatter belongs to the error of a fit.
+            settings.lstm.seeds = Some(vec![repeat as u64 + 1]);
+        }
+        let tried = self.bench.fit((size, repeat), settings, Arc::new(subset)).await?;
+        let (rms, reason) = match tried {
+            Ok(fitted) => (fitted.report.validation_rms, None),
+            Err(error) => (Vec::new(), Some(error.to_string())),
+        };
+        let (minutes, share) =
+            (samples as f64 / self.rate / 60.0, samples as f64 / self.pool.n_samples() as f64);
+        Ok(SubsetFit { size, repeat, minutes, share, rms, reason })
+    }
 }
 
 /// The data that score every subset: those that compare models; where nothing compares, those that stop.

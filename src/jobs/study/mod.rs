@@ -1,5 +1,7 @@
 //! The study job: many fits, one after another, to a table and for a search one model version.
 //!
+//! Where processes share a registry, workers without a job of their own help with the fits ([`shares`]).
+//!
 //! The table so far is a checkpoint of the job. A worker that dies or gives its turn to a more urgent job goes on at
 //! the fit that it was at, and a training within that goes on from its own checkpoints, to the same table.
 
@@ -9,6 +11,7 @@ mod linear;
 mod plan;
 mod problem;
 mod search;
+mod shares;
 mod table;
 
 use std::sync::Arc;
@@ -30,6 +33,8 @@ struct Making<'a> {
     rig: &'a Rig,
     job: JobId,
     control: &'a Arc<Control>,
+    /// Whether the study is another worker's.
+    helps: bool,
 }
 
 /// Does a study, from the request to what it publishes.
@@ -42,10 +47,12 @@ pub(super) async fn make(
     let rig = context.store.rig(&spec.rig).await?.ok_or(StudyProblem::RigGone)?;
     // Checked again, because runs may have come and gone since the job was queued.
     let plan = check(&context.store, &rig, &request).await?;
-    let making = Making { context, rig: &rig, job: spec.job, control };
+    let making = Making { context, rig: &rig, job: spec.job, control, helps: spec.helps };
     match &plan.task {
         Task::Search(task) => search::make(&making, &plan, task).await,
         Task::LearningCurve(curve, fit) => curve::make(&making, &plan, curve, fit).await,
+        // It has no fits that could be shared.
+        Task::Linear(..) if spec.helps => Err(JobError::Stopped),
         Task::Linear(study, model) => linear::make(&making, &plan, study, model).await,
     }
 }

@@ -16,6 +16,7 @@ use crate::storage::NewStudy;
 
 use super::attempt::{Bench, digest};
 use super::plan::{SearchTask, StudyPlan, base, with};
+use super::shares::{Fits, Place, Shares};
 use super::table::Table;
 use super::{Making, StudyProblem};
 
@@ -28,7 +29,7 @@ pub(super) async fn make(
     plan: &StudyPlan,
     task: &SearchTask,
 ) -> Result<StudyOutput, JobError> {
-    let Making { context, rig, job, control } = *making;
+    let Making { context, rig, job, control, helps } = *making;
     control.report("loading runs", 0.0);
     let mut trial = task.trial.clone();
     let given = GivenParts::load(context, &mut trial).await?;
@@ -41,16 +42,34 @@ pub(super) async fn make(
     let fits = digest(&(fit::fingerprint(&trial, isa), &plan.request));
     let (table, kept) = Table::open(&context.store, job, fits.clone(), control).await?;
     let rounds = rounds(&task.search);
-    let mut report = match kept {
+    let report = match kept {
         Some(StudyReport::Search(report)) => report,
         _ => SearchReport { planned: rounds.iter().map(|rung| rung.trials).sum(), ..SearchReport::default() },
     };
     let whole = rounds.iter().map(|rung| rung.trials as f64 * rung.share).sum::<f64>() + LAST_FIT;
-    let bench = Bench { context, job, control, fits: &fits };
+    let bench = Bench { context, job, control, fits: &fits, helps };
+    let shares = Shares::open(&context.store, control, job, &fits, helps).await?;
     let data = Arc::new(data);
-    let trials =
-        Trials { bench, search: &task.search, seed: plan.request.seed, trial, given, data, table, whole };
-    trials.run(&rounds, &mut report).await?;
+    let (search, seed) = (&task.search, plan.request.seed);
+    let mut trials = Trials {
+        bench,
+        search,
+        seed,
+        trial,
+        given,
+        data,
+        table,
+        whole,
+        shares,
+        report,
+        shown: 0.0,
+        share: 1.0,
+    };
+    trials.run(&rounds).await?;
+    if helps {
+        return Err(JobError::Stopped);
+    }
+    let report = std::mem::take(&mut trials.report);
     // The last fit loads its own runs.
     drop(trials);
     let Some(best) = report.best.clone() else {
@@ -91,28 +110,54 @@ struct Trials<'a> {
     table: Table,
     /// Work of the whole study, in trials with the full epochs.
     whole: f64,
+    shares: Shares<'a>,
+    report: SearchReport,
+    /// Work of the rounds before this one.
+    shown: f64,
+    /// Share of the epochs in this round.
+    share: f64,
+}
+
+impl Fits for Trials<'_> {
+    type Row = Trial;
+
+    fn has(&self, (trial, rung): Place) -> bool {
+        self.report.done(trial, rung).is_some()
+    }
+
+    fn add(&mut self, row: Trial) {
+        self.report.add(row);
+        if !self.bench.helps {
+            self.table.keep(&StudyReport::Search(self.report.clone()));
+        }
+    }
+
+    async fn try_one(&mut self, (trial, rung): Place) -> Result<Trial, JobError> {
+        let best = percent(self.report.best.as_ref().and_then(|best| best.error));
+        let (which, of) = (self.report.trials.len() + 1, self.report.planned);
+        let in_round = self.report.trials.iter().filter(|row| row.rung == rung).count() as f64;
+        let done = self.shown + in_round * self.share;
+        let stage = format!("trial fit {which} of {of}, least error so far {best}: ");
+        self.bench.control.scope(stage, done / self.whole..(done + self.share) / self.whole);
+        self.fit_of(trial, rung, self.share).await
+    }
 }
 
 impl Trials<'_> {
     /// Does the trials that the report lacks.
-    async fn run(&self, rounds: &[Rung], report: &mut SearchReport) -> Result<(), JobError> {
+    async fn run(&mut self, rounds: &[Rung]) -> Result<(), JobError> {
         let mut alive: Vec<usize> = (0..self.search.trials).collect();
-        let mut done = 0.0;
         for (number, rung) in rounds.iter().enumerate() {
-            for &trial in &alive {
-                if report.done(trial, number).is_none() {
-                    let best = percent(report.best.as_ref().and_then(|best| best.error));
-                    let which = report.trials.len() + 1;
-                    let of = report.planned;
-                    let stage = format!("trial fit {which} of {of}, least error so far {best}: ");
-                    self.bench.control.scope(stage, done / self.whole..(done + rung.share) / self.whole);
-                    report.add(self.try_one(trial, number, rung.share).await?);
-                    self.table.keep(&StudyReport::Search(report.clone()));
-                }
-                done += rung.share;
-            }
+            self.share = rung.share;
+            let places: Vec<Place> = alive.iter().map(|&trial| (trial, number)).collect();
+            let shares = self.shares.clone();
+            shares.all(self, &places).await?;
+            // In the order of one worker, whoever has done what.
+            self.report.trials.sort_by_key(|row| (row.rung, row.trial));
+            self.shown += rung.share * places.len() as f64;
             if let Some(next) = rounds.get(number + 1) {
-                let error = |trial: &usize| (*trial, report.done(*trial, number).and_then(|row| row.error));
+                let error =
+                    |trial: &usize| (*trial, self.report.done(*trial, number).and_then(|row| row.error));
                 let errors: Vec<_> = alive.iter().map(error).collect();
                 alive = survivors(&errors, next.trials);
             }
@@ -121,7 +166,7 @@ impl Trials<'_> {
     }
 
     /// Fits what a trial draws, and scores it on data that compare no models.
-    async fn try_one(&self, trial: usize, rung: usize, share: f64) -> Result<Trial, JobError> {
+    async fn fit_of(&self, trial: usize, rung: usize, share: f64) -> Result<Trial, JobError> {
         let settings = self.search.space.draw(&base(&self.trial.request), self.seed, trial);
         let mut row = Trial {
             trial,

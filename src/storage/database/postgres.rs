@@ -35,6 +35,12 @@ impl fmt::Debug for PostgresSettings {
 /// Connections of a service that write, and as many that read.
 const SERVICE: u32 = 8;
 
+/// Connections of a service that wait while an object is stored: more than uploads have turns.
+const HOLDERS: u32 = 24;
+
+/// How long a connection that nobody uses stays.
+const IDLE: Duration = Duration::from_secs(60);
+
 /// Connections of the process of a job, which only reads.
 const JOB: u32 = 2;
 
@@ -60,6 +66,8 @@ mod locks {
 pub(in crate::storage) struct Opened {
     pub(in crate::storage) writers: PgPool,
     pub(in crate::storage) readers: PgPool,
+    /// For transactions that begin before an object is stored.
+    pub(in crate::storage) holders: PgPool,
     /// Which service it belongs to.
     pub(in crate::storage) service: Uuid,
 }
@@ -92,21 +100,17 @@ impl PostgresSettings {
     /// [`StoreError::Postgres`] if it cannot be reached or used, [`StoreError::Newer`] for a newer schema.
     pub(in crate::storage) async fn open(&self) -> Result<Opened, StoreError> {
         let options = self.options()?;
-        let refused =
-            |error: sqlx::Error| StoreError::Postgres { database: name(&options), what: in_words(&error) };
-        let mut connection =
-            tokio::time::timeout(PATIENCE, PgConnection::connect_with(&options)).await.map_err(|_| {
-                let what = format!("no answer within {} s", PATIENCE.as_secs());
-                StoreError::Postgres { database: name(&options), what }
-            })?;
-        let connection = connection
-            .as_mut()
-            .map_err(|error| StoreError::Postgres { database: name(&options), what: in_words(error) })?;
-        migrate(connection, &name(&options)).await?;
+        let refused = |what| StoreError::Postgres { database: name(&options), what };
+        let connecting = tokio::time::timeout(PATIENCE, PgConnection::connect_with(&options)).await;
+        let mut connection = connecting
+            .map_err(|_| refused(format!("no answer within {} s", PATIENCE.as_secs())))?
+            .map_err(|error| refused(in_words(&error)))?;
+        migrate(&mut connection, &name(&options)).await?;
         let service: String = sqlx::query_scalar("SELECT id FROM service")
-            .fetch_one(&mut *connection)
+            .fetch_one(&mut connection)
             .await
-            .map_err(refused)?;
+            .map_err(|error| refused(in_words(&error)))?;
+        connection.close().await?;
         let bad = |error: uuid::Error| StoreError::Row {
             table: "service",
             key: service.clone(),
@@ -114,6 +118,7 @@ impl PostgresSettings {
         };
         Ok(Opened {
             writers: pool(SERVICE, options.clone()),
+            holders: pool(HOLDERS, options.clone()),
             readers: pool(SERVICE, options.clone().options([("default_transaction_read_only", "on")])),
             service: service.parse().map_err(bad)?,
         })
@@ -129,7 +134,8 @@ impl PostgresSettings {
 }
 
 fn pool(most: u32, options: PgConnectOptions) -> PgPool {
-    PgPoolOptions::new().max_connections(most).acquire_timeout(PATIENCE).connect_lazy_with(options)
+    let pools = PgPoolOptions::new().max_connections(most).acquire_timeout(PATIENCE).idle_timeout(IDLE);
+    pools.connect_lazy_with(options)
 }
 
 fn name(options: &PgConnectOptions) -> String {

@@ -122,7 +122,7 @@ async fn nothing_acknowledged_is_lost_whatever_fails() {
         tokio::time::sleep(Duration::from_millis(random.random_range(200..1500))).await;
         let one = random.random_range(0..machines.len());
         let what = match k % 7 {
-            0 | 1 | 2 => {
+            0..=2 => {
                 cluster.kill_and_start(&mut machines[one]);
                 format!("a killed {:?}", machines[one].kind)
             }

@@ -12,6 +12,7 @@ use tempfile::TempDir;
 use crate::support::{Postgres, Program, Storage, Way, Weather, bench, noise_csv, rigcast, signal};
 
 mod faults;
+mod helping;
 mod rolling;
 
 /// The engines that the processes share.
@@ -62,6 +63,13 @@ impl Cluster {
 
     fn work(&self) -> Machine {
         self.machine(Kind::Work)
+    }
+
+    /// A worker that has one core.
+    fn work_on_core(&self, core: usize) -> Machine {
+        let directory = directory();
+        let program = Program::work_on_core(core, directory.path(), &self.environment());
+        Machine { program, kind: Kind::Work, directory }
     }
 
     /// A service that runs no jobs itself, or a worker.

@@ -62,7 +62,7 @@ impl Balancer {
 async fn services_are_replaced_under_load_without_a_failed_request_or_a_lost_job() {
     let Some(cluster) = Cluster::start() else { return };
     let rolls = std::env::var("RIGCAST_TEST_ROLLS").map_or(2, |text| text.parse().expect("a number"));
-    let mut machines = vec![cluster.machine(Kind::Serve), cluster.machine(Kind::Serve)];
+    let mut machines = [cluster.machine(Kind::Serve), cluster.machine(Kind::Serve)];
     let _worker = cluster.machine(Kind::Work);
     let client = machines[0].client(None);
     client.post("/v1/rigs", &bench()).await.expect("a rig");

@@ -89,6 +89,18 @@ impl Program {
         Self::started(work.arg(data_dir).envs(environment.iter().copied()))
     }
 
+    /// The same on a free port and one core.
+    pub fn work_on_core(core: usize, data_dir: &Path, environment: &[(&str, &str)]) -> Self {
+        let work = rigcast(&["work", "--listen", "127.0.0.1:0", "--data-dir"]);
+        let mut command = Command::new("taskset");
+        command.args(["-c", &core.to_string()]).arg(work.get_program()).args(work.get_args()).arg(data_dir);
+        for (name, _) in work.get_envs() {
+            command.env_remove(name);
+        }
+        let command = command.envs(environment.iter().copied());
+        Self::started(command.stderr(Stdio::piped()).stdout(Stdio::null()))
+    }
+
     fn started(command: &mut Command) -> Self {
         let mut child = command.spawn().expect("the program starts");
         let mut log = BufReader::new(child.stderr.take().expect("piped")).lines();
