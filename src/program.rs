@@ -13,14 +13,14 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::app::{self, Address, App};
 use crate::config::{
-    BackupArgs, Command, Config, ConfigError, CopyArgs, DemoArgs, HealthArgs, LogArgs, MoveArgs, RecoverArgs,
-    ServeArgs, WorkArgs,
+    BackupArgs, Command, Config, ConfigError, CopyArgs, CreateArgs, DemoArgs, HealthArgs, LogArgs, MoveArgs,
+    RecoverArgs, ServeArgs, TokenCommand, WorkArgs,
 };
 use crate::engine::simd::Isa;
 use crate::storage;
 use crate::storage::backup::Source;
 use crate::telemetry::{self, LogFormat};
-use crate::token::{self, CreateArgs, TokenCommand};
+use crate::token;
 
 type Failure = Box<dyn std::error::Error>;
 

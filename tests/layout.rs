@@ -14,9 +14,9 @@ const LAYERS: &[&[&str]] = &[
     &["models"],
     &["jobs"],
     &["http"],
-    &["client", "health", "token"],
+    &["client", "health"],
     &["config"],
-    &["app"],
+    &["app", "token"],
     &["demo"],
     &["program"],
 ];

@@ -8,6 +8,7 @@ mod health;
 mod jobs;
 mod load;
 mod objects;
+mod token;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -20,7 +21,6 @@ use crate::http::{AdmissionSettings, Limits};
 use crate::jobs::JobSettings;
 use crate::storage::StoreSettings;
 use crate::telemetry::LogFormat;
-use crate::token::TokenCommand;
 
 pub use connections::ConnectionSettings;
 pub use copies::{BackupArgs, CopyArgs, MoveArgs, RecoverArgs};
@@ -30,6 +30,7 @@ pub use health::HealthArgs;
 pub use jobs::JobArgs;
 pub use load::LoadArgs;
 pub use objects::ObjectArgs;
+pub use token::{CreateArgs, TokenCommand};
 
 /// The `rigcast` command line.
 #[derive(Debug, Parser)]

@@ -333,6 +333,14 @@ impl SearchReport {
         }
         self.trials.push(trial);
     }
+
+    /// The same as if the trials had been added one after the other, in whichever order they were.
+    pub fn in_order(&mut self) {
+        let mut trials = std::mem::take(&mut self.trials);
+        trials.sort_by_key(|trial| (trial.rung, trial.trial));
+        self.best = None;
+        trials.into_iter().for_each(|trial| self.add(trial));
+    }
 }
 
 /// A fit to a subset of the data.
@@ -541,5 +549,10 @@ mod tests {
         report.add(trial(2, 1, None));
         assert_eq!(report.best.as_ref().map(|best| best.trial), Some(1));
         assert!(report.done(2, 1).is_some() && report.done(3, 1).is_none());
+        let mut other = SearchReport::default();
+        report.trials.iter().rev().for_each(|row| other.add(row.clone()));
+        assert_ne!(other, report);
+        other.in_order();
+        assert_eq!(other, report, "whoever has done what, and when");
     }
 }

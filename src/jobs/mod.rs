@@ -13,6 +13,7 @@ mod evaluation;
 mod events;
 pub mod fit;
 mod fit_plan;
+mod helping;
 mod iteration;
 mod memory;
 mod predicted;

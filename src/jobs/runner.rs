@@ -47,7 +47,7 @@ pub(super) struct Runner {
     /// Jobs at work in this process.
     at_work: Mutex<HashMap<JobId, Arc<Control>>>,
     /// Jobs of other processes that this one helps with, or has helped with until nothing was left.
-    helped: Mutex<Vec<Lease>>,
+    pub(super) helped: Mutex<Vec<Lease>>,
 }
 
 impl Runner {
@@ -76,7 +76,7 @@ impl Runner {
         }
     }
 
-    fn at_work(&self) -> MutexGuard<'_, HashMap<JobId, Arc<Control>>> {
+    pub(super) fn at_work(&self) -> MutexGuard<'_, HashMap<JobId, Arc<Control>>> {
         self.at_work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -172,73 +172,6 @@ impl Runner {
         }
     }
 
-    /// Helps with a job of another process until nothing of it is left, or a job waits; `false` if there is none.
-    async fn help(&self) -> bool {
-        let claim = {
-            let mut not = self.helped().clone();
-            match self.store.job_to_help(&not).await {
-                Ok(Some(claim)) if !self.at_work().contains_key(&claim.job.id) => {
-                    not.push(claim.lease.clone());
-                    // Those of jobs that have ended are of no use.
-                    let old = not.len().saturating_sub(HELPED);
-                    *self.helped() = not.split_off(old);
-                    claim
-                }
-                Ok(_) => return false,
-                Err(error) => {
-                    error.count();
-                    tracing::warn!(%error, "nobody knows which jobs want help");
-                    return false;
-                }
-            }
-        };
-        let span = tracing::info_span!("help", job.id = %claim.job.id, rig.id = %claim.job.rig);
-        self.help_with(&claim).instrument(span).await
-    }
-
-    async fn help_with(&self, claim: &Claim) -> bool {
-        tracing::info!("helps with a job of another process");
-        let control = Arc::new(Control::default());
-        let spec = JobSpec { helps: true, ..JobSpec::from(claim) };
-        let work = self.make_as(spec, &control);
-        tokio::pin!(work);
-        let mut ticks = tokio::time::interval(self.settings.progress_every);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let end = loop {
-            tokio::select! {
-                biased;
-                end = &mut work => break end,
-                _ = ticks.tick() => {
-                    self.store_checkpoints(claim, &control).await;
-                    if *self.stopping.borrow() {
-                        control.stop(Stop::Shutdown);
-                    }
-                    match self.store.wants_help(&claim.lease).await {
-                        Ok(true) => {}
-                        Ok(false) => control.stop(Stop::Yield),
-                        Err(error) => {
-                            error.count();
-                            control.stop(Stop::Lost);
-                        }
-                    }
-                }
-            }
-        };
-        self.store_checkpoints(claim, &control).await;
-        if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = &end {
-            tracing::warn!(problem.code, "could not help: {}", problem.detail);
-        }
-        if control.stopped() == Some(Stop::Yield) {
-            // It may be helped again once nothing else waits.
-            self.helped().retain(|lease| *lease != claim.lease);
-        }
-        true
-    }
-
-    fn helped(&self) -> MutexGuard<'_, Vec<Lease>> {
-        self.helped.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     async fn claim(&self, name: &str) -> Result<Option<Claim>, StoreError> {
         let now = (self.clock)();
         self.store.claim_job(name, self.lease_until(now), now).await
@@ -321,7 +254,7 @@ impl Runner {
         self.make_as(JobSpec::from(claim), control).await
     }
 
-    async fn make_as(&self, spec: JobSpec, control: &Arc<Control>) -> Result<JobOutput, JobError> {
+    pub(super) async fn make_as(&self, spec: JobSpec, control: &Arc<Control>) -> Result<JobOutput, JobError> {
         match &self.executor {
             Executor::InProcess(context) => context.make(&spec, control).await,
             Executor::Subprocess(program) => {
@@ -397,7 +330,7 @@ impl Runner {
     }
 
     /// Stores the checkpoints that the work has handed over.
-    async fn store_checkpoints(&self, claim: &Claim, control: &Control) {
+    pub(super) async fn store_checkpoints(&self, claim: &Claim, control: &Control) {
         for checkpoint in control.take_kept() {
             match self.store.keep_checkpoint(&claim.lease, &checkpoint, (self.clock)()).await {
                 Ok(true) => tracing::debug!(part = checkpoint.part, "put a checkpoint by"),
@@ -485,9 +418,6 @@ impl Runner {
         Ok(())
     }
 }
-
-/// Jobs that a process remembers to have helped with.
-const HELPED: usize = 64;
 
 /// How long the output of a job is kept while the store is out of reach.
 const STORE_PATIENCE: Duration = Duration::from_secs(3600);

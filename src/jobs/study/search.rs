@@ -153,7 +153,7 @@ impl Trials<'_> {
             let shares = self.shares.clone();
             shares.all(self, &places).await?;
             // In the order of one worker, whoever has done what.
-            self.report.trials.sort_by_key(|row| (row.rung, row.trial));
+            self.report.in_order();
             self.shown += rung.share * places.len() as f64;
             if let Some(next) = rounds.get(number + 1) {
                 let error =

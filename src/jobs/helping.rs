@@ -1,0 +1,89 @@
+//! A worker without a job of its own helps with one of another process: with the fits of a study.
+//!
+//! What it makes are checkpoints of that job, under the lease of the job's own worker. It renews no lease, ends no job, and
+//! leaves as soon as a job waits.
+
+use std::sync::{Arc, MutexGuard, PoisonError};
+
+use tokio::time::MissedTickBehavior;
+use tracing::Instrument;
+
+use super::control::{Control, Stop};
+use super::problem::JobError;
+use super::runner::Runner;
+use super::spec::JobSpec;
+use crate::storage::{Claim, Lease};
+
+/// Jobs that a process remembers to have helped with.
+const HELPED: usize = 64;
+
+impl Runner {
+    /// Helps with a job of another process until nothing of it is left, or a job waits; `false` if there is none.
+    pub(super) async fn help(&self) -> bool {
+        let claim = {
+            let mut not = self.helped().clone();
+            match self.store.job_to_help(&not).await {
+                Ok(Some(claim)) if !self.at_work().contains_key(&claim.job.id) => {
+                    not.push(claim.lease.clone());
+                    // Those of jobs that have ended are of no use.
+                    let old = not.len().saturating_sub(HELPED);
+                    *self.helped() = not.split_off(old);
+                    claim
+                }
+                Ok(_) => return false,
+                Err(error) => {
+                    error.count();
+                    tracing::warn!(%error, "nobody knows which jobs want help");
+                    return false;
+                }
+            }
+        };
+        let span = tracing::info_span!("help", job.id = %claim.job.id, rig.id = %claim.job.rig);
+        self.help_with(&claim).instrument(span).await
+    }
+
+    async fn help_with(&self, claim: &Claim) -> bool {
+        tracing::info!("helps with a job of another process");
+        let control = Arc::new(Control::default());
+        let spec = JobSpec { helps: true, ..JobSpec::from(claim) };
+        let work = self.make_as(spec, &control);
+        tokio::pin!(work);
+        let mut ticks = tokio::time::interval(self.settings.progress_every);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let end = loop {
+            tokio::select! {
+                biased;
+                end = &mut work => break end,
+                _ = ticks.tick() => {
+                    self.store_checkpoints(claim, &control).await;
+                    // The errors of the job's own trainings are shown, not those of its helpers.
+                    drop(control.take_losses());
+                    if *self.stopping.borrow() {
+                        control.stop(Stop::Shutdown);
+                    }
+                    match self.store.wants_help(&claim.lease).await {
+                        Ok(true) => {}
+                        Ok(false) => control.stop(Stop::Yield),
+                        Err(error) => {
+                            error.count();
+                            control.stop(Stop::Lost);
+                        }
+                    }
+                }
+            }
+        };
+        self.store_checkpoints(claim, &control).await;
+        if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = &end {
+            tracing::warn!(problem.code, "could not help: {}", problem.detail);
+        }
+        if control.stopped() == Some(Stop::Yield) {
+            // It may be helped again once nothing else waits.
+            self.helped().retain(|lease| *lease != claim.lease);
+        }
+        true
+    }
+
+    fn helped(&self) -> MutexGuard<'_, Vec<Lease>> {
+        self.helped.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
