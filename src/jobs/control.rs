@@ -184,6 +184,21 @@ mod tests {
     }
 
     #[test]
+    fn a_sign_of_life_is_handed_over_at_once_and_not_again_for_a_while() {
+        let control = Control::default();
+        let at =
+            |part: &str| Checkpoint { part: part.into(), fits: String::new(), state: Default::default() };
+        control.renew(Some(at("one")));
+        assert_eq!(control.take_kept(), [at("one")]);
+        assert_eq!(control.take_kept(), []);
+        control.renew(Some(at("two")));
+        control.keep(at("table"));
+        assert_eq!(control.take_kept(), [at("table"), at("two")]);
+        control.renew(None);
+        assert_eq!(control.take_kept(), []);
+    }
+
+    #[test]
     fn losses_are_handed_over_once_and_a_new_training_drops_those_of_another() {
         let control = Control::default();
         let loss = |epoch| Loss { seed: 1, epoch, training: 0.5, stopping: None };

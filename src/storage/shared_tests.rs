@@ -7,9 +7,9 @@ use bytes::Bytes;
 use jiff::{Timestamp, ToSpan};
 
 use super::testing::{TestStore, draft, imported, now};
-use super::{Activation, Digest, Store, StoreError, StoreSettings};
+use super::{Activation, Asker, Checkpoint, Digest, Store, StoreError, StoreSettings};
 use crate::domain::job::MAX_SERVICE_DEATHS;
-use crate::domain::{JobId, JobState};
+use crate::domain::{JobId, JobState, StudyRequest};
 
 /// Two processes.
 async fn two() -> Option<[TestStore; 2]> {
@@ -123,6 +123,40 @@ async fn one_process_at_a_time_judges_runs() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     panic!("the turn is never given back");
+}
+
+#[tokio::test]
+async fn a_running_study_is_helped_until_it_ends_or_a_job_waits() {
+    let Some([a, b]) = two().await else { return };
+    let rig = a.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+    let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
+    let study: StudyRequest = serde_json::from_value(study).unwrap();
+    let asker = Asker { token: None, max_waiting: 9 };
+    a.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
+    assert_eq!(b.job_to_help(&[]).await.unwrap(), None, "it only waits");
+    let claimed = a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
+    let found = b.job_to_help(&[]).await.unwrap().unwrap();
+    assert_eq!((&found.lease, &found.request), (&claimed.lease, &claimed.request));
+    assert_eq!(b.job_to_help(std::slice::from_ref(&found.lease)).await.unwrap(), None);
+    assert!(b.wants_help(&found.lease).await.unwrap());
+
+    // What the helper makes are checkpoints under the lease of the job's own worker.
+    let state = Bytes::from_static(b"{}");
+    let share = Checkpoint { part: "share 3-0".into(), fits: "study".into(), state: state.clone() };
+    let at = a.shared_time().await.unwrap().unwrap();
+    assert!(b.keep_checkpoint(&found.lease, &share, at).await.unwrap());
+    let shares = a.shares(claimed.job.id, "study").await.unwrap();
+    assert_eq!((shares.len(), &*shares[0].0, &shares[0].1[..]), (1, "share 3-0", &state[..]));
+    assert!(shares[0].2 < Duration::from_secs(60), "{:?}", shares[0].2);
+    assert_eq!(a.shares(claimed.job.id, "another study").await.unwrap(), []);
+
+    a.queue_fit(&rig).await;
+    assert!(!b.wants_help(&found.lease).await.unwrap(), "a job waits");
+    b.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
+    assert!(b.wants_help(&found.lease).await.unwrap());
+    a.finish_job(&claimed.lease, super::Outcome::Cancelled, now()).await.unwrap();
+    assert!(!b.wants_help(&found.lease).await.unwrap());
+    assert!(!b.keep_checkpoint(&found.lease, &share, at).await.unwrap(), "it has ended");
 }
 
 #[tokio::test]

@@ -15,6 +15,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::fatigue::{DamageRatio, damage};
@@ -443,7 +444,7 @@ impl Search<'_> {
         let errors = each.clone().map(|(t, y)| rms(t, y)).collect();
         let ratios = predicted
             .channels()
-            .iter()
+            .par_iter()
             .zip(&self.target_damage)
             .enumerate()
             .map(|(channel, (y, target))| {
