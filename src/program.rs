@@ -59,10 +59,10 @@ fn work(args: &WorkArgs) -> Result<(), Failure> {
 
 /// What comes before everything else in a process that stays.
 fn begin(log: &LogArgs) -> Result<(), Failure> {
-    let thresholds = allocator::fix_thresholds();
+    let allocator = allocator::fix_settings();
     telemetry::init_logging(&log.log, log.log_format)?;
-    if let Err(error) = thresholds {
-        tracing::warn!(%error, "the allocator's thresholds stay as they are: freed memory may be kept");
+    if let Err(error) = allocator {
+        tracing::warn!(%error, "the allocator's settings stay as they are: freed memory may be kept");
     }
     Ok(())
 }
