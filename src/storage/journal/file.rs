@@ -3,7 +3,10 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
+
+use sha2::{Digest as _, Sha256};
 
 use super::entry::{Entry, Header, Image, RowName, checked, line};
 use crate::storage::StoreError;
@@ -12,9 +15,9 @@ use crate::storage::files::{failed, sync_directory};
 /// Version of the form that is written.
 pub(super) const FORM: u32 = 1;
 
-/// What a journal says.
-#[derive(Debug, Default)]
-pub(super) struct Contents {
+/// What a journal says; `R` is what is kept of a row.
+#[derive(Debug)]
+pub(super) struct Contents<R = Image> {
     /// The first line; `None` if it is damaged.
     pub header: Option<Header>,
     /// Number of the last change that a whole line has.
@@ -24,28 +27,87 @@ pub(super) struct Contents {
     /// Damaged lines after the last whole one.
     pub damaged_at_end: i64,
     /// Each row as its last whole line has it.
-    pub rows: BTreeMap<RowName, LastLine>,
+    pub rows: BTreeMap<RowName, LastLine<R>>,
     /// Lines, the damaged ones included.
     lines: usize,
 }
 
+impl<R> Default for Contents<R> {
+    fn default() -> Self {
+        let (header, rows) = (None, BTreeMap::new());
+        Self { header, last: 0, damaged: 0, damaged_at_end: 0, rows, lines: 0 }
+    }
+}
+
 /// The last whole line about a row.
 #[derive(Debug)]
-pub(super) struct LastLine {
+pub(super) struct LastLine<R> {
     /// Number of its change.
     pub seq: i64,
     /// The row; `None` once it is deleted.
-    pub row: Option<Image>,
+    pub row: Option<R>,
+}
+
+/// Where a row's last line is, and the digest of its columns: enough to compare rows by, whatever they hold.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outline {
+    /// See [`Outline::digest_of`].
+    pub digest: [u8; 32],
+    from: u64,
+    bytes: usize,
+}
+
+impl Outline {
+    /// Digest of the columns of a row.
+    pub(super) fn digest_of(row: &Image) -> [u8; 32] {
+        Sha256::digest(serde_json::to_vec(row).expect("rows are text and finite numbers")).into()
+    }
+
+    /// The row, as its line in the journal has it now.
+    ///
+    /// # Errors
+    /// The file system's errors, and a line that was damaged meanwhile.
+    pub(super) fn read(&self, path: &Path) -> Result<Image, StoreError> {
+        let mut bytes = vec![0; self.bytes];
+        File::open(path).and_then(|file| file.read_exact_at(&mut bytes, self.from)).map_err(failed(path))?;
+        let entry = bytes.strip_suffix(b"\n").and_then(checked).and_then(|json| {
+            let entry: Option<Entry> = serde_json::from_slice(json).ok();
+            entry
+        });
+        entry.and_then(|entry| entry.row).ok_or_else(|| StoreError::Damaged {
+            path: path.to_owned(),
+            what: "a line changed while it was read".into(),
+        })
+    }
 }
 
 /// A journal is written anew at a start if it has this many lines more than four for each row.
 const OLD_LINES: usize = 1000;
 
-/// Reads a journal; `None` if there is none.
+/// Reads a journal with all its rows; `None` if there is none.
 ///
 /// # Errors
 /// The file system's errors. Damage is none.
 pub(super) fn read(path: &Path) -> Result<Option<Contents>, StoreError> {
+    read_with(path, |row, _| Some(row))
+}
+
+/// Reads a journal, of which it keeps little: nothing of rows that are deleted.
+///
+/// # Errors
+/// As of [`read`].
+pub(super) fn outline(path: &Path) -> Result<Option<Contents<Outline>>, StoreError> {
+    let kept = |row: Option<Image>, (from, bytes)| {
+        row.map(|row| Some(Outline { digest: Outline::digest_of(&row), from, bytes }))
+    };
+    read_with(path, kept)
+}
+
+/// Reads a journal. `kept` says what is kept of a row, deleted or not, whose line is at this place; `None`: nothing.
+fn read_with<R>(
+    path: &Path,
+    kept: impl Fn(Option<Image>, (u64, usize)) -> Option<Option<R>>,
+) -> Result<Option<Contents<R>>, StoreError> {
     let file = match File::open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         opened => opened.map_err(failed(path))?,
@@ -53,6 +115,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Contents>, StoreError> {
     let mut contents = Contents::default();
     let mut reader = BufReader::new(file);
     let mut bytes = Vec::new();
+    let mut from = 0;
     for n in 0.. {
         bytes.clear();
         if reader.read_until(b'\n', &mut bytes).map_err(failed(path))? == 0 {
@@ -62,8 +125,9 @@ pub(super) fn read(path: &Path) -> Result<Option<Contents>, StoreError> {
         let whole = match (n, json) {
             (_, None) => false,
             (0, Some(json)) => contents.begin(json),
-            (_, Some(json)) => contents.add(json),
+            (_, Some(json)) => contents.add(json, |row| kept(row, (from, bytes.len()))),
         };
+        from += bytes.len() as u64;
         if whole {
             contents.damaged_at_end = 0;
         } else {
@@ -75,7 +139,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Contents>, StoreError> {
     Ok(Some(contents))
 }
 
-impl Contents {
+impl<R> Contents<R> {
     fn begin(&mut self, json: &[u8]) -> bool {
         self.header = serde_json::from_slice(json).ok().filter(|header: &Header| header.journal == FORM);
         self.last = self.header.as_ref().map_or(0, |header| header.seq);
@@ -88,10 +152,13 @@ impl Contents {
         self.lines > 4 * rows + OLD_LINES
     }
 
-    fn add(&mut self, json: &[u8]) -> bool {
-        let Ok(entry) = serde_json::from_slice::<Entry>(json) else { return false };
-        self.last = self.last.max(entry.seq);
-        self.rows.insert(entry.name, LastLine { seq: entry.seq, row: entry.row });
+    fn add(&mut self, json: &[u8], kept: impl FnOnce(Option<Image>) -> Option<Option<R>>) -> bool {
+        let Ok(Entry { seq, name, row }) = serde_json::from_slice(json) else { return false };
+        self.last = self.last.max(seq);
+        match kept(row) {
+            Some(row) => self.rows.insert(name, LastLine { seq, row }),
+            None => self.rows.remove(&name),
+        };
         true
     }
 }

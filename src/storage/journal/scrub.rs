@@ -30,8 +30,9 @@ impl Store {
         let Some(journal) = self.journal() else { return Ok(0) };
         // In the order of every write: the journal's lock first, then the writer.
         let state = journal.state.lock().await;
-        let path = state.path.clone();
-        let contents = off_thread(move || file::read(&path)).await?;
+        let journal_path = state.path.clone();
+        let path = journal_path.clone();
+        let contents = off_thread(move || file::outline(&path)).await?;
         let Some(contents) = contents.filter(|contents| contents.damaged == 0) else {
             tracing::warn!(
                 "the journal is damaged or gone, so rows are not held against it; a start tells more"
@@ -44,6 +45,6 @@ impl Store {
         if contents.header.as_ref().is_none_or(|header| header.schema != schema) {
             return Ok(0);
         }
-        mend(&mut writer, &contents).await
+        mend(&mut writer, &contents, &journal_path).await
     }
 }

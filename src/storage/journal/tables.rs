@@ -1,5 +1,7 @@
 //! The tables whose rows are journaled, and the images of their rows.
 
+use futures::StreamExt;
+use futures::stream::BoxStream;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{AssertSqlSafe, Column, Row, SqliteConnection, TypeInfo, ValueRef};
 
@@ -67,6 +69,16 @@ impl Table {
         let all = AssertSqlSafe(format!("SELECT * FROM {} ORDER BY rowid", self.name));
         let rows = sqlx::query(all).fetch_all(connection).await?;
         rows.iter().map(|row| self.read(row)).collect()
+    }
+
+    /// As [`Table::rows`], one row after the other.
+    pub(super) fn stream(
+        self,
+        connection: &mut SqliteConnection,
+    ) -> BoxStream<'_, Result<(RowName, Image), StoreError>> {
+        let all = AssertSqlSafe(format!("SELECT * FROM {} ORDER BY rowid", self.name));
+        let rows = sqlx::query(all).fetch(connection);
+        rows.map(move |row| self.read(&row?)).boxed()
     }
 
     /// The row of this key (JSON), if it is there.

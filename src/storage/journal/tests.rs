@@ -362,3 +362,28 @@ async fn the_journal_and_the_changes_do_not_grow_for_ever() {
     let found = store.run(&rig.id, run.id).await.unwrap().unwrap();
     assert_eq!(found.name, format!("name {}", 2 * TRIMMED_EVERY - 1));
 }
+
+#[tokio::test]
+async fn an_outline_says_where_the_last_line_of_each_row_is_and_nothing_of_what_is_deleted() {
+    let store = TestStore::open_sqlite().await;
+    let rig = store.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+    let (kept, gone) = (store.upload(&rig, &[1.0]).await.run, store.upload(&rig, &[2.0]).await.run);
+    let patch = serde_json::from_value(serde_json::json!({"name": "renamed"})).unwrap();
+    store.patch_run(&rig.id, kept.id, patch).await.unwrap();
+    assert!(store.delete_run(&rig.id, gone.id).await.unwrap());
+    let path = path_in(store.data_dir());
+    let (outline, whole) = (file::outline(&path).unwrap().unwrap(), file::read(&path).unwrap().unwrap());
+    assert_eq!((outline.last, outline.damaged), (whole.last, 0));
+    let mut deleted = 0;
+    for (name, line) in &whole.rows {
+        let Some(image) = &line.row else {
+            deleted += 1;
+            assert!(!outline.rows.contains_key(name), "{name}");
+            continue;
+        };
+        let found = outline.rows[name].row.unwrap();
+        assert_eq!(found.digest, file::Outline::digest_of(image), "{name}");
+        assert_eq!(found.read(&path).unwrap(), *image, "{name}");
+    }
+    assert_eq!((deleted, outline.rows.len() + 1), (1, whole.rows.len()));
+}
