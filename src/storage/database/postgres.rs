@@ -38,6 +38,10 @@ const SERVICE: u32 = 8;
 /// Connections of a service that wait while an object is stored: more than uploads have turns.
 const HOLDERS: u32 = 24;
 
+/// How long a connection that nobody used is taken without asking whether it still is one. A database takes longer to start
+/// again.
+const UNTESTED: Duration = Duration::from_millis(100);
+
 /// How long a connection that nobody uses stays.
 const IDLE: Duration = Duration::from_secs(60);
 
@@ -135,6 +139,15 @@ impl PostgresSettings {
 
 fn pool(most: u32, options: PgConnectOptions) -> PgPool {
     let pools = PgPoolOptions::new().max_connections(most).acquire_timeout(PATIENCE).idle_timeout(IDLE);
+    // A question before each statement would double the way of a prediction to the database and back.
+    let pools = pools.test_before_acquire(false).before_acquire(|connection, known| {
+        Box::pin(async move {
+            if known.idle_for > UNTESTED {
+                connection.ping().await?;
+            }
+            Ok(true)
+        })
+    });
     pools.connect_lazy_with(options)
 }
 
