@@ -1,6 +1,6 @@
 //! Objects: immutable bytes, named by their SHA-256 and verified at each read.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use sha2::{Digest as _, Sha256};
 use tokio::sync::RwLockReadGuard;
 
 use super::backup::Progress;
-use super::bucket::Bucket;
+use super::bucket::{Bucket, Listed};
 use super::corruption::CorruptObjects;
 use super::database::{Session, postgres, sql};
 use super::files::{self, failed};
@@ -242,6 +242,26 @@ impl Objects {
             Ok(found)
         })
         .await
+    }
+
+    /// Stores an object in a bucket, verified, unless it is among those that are `there`; whether it was stored.
+    ///
+    /// # Errors
+    /// A damaged or missing object; a bucket out of reach.
+    async fn store_in(
+        &self,
+        bucket: &Bucket,
+        there: &BTreeMap<String, Listed>,
+        digest: &str,
+    ) -> Result<bool, StoreError> {
+        let path = self.path_of(digest);
+        let size = std::fs::metadata(&path).ok().map(|file| file.len());
+        if there.get(digest).is_some_and(|there| size.is_none_or(|size| size == there.bytes)) {
+            return Ok(false);
+        }
+        drop(self.read(digest).await?);
+        bucket.put_file(digest, &path, size.unwrap_or_default(), true).await?;
+        Ok(true)
     }
 
     /// Size of all objects together, bytes.
@@ -533,19 +553,12 @@ impl Store {
         let Some(bucket) = objects.bucket() else { return Ok(()) };
         let there = bucket.list().await?;
         let mut filled = 0;
-        for digest in wanted {
-            let path = objects.path_of(digest);
-            let Ok(file) = std::fs::metadata(&path) else { continue };
-            if there.get(digest).is_some_and(|there| there.bytes == file.len()) {
-                continue;
+        for digest in wanted.iter().filter(|digest| objects.path_of(digest).exists()) {
+            match objects.store_in(bucket, &there, digest).await {
+                // Only what is whole goes into the bucket, where nobody has looked at it.
+                Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. }) => {}
+                stored => filled += u64::from(stored?),
             }
-            // Only what is whole goes into the bucket, where nobody has looked at it.
-            match objects.read(digest).await {
-                Err(StoreError::ObjectMissing { .. } | StoreError::ObjectDamaged { .. }) => continue,
-                read => drop(read?),
-            }
-            bucket.put_file(digest, &path, file.len(), true).await?;
-            filled += 1;
         }
         if filled > 0 {
             tracing::info!(objects = filled, "stored objects in the bucket that only the data directory had");
@@ -561,13 +574,7 @@ impl Store {
         let (wanted, there) = (self.referenced().await?, bucket.list().await?);
         let all = wanted.len() as u64;
         for (done, digest) in wanted.iter().enumerate() {
-            let path = self.objects().path_of(digest);
-            let size = std::fs::metadata(&path).ok().map(|file| file.len());
-            let is_there = there.get(digest).is_some_and(|there| size.is_none_or(|size| size == there.bytes));
-            if !is_there {
-                drop(self.objects().read(digest).await?);
-                bucket.put_file(digest, &path, size.unwrap_or_default(), true).await?;
-            }
+            self.objects().store_in(bucket, &there, digest).await?;
             progress(done as u64 + 1, all);
         }
         Ok(all)

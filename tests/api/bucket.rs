@@ -8,7 +8,7 @@ use rigcast::client::Client;
 use serde_json::json;
 use tempfile::TempDir;
 
-use crate::support::{Program, Storage, bench, noise_csv, rigcast};
+use crate::support::{Program, Storage, bench, noise_csv, refused_start, rigcast};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn runs_and_models_live_in_the_bucket_and_outlive_the_local_copies() {
@@ -70,17 +70,8 @@ fn a_bucket_that_cannot_be_used_stops_the_start_with_its_reason() {
     let Some(storage) = Storage::start() else { return };
     let first = TempDir::new().expect("a directory");
     Program::start(&first, &storage.environment()).kill();
-    let start = |directory: &Path, change: &[(&str, &str)]| {
-        let mut environment = storage.environment();
-        environment.retain(|(name, _)| !change.iter().any(|(changed, _)| changed == name));
-        environment.extend(change.iter().filter(|(_, value)| !value.is_empty()));
-        let arguments = ["serve", "--listen", "127.0.0.1:0", "--data-dir"];
-        let done = rigcast(&arguments).arg(directory).envs(environment).output().expect("it ends");
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(1), "{said}");
-        assert!(!said.contains("hunter2"), "{said}");
-        said
-    };
+    let start =
+        |directory: &Path, change: &[(&str, &str)]| refused_start(directory, &storage.environment(), change);
     // A token is a row: it is made without the bucket.
     let made = rigcast(&["token", "create", "--name", "lab", "--role", "admin", "--data-dir"])
         .arg(first.path())

@@ -2,19 +2,9 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{TestApp, bench, noise};
+use crate::support::{TestApp, bench, lag_csv};
 
 const STUDIES: &str = "/v1/rigs/bench/studies";
-
-/// `y` follows `u` with a lag.
-fn lag_csv(n: usize, seed: u64) -> String {
-    let mut y = 0.0;
-    let row = |u: f64| {
-        y += 0.3 * (u - y);
-        format!("{u},{y}\n")
-    };
-    std::iter::once("u,y\n".to_owned()).chain(noise(n, seed).into_iter().map(row)).collect()
-}
 
 async fn lagging(app: &TestApp, runs: u64) {
     app.rig(&bench()).await;

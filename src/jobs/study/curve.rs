@@ -39,7 +39,7 @@ pub(super) async fn make(
     let data = fit::load(context, &fit, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &fit.channels()))?;
     let fits = digest(&(fit::fingerprint(&fit, isa), &plan.request));
-    let (table, kept) = Table::open(&context.store, job, fits.clone(), control).await?;
+    let (table, kept) = Table::open(&context.store, job, fits.clone(), control, helps).await?;
     let rate = data.training[0].x.sample_rate_hz();
     let window = fit.window_len();
     let held_out = held_out(&data.sections(fit.request.kind, window));
@@ -114,9 +114,7 @@ impl Fits for Subsets<'_> {
 
     fn add(&mut self, row: SubsetFit) {
         self.report.fits.push(row);
-        if !self.bench.helps {
-            self.table.keep(&StudyReport::LearningCurve(self.report.clone()));
-        }
+        self.table.keep(&StudyReport::LearningCurve(self.report.clone()));
     }
 
     async fn try_one(&mut self, (size, repeat): Place) -> Result<SubsetFit, JobError> {

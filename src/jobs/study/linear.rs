@@ -35,7 +35,7 @@ pub(super) async fn make(
         crate::domain::FitChannels { inputs: model.inputs.clone(), outputs: model.outputs.clone() };
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &channels))?;
     let fits = digest(&(crate::VERSION, isa.name(), &plan.request, &model.sha256));
-    let (table, kept) = Table::open(&context.store, job, fits.clone(), control).await?;
+    let (table, kept) = Table::open(&context.store, job, fits.clone(), control, making.helps).await?;
     let mut report = match kept {
         Some(StudyReport::LinearStudy(report)) => report,
         _ => LinearStudyReport {

@@ -40,7 +40,7 @@ pub(super) async fn make(
     }
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &trial.channels()))?;
     let fits = digest(&(fit::fingerprint(&trial, isa), &plan.request));
-    let (table, kept) = Table::open(&context.store, job, fits.clone(), control).await?;
+    let (table, kept) = Table::open(&context.store, job, fits.clone(), control, helps).await?;
     let rounds = rounds(&task.search);
     let report = match kept {
         Some(StudyReport::Search(report)) => report,
@@ -127,9 +127,7 @@ impl Fits for Trials<'_> {
 
     fn add(&mut self, row: Trial) {
         self.report.add(row);
-        if !self.bench.helps {
-            self.table.keep(&StudyReport::Search(self.report.clone()));
-        }
+        self.table.keep(&StudyReport::Search(self.report.clone()));
     }
 
     async fn try_one(&mut self, (trial, rung): Place) -> Result<Trial, JobError> {

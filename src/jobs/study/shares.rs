@@ -124,15 +124,16 @@ impl<'a> Shares<'a> {
             let left = places.iter().filter(|place| !fits.has(**place));
             let mut free = left.clone().filter(|place| !taken.contains(place));
             // From both ends, so that two seldom meet.
-            match if self.helps { free.next_back() } else { free.next() } {
-                Some(&place) => {
-                    self.begin(place);
-                    let row = fits.try_one(place).await?;
-                    self.end(place, &row);
-                    fits.add(row);
-                }
-                None if left.count() == 0 => return Ok(()),
-                None => tokio::time::sleep(LOOK_EVERY).await,
+            let next = if self.helps { free.next_back() } else { free.next() };
+            if let Some(&place) = next {
+                self.begin(place);
+                let row = fits.try_one(place).await?;
+                self.end(place, &row);
+                fits.add(row);
+            } else if left.count() == 0 {
+                return Ok(());
+            } else {
+                tokio::time::sleep(LOOK_EVERY).await;
             }
         }
     }

@@ -70,10 +70,8 @@ impl Outline {
     pub(super) fn read(&self, path: &Path) -> Result<Image, StoreError> {
         let mut bytes = vec![0; self.bytes];
         File::open(path).and_then(|file| file.read_exact_at(&mut bytes, self.from)).map_err(failed(path))?;
-        let entry = bytes.strip_suffix(b"\n").and_then(checked).and_then(|json| {
-            let entry: Option<Entry> = serde_json::from_slice(json).ok();
-            entry
-        });
+        let json = bytes.strip_suffix(b"\n").and_then(checked);
+        let entry = json.and_then(|json| serde_json::from_slice::<Entry>(json).ok());
         entry.and_then(|entry| entry.row).ok_or_else(|| StoreError::Damaged {
             path: path.to_owned(),
             what: "a line changed while it was read".into(),

@@ -9,20 +9,10 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 
 use super::Cluster;
-use crate::support::{bench, noise};
+use crate::support::{bench, lag_csv};
 
 /// Trials of the study.
 const TRIALS: usize = 16;
-
-/// `y` follows `u` with a lag.
-fn lag_csv(n: usize, seed: u64) -> String {
-    let mut y = 0.0;
-    let row = |u: f64| {
-        y += 0.3 * (u - y);
-        format!("{u},{y}\n")
-    };
-    std::iter::once("u,y\n".to_owned()).chain(noise(n, seed).into_iter().map(row)).collect()
-}
 
 /// Does a study; its seconds, its rows and the digest of its model.
 async fn studied(client: &Client, request: &Value) -> (f64, Value, Value) {

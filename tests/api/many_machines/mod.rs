@@ -9,7 +9,9 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::{Postgres, Program, Storage, Way, Weather, bench, noise_csv, rigcast, signal};
+use crate::support::{
+    Postgres, Program, Storage, Way, Weather, bench, noise_csv, refused_start, rigcast, signal,
+};
 
 mod faults;
 mod helping;
@@ -111,15 +113,7 @@ impl Cluster {
 
     /// What a start says that is refused.
     fn refused(&self, directory: &Path, change: &[(&str, &str)]) -> String {
-        let mut environment = self.environment();
-        environment.retain(|(name, _)| !change.iter().any(|(changed, _)| changed == name));
-        environment.extend(change.iter().filter(|(_, value)| !value.is_empty()));
-        let arguments = ["serve", "--listen", "127.0.0.1:0", "--data-dir"];
-        let done = rigcast(&arguments).arg(directory).envs(environment).output().expect("it ends");
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(1), "{said}");
-        assert!(!said.contains("hunter"), "{said}");
-        said
+        refused_start(directory, &self.environment(), change)
     }
 }
 

@@ -52,6 +52,16 @@ pub fn noise_csv(n: usize, seed: u64) -> String {
     text
 }
 
+/// A CSV file of `u`, from noise, and `y`, which follows it with a lag.
+pub fn lag_csv(n: usize, seed: u64) -> String {
+    let mut y = 0.0;
+    let row = |u: f64| {
+        y += 0.3 * (u - y);
+        format!("{u},{y}\n")
+    };
+    std::iter::once("u,y\n".to_owned()).chain(noise(n, seed).into_iter().map(row)).collect()
+}
+
 /// A model that multiplies every input by `gain` and gives the sum at every output: an FRF without
 /// frequency dependence. Its training range is -1..1.
 pub fn gain_model(inputs: &[&str], outputs: &[&str], gain: f64) -> RigModel {

@@ -15,7 +15,7 @@ pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
 pub use postgres::Postgres;
-pub use program::{Program, lives, rigcast, signal, try_signal};
+pub use program::{Program, lives, refused_start, rigcast, signal, try_signal};
 pub use raw::{exchange, read_all};
 pub use reply::{Call, Reply};
 pub use storage::Storage;

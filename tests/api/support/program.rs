@@ -18,6 +18,19 @@ pub fn rigcast(arguments: &[&str]) -> Command {
     command
 }
 
+/// What a start of `rigcast serve` on `data_dir` says that is refused, where `change` replaces variables of the environment,
+/// or removes those that it leaves empty. No secret of the tests is in it.
+pub fn refused_start(data_dir: &Path, environment: &[(&str, &str)], change: &[(&str, &str)]) -> String {
+    let kept = environment.iter().filter(|(name, _)| !change.iter().any(|(changed, _)| changed == name));
+    let set = kept.chain(change.iter().filter(|(_, value)| !value.is_empty())).copied();
+    let mut start = rigcast(&["serve", "--listen", "127.0.0.1:0", "--data-dir"]);
+    let done = start.arg(data_dir).envs(set).output().expect("it ends");
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    assert!(!said.contains("hunter"), "{said}");
+    said
+}
+
 /// `rigcast serve`.
 fn serve(address: &str, data_dir: &Path) -> Command {
     rigcast(&["serve", "--listen", address, "--data-dir", data_dir.to_str().expect("UTF-8")])
