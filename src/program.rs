@@ -18,6 +18,7 @@ use crate::config::{
 };
 use crate::engine::simd::Isa;
 use crate::storage;
+use crate::storage::StoreSettings;
 use crate::storage::backup::Source;
 use crate::telemetry::{self, LogFormat};
 use crate::token;
@@ -134,9 +135,9 @@ fn health(args: &HealthArgs) -> Result<(), Failure> {
 }
 
 fn backup(args: &BackupArgs) -> Result<(), Failure> {
-    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous, database, objects } = args;
-    let (previous, bucket, now) = (previous.as_deref(), objects.bucket(), jiff::Timestamp::now());
-    let database = database.postgres();
+    let BackupArgs { copy: CopyArgs { backup, data_dir }, previous, store } = args;
+    let StoreSettings { bucket, database } = store.settings();
+    let (previous, now) = (previous.as_deref(), jiff::Timestamp::now());
     let source = database.as_ref().map_or(Source::DataDir(data_dir), Source::Postgres);
     let work = storage::backup::backup(source, bucket.as_ref(), backup, previous, now, told_each_second());
     let made = runtime()?.block_on(work)?;
@@ -153,8 +154,8 @@ fn restore(args: &CopyArgs) -> Result<(), Failure> {
 }
 
 fn move_registry(args: &MoveArgs) -> Result<(), Failure> {
-    let MoveArgs { data_dir, back, database, objects } = args;
-    let (Some(database), Some(bucket)) = (database.postgres(), objects.bucket()) else {
+    let MoveArgs { data_dir, back, store } = args;
+    let StoreSettings { bucket: Some(bucket), database: Some(database) } = store.settings() else {
         return Err(ConfigError::Nowhere.into());
     };
     telemetry::init_logging("warn", LogFormat::Text)?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{DatabaseArgs, ObjectArgs};
+use super::{ObjectArgs, StoreArgs};
 
 /// Arguments of `rigcast backup`.
 #[derive(Debug, Clone, Args)]
@@ -17,13 +17,9 @@ pub struct BackupArgs {
     #[arg(long)]
     pub previous: Option<PathBuf>,
 
-    /// Registry. With one on PostgreSQL there is no data directory to back up.
+    /// Registry and objects. With a registry on PostgreSQL there is no data directory to back up.
     #[command(flatten)]
-    pub database: DatabaseArgs,
-
-    /// Objects.
-    #[command(flatten)]
-    pub objects: ObjectArgs,
+    pub store: StoreArgs,
 }
 
 /// Arguments of `rigcast restore`, and some of `rigcast backup`.
@@ -60,11 +56,7 @@ pub struct MoveArgs {
     #[arg(long)]
     pub back: bool,
 
-    /// Registry.
+    /// Registry and objects.
     #[command(flatten)]
-    pub database: DatabaseArgs,
-
-    /// Objects.
-    #[command(flatten)]
-    pub objects: ObjectArgs,
+    pub store: StoreArgs,
 }

@@ -8,6 +8,7 @@ mod health;
 mod jobs;
 mod load;
 mod objects;
+mod store;
 mod token;
 
 use std::net::SocketAddr;
@@ -30,6 +31,7 @@ pub use health::HealthArgs;
 pub use jobs::JobArgs;
 pub use load::LoadArgs;
 pub use objects::ObjectArgs;
+pub use store::StoreArgs;
 pub use token::{CreateArgs, TokenCommand};
 
 /// The `rigcast` command line.
@@ -92,13 +94,9 @@ pub struct ServeArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-data")]
     pub data_dir: PathBuf,
 
-    /// Registry.
+    /// Registry and objects.
     #[command(flatten)]
-    pub database: DatabaseArgs,
-
-    /// Objects.
-    #[command(flatten)]
-    pub objects: ObjectArgs,
+    pub store: StoreArgs,
 
     /// Jobs.
     #[command(flatten)]
@@ -136,13 +134,9 @@ pub struct WorkArgs {
     #[arg(long, env = "RIGCAST_DATA_DIR", default_value = "./rigcast-work")]
     pub data_dir: PathBuf,
 
-    /// Registry.
+    /// Registry and objects.
     #[command(flatten)]
-    pub database: DatabaseArgs,
-
-    /// Objects.
-    #[command(flatten)]
-    pub objects: ObjectArgs,
+    pub store: StoreArgs,
 
     /// Jobs.
     #[command(flatten)]
@@ -257,13 +251,13 @@ impl ServeArgs {
     /// # Errors
     /// [`ConfigError::Heartbeat`], [`ConfigError::NoWorkers`].
     pub fn check(&self) -> Result<Config, ConfigError> {
-        if self.jobs.workers == 0 && self.database.postgres().is_none() {
+        if self.jobs.workers == 0 && self.store.database.postgres().is_none() {
             return Err(ConfigError::NoWorkers);
         }
         Ok(Config {
             part: Part::Serve,
             data_dir: self.data_dir.clone(),
-            store: StoreSettings { bucket: self.objects.bucket(), database: self.database.postgres() },
+            store: self.store.settings(),
             listen: self.listen,
             jobs: self.jobs.check(&self.log)?,
             limits: Limits {
@@ -290,10 +284,13 @@ impl WorkArgs {
         if self.jobs.workers == 0 {
             return Err(ConfigError::NoWorkers);
         }
-        let database = self.database.postgres().ok_or(ConfigError::NothingShared)?;
+        let store = self.store.settings();
+        if store.database.is_none() {
+            return Err(ConfigError::NothingShared);
+        }
         Ok(Config {
             part: Part::Work,
-            store: StoreSettings { bucket: self.objects.bucket(), database: Some(database) },
+            store,
             jobs: self.jobs.check(&self.log)?,
             ..Config::new(self.data_dir.clone(), self.listen)
         })

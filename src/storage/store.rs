@@ -65,6 +65,24 @@ struct Inner {
     _lock: Option<File>,
 }
 
+impl Inner {
+    /// What each store has; `pools` are those to write and to read by.
+    fn new(data_dir: &Path, [writer, readers]: [Pool; 2], objects: Objects, settings: StoreSettings) -> Self {
+        Self {
+            data_dir: data_dir.to_owned(),
+            writer,
+            readers,
+            holders: None,
+            objects,
+            settings,
+            journal: None,
+            reserve: None,
+            objects_gate: Arc::default(),
+            _lock: None,
+        }
+    }
+}
+
 impl Store {
     /// Opens (or makes) a data directory: locks it, compares the database with its journal, migrates it, opens the
     /// objects and puts aside those that no row names.
@@ -131,17 +149,12 @@ impl Store {
         prepare_directory(data_dir)?;
         let opened = postgres.open().await?;
         bucket.claim(data_dir, Some((&name, opened.service))).await?;
+        let pools = [opened.writers, opened.readers].map(Pool::Postgres);
         let inner = Inner {
-            data_dir: data_dir.to_owned(),
-            writer: Pool::Postgres(opened.writers),
-            readers: Pool::Postgres(opened.readers),
             holders: Some(opened.holders),
-            objects: Objects::open(&data_dir.join("objects"), Some(bucket))?,
-            settings,
-            journal: None,
             reserve: Some(Reserve::of(data_dir)),
-            objects_gate: Arc::default(),
             _lock: Some(lock),
+            ..Inner::new(data_dir, pools, Objects::open(&data_dir.join("objects"), Some(bucket))?, settings)
         };
         let store = Self { inner: Arc::new(inner) };
         store.sweep_copies().await?;
@@ -162,18 +175,9 @@ impl Store {
         let opened = postgres.open().await?;
         // No object is read or written, so that any directory will do.
         let directory = std::env::temp_dir();
-        let inner = Inner {
-            objects: Objects::open(&directory, None)?,
-            data_dir: directory,
-            writer: Pool::Postgres(opened.writers),
-            readers: Pool::Postgres(opened.readers),
-            holders: None,
-            settings: StoreSettings { bucket: None, database: Some(postgres.clone()) },
-            journal: None,
-            reserve: None,
-            objects_gate: Arc::default(),
-            _lock: None,
-        };
+        let pools = [opened.writers, opened.readers].map(Pool::Postgres);
+        let settings = StoreSettings { bucket: None, database: Some(postgres.clone()) };
+        let inner = Inner::new(&directory, pools, Objects::open(&directory, None)?, settings);
         Ok(Self { inner: Arc::new(inner) })
     }
 
@@ -188,17 +192,12 @@ impl Store {
         never_empty(&database, data_dir)?;
         let opened = sqlite::open(data_dir, &database).await?;
         let journal = Journal::open(data_dir, &opened)?;
+        let pools = [opened.writer, opened.readers].map(Pool::Sqlite);
         let inner = Inner {
-            data_dir: data_dir.to_owned(),
-            writer: Pool::Sqlite(opened.writer),
-            readers: Pool::Sqlite(opened.readers),
-            holders: None,
-            objects: Objects::open(&data_dir.join("objects"), bucket)?,
-            settings,
             journal: Some(journal),
             reserve: Some(Reserve::of(data_dir)),
-            objects_gate: Arc::default(),
             _lock: Some(lock),
+            ..Inner::new(data_dir, pools, Objects::open(&data_dir.join("objects"), bucket)?, settings)
         };
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -219,18 +218,8 @@ impl Store {
             None => Pool::Sqlite(sqlite::readers(&data_dir.join(DATABASE)).await?),
             Some(postgres) => Pool::Postgres(postgres.open_to_read()?),
         };
-        let inner = Inner {
-            data_dir: data_dir.to_owned(),
-            writer: readers.clone(),
-            readers,
-            holders: None,
-            objects: Objects::open(&data_dir.join("objects"), bucket)?,
-            settings: settings.clone(),
-            journal: None,
-            reserve: None,
-            objects_gate: Arc::default(),
-            _lock: None,
-        };
+        let objects = Objects::open(&data_dir.join("objects"), bucket)?;
+        let inner = Inner::new(data_dir, [readers.clone(), readers], objects, settings.clone());
         Ok(Self { inner: Arc::new(inner) })
     }
 
