@@ -16,6 +16,18 @@ pub trait CheckpointStore: Sync {
 
     /// Saves a part in the place of its last checkpoint.
     fn save(&self, part: &str, state: Vec<u8>);
+
+    /// Parts that begin now, any of which another process may do.
+    fn announce(&self, _parts: &[String]) {}
+
+    /// Whether a part is left to another process; if so, the share of it that is done there. Asked before the part begins, and
+    /// often while it goes on, with the share that is done here.
+    fn elsewhere(&self, _part: &str, _done: f64) -> Option<f64> {
+        None
+    }
+
+    /// Nothing here is at work any more on a part that has not ended. Its state was saved.
+    fn hand_over(&self, _part: &str) {}
 }
 
 /// Saves nothing.

@@ -45,8 +45,13 @@ impl JobCheckpoints {
         } else {
             tracing::info!(job.id = %job, parts = found.len(), "work goes on from its checkpoints");
         }
-        let control = Arc::clone(control);
-        Ok(Self { control, fits, found, every, opened: Instant::now(), put: Mutex::default() })
+        Ok(Self { found, ..Self::none(fits, every, control) })
+    }
+
+    /// Those of work of which none are of use.
+    pub(super) fn none(fits: String, every: Duration, control: &Arc<Control>) -> Self {
+        let (control, opened) = (Arc::clone(control), Instant::now());
+        Self { control, fits, found: HashMap::new(), every, opened, put: Mutex::default() }
     }
 
     /// Longest time between two checkpoints so far. The first ones come early, so that work goes forward

@@ -8,6 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
+use tokio::sync::Notify;
 
 use crate::engine::{Loss, Progress};
 use crate::storage::Checkpoint;
@@ -64,6 +65,8 @@ pub(super) struct Control {
     kept: Mutex<BTreeMap<String, Checkpoint>>,
     /// One that is handed over again and again, and when it was last.
     renewed: Mutex<Option<(Checkpoint, Option<Instant>)>>,
+    /// Notified when there is a checkpoint to be stored.
+    news: Notify,
     losses: Mutex<NewLosses>,
 }
 
@@ -75,6 +78,7 @@ impl Default for Control {
             scope: Mutex::new((String::new(), 0.0..1.0)),
             kept: Mutex::default(),
             renewed: Mutex::default(),
+            news: Notify::new(),
             losses: Mutex::default(),
         }
     }
@@ -123,11 +127,18 @@ impl Control {
     pub(super) fn keep(&self, checkpoint: Checkpoint) {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         kept.insert(checkpoint.part.clone(), checkpoint);
+        self.news.notify_one();
+    }
+
+    /// Waits until a checkpoint was handed over: other workers may wait for what it says.
+    pub(super) async fn kept(&self) {
+        self.news.notified().await;
     }
 
     /// Hands over a checkpoint again and again, as a sign of life, in place of the last such one.
     pub(super) fn renew(&self, checkpoint: Option<Checkpoint>) {
         *self.renewed.lock().unwrap_or_else(PoisonError::into_inner) = checkpoint.map(|one| (one, None));
+        self.news.notify_one();
     }
 
     /// Checkpoints since the last call.

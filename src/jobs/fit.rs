@@ -16,9 +16,9 @@ use crate::engine::{EngineError, Signal, Watch};
 use crate::storage::{Digest, NewModel, StoreError};
 
 use super::activate;
-use super::checkpoints::JobCheckpoints;
 use super::control::Control;
 use super::problem::{JobError, of_engine};
+use super::seed_shares::SeedShares;
 use super::spec::{JobSpec, ModelOutput};
 use super::work_context::WorkContext;
 use super::{core_version, memory, warm_start};
@@ -48,15 +48,16 @@ pub(super) async fn make(
 ) -> Result<ModelOutput, JobError> {
     let request: FitRequest = spec.request()?;
     let rig = context.store.rig(&spec.rig).await?.ok_or(FitProblem::RigGone)?;
-    fit_model(context, &rig, &request, spec.job, control).await
+    fit_model(context, &rig, &request, (spec.job, spec.helps), control).await
 }
 
-/// Fits a model for a job, to a version that is ready to be published.
+/// Fits a model for a job, to a version that is ready to be published. For a job of another worker that this one helps
+/// with it trains the networks that it is given, and there is no model.
 pub(super) async fn fit_model(
     context: &WorkContext,
     rig: &Rig,
     request: &FitRequest,
-    job: JobId,
+    (job, helps): (JobId, bool),
     control: &Arc<Control>,
 ) -> Result<ModelOutput, JobError> {
     // Checked again, because runs may have come and gone since the job was queued.
@@ -64,11 +65,17 @@ pub(super) async fn fit_model(
     memory::check_now(&plan, context.memory_bytes)?;
     control.report("loading runs", 0.0);
     let given = GivenParts::load(context, &mut plan).await?;
-    let data = load(context, &plan, control).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
-    let (store, every) = (&context.store, context.checkpoint_every);
-    let checkpoints = JobCheckpoints::open(store, job, fingerprint(&plan, isa), every, control).await?;
-    let (fitted, weights) = fit(context, (&plan, &given), data, checkpoints, control).await?;
+    let (work, every) = ((job, fingerprint(&plan, isa)), context.checkpoint_every);
+    let shares = SeedShares::open(&context.store, work, every, control, helps).await?;
+    if helps {
+        shares.wait_for_offer().await?;
+    }
+    let data = load(context, &plan, control).await?;
+    let (fitted, weights) = fit(context, (&plan, &given), data, shares, control).await?;
+    if helps {
+        return Err(JobError::Stopped);
+    }
     let Fitted { model, mut report, record } = fitted;
     tell_of_split(&plan, &mut report);
     let runs: Vec<&Run> = plan.training.iter().chain(plan.frf_only()).chain(&plan.validation).collect();
@@ -237,19 +244,23 @@ async fn fit(
     context: &WorkContext,
     (plan, given): (&FitPlan, &GivenParts),
     data: FitData,
-    checkpoints: JobCheckpoints,
+    shares: SeedShares,
     control: &Arc<Control>,
 ) -> Result<(Fitted, Bytes), JobError> {
     let (settings, watched, function) = (settings(plan, given), Arc::clone(control), context.fit);
     let started = std::time::Instant::now();
-    let fitted = context
-        .compute
-        .run(Class::Fit, None, move || {
-            let fitted = function(&data, &settings, &checkpoints, &|progress| watched.watch(progress))?;
-            let weights = Bytes::from(to_safetensors(&fitted.model));
-            Ok((fitted, weights))
-        })
-        .await?;
+    let shares = Arc::new(shares);
+    let checkpoints = Arc::clone(&shares);
+    let work = context.compute.run(Class::Fit, None, move || {
+        let fitted = function(&data, &settings, &*checkpoints, &|progress| watched.watch(progress))?;
+        let weights = Bytes::from(to_safetensors(&fitted.model));
+        Ok((fitted, weights))
+    });
+    let fitted = tokio::select! {
+        fitted = work => fitted?,
+        never = shares.tend() => match never {},
+    };
+    control.renew(None);
     let fitted = fitted.map_err(|error| of_engine(&error, &plan.channels()))?;
     let seconds = started.elapsed().as_secs_f64();
     tracing::info!(fit.kind = ?plan.request.kind, fit.seconds = seconds, "fitted a model");

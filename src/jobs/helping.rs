@@ -1,9 +1,10 @@
-//! A worker without a job of its own helps with one of another process: with the fits of a study.
+//! A worker without a job of its own helps with one of another process: with the networks of a fit, or the fits of a study.
 //!
 //! What it makes are checkpoints of that job, under the lease of the job's own worker. It renews no lease, ends no job, and
 //! leaves as soon as a job waits.
 
 use std::sync::{Arc, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::time::MissedTickBehavior;
 use tracing::Instrument;
@@ -12,7 +13,20 @@ use super::control::{Control, Stop};
 use super::problem::JobError;
 use super::runner::Runner;
 use super::spec::JobSpec;
+use crate::domain::JobKind;
 use crate::storage::{Claim, Lease};
+
+/// How long a mark counts that says who is at which share; it is renewed every two seconds or more often.
+pub(super) const FRESH: Duration = Duration::from_secs(10);
+
+/// How long a helper waits for the sign that the job's own worker computes what it would compute, or for a share.
+pub(super) const OPENED: Duration = Duration::from_secs(20);
+
+/// The checkpoint by which a fit says that it has networks for others.
+pub(super) const OFFER: &str = "share offer";
+
+/// How often a worker without a job looks whether it can help.
+pub(super) const HELP_EVERY: Duration = Duration::from_secs(1);
 
 /// Jobs that a process remembers to have helped with.
 const HELPED: usize = 64;
@@ -22,7 +36,7 @@ impl Runner {
     pub(super) async fn help(&self) -> bool {
         let claim = {
             let mut not = self.helped().clone();
-            match self.store.job_to_help(&not).await {
+            match self.store.job_to_help(&not, (OFFER, FRESH)).await {
                 Ok(Some(claim)) if !self.at_work().contains_key(&claim.job.id) => {
                     not.push(claim.lease.clone());
                     // Those of jobs that have ended are of no use.
@@ -54,10 +68,10 @@ impl Runner {
             tokio::select! {
                 biased;
                 end = &mut work => break end,
+                () = control.kept() => self.store_checkpoints(claim, &control).await,
                 _ = ticks.tick() => {
                     self.store_checkpoints(claim, &control).await;
-                    // The errors of the job's own trainings are shown, not those of its helpers.
-                    drop(control.take_losses());
+                    self.store_help_losses(claim, &control).await;
                     if *self.stopping.borrow() {
                         control.stop(Stop::Shutdown);
                     }
@@ -73,6 +87,7 @@ impl Runner {
             }
         };
         self.store_checkpoints(claim, &control).await;
+        self.store_help_losses(claim, &control).await;
         if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = &end {
             tracing::warn!(problem.code, "could not help: {}", problem.detail);
         }
@@ -81,6 +96,15 @@ impl Runner {
             self.helped().retain(|lease| *lease != claim.lease);
         }
         true
+    }
+
+    /// Of a fit, whose networks are shown wherever they are trained; a study shows those of its own worker.
+    async fn store_help_losses(&self, claim: &Claim, control: &Control) {
+        if claim.job.kind == JobKind::Fit {
+            self.store_losses(claim, control).await;
+        } else {
+            drop(control.take_losses());
+        }
     }
 
     fn helped(&self) -> MutexGuard<'_, Vec<Lease>> {

@@ -21,6 +21,7 @@ pub mod problem;
 mod process;
 mod publish;
 mod runner;
+mod seed_shares;
 mod selection;
 mod spec;
 mod study;

@@ -18,6 +18,7 @@ use crate::telemetry::names;
 use super::JobSettings;
 use super::control::{Control, Stop};
 use super::events::Hub;
+use super::helping::HELP_EVERY;
 use super::problem::{JobError, codes, panicked};
 use super::process::{Begin, WorkerProgram};
 use super::publish::publish;
@@ -97,21 +98,24 @@ impl Runner {
                     Arc::clone(&self).run_claimed(claim).await;
                     continue;
                 }
-                Ok(None) if self.store.is_shared() => {
-                    if self.help().await {
-                        continue;
-                    }
-                }
                 Ok(None) => {}
                 Err(error) => {
                     error.count();
                     tracing::error!(%error, "no job could be claimed");
                 }
             }
-            tokio::select! {
-                () = queued => {}
-                _ = stopping.wait_for(|stopping| *stopping) => {}
-                () = tokio::time::sleep(self.settings.sweep) => {}
+            let look = tokio::time::sleep(self.settings.sweep);
+            tokio::pin!(queued, look);
+            loop {
+                let wants_to_help = tokio::select! {
+                    () = &mut queued => false,
+                    _ = stopping.wait_for(|stopping| *stopping) => false,
+                    () = &mut look => false,
+                    () = tokio::time::sleep(HELP_EVERY), if self.store.is_shared() => true,
+                };
+                if !wants_to_help || self.help().await {
+                    break;
+                }
             }
         }
     }
@@ -290,6 +294,7 @@ impl Runner {
                         Err(error) => Err(panicked(&error.to_string())),
                     };
                 }
+                () = control.kept() => self.store_checkpoints(claim, control).await,
                 _ = ticks.tick() => {
                     self.store_checkpoints(claim, control).await;
                     self.store_losses(claim, control).await;
@@ -346,7 +351,7 @@ impl Runner {
     }
 
     /// Stores the errors of the epochs that have ended, for people who watch the job.
-    async fn store_losses(&self, claim: &Claim, control: &Control) {
+    pub(super) async fn store_losses(&self, claim: &Claim, control: &Control) {
         let new = control.take_losses();
         if new.is_empty() {
             return;

@@ -125,6 +125,35 @@ async fn one_process_at_a_time_judges_runs() {
     panic!("the turn is never given back");
 }
 
+/// The checkpoint that says that a fit has shares, and how long it counts.
+const OFFER: (&str, Duration) = ("share offer", Duration::from_secs(10));
+
+#[tokio::test]
+async fn a_fit_is_helped_while_it_offers_shares_and_before_a_study() {
+    let Some([a, b]) = two().await else { return };
+    let rig = a.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
+    let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
+    let study: StudyRequest = serde_json::from_value(study).unwrap();
+    let asker = Asker { token: None, max_waiting: 9 };
+    a.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
+    a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
+    a.queue_fit(&rig).await;
+    let fit = a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
+    let to_help = async || b.job_to_help(&[], OFFER).await.unwrap().unwrap().lease;
+    assert_ne!(to_help().await, fit.lease, "it offers nothing");
+    let time = a.shared_time().await.unwrap().unwrap();
+    for (part, at, is_open) in [
+        ("seed 1", time, false),
+        ("share offer", time - 11.seconds(), false),
+        ("share offer", time, true),
+        ("share offer", time - 12.seconds(), false),
+    ] {
+        let share = Checkpoint { part: part.into(), fits: "fit".into(), state: Bytes::from_static(b"{}") };
+        assert!(a.keep_checkpoint(&fit.lease, &share, at).await.unwrap());
+        assert_eq!(to_help().await == fit.lease, is_open, "{part} at {at}");
+    }
+}
+
 #[tokio::test]
 async fn a_running_study_is_helped_until_it_ends_or_a_job_waits() {
     let Some([a, b]) = two().await else { return };
@@ -133,11 +162,11 @@ async fn a_running_study_is_helped_until_it_ends_or_a_job_waits() {
     let study: StudyRequest = serde_json::from_value(study).unwrap();
     let asker = Asker { token: None, max_waiting: 9 };
     a.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
-    assert_eq!(b.job_to_help(&[]).await.unwrap(), None, "it only waits");
+    assert_eq!(b.job_to_help(&[], OFFER).await.unwrap(), None, "it only waits");
     let claimed = a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
-    let found = b.job_to_help(&[]).await.unwrap().unwrap();
+    let found = b.job_to_help(&[], OFFER).await.unwrap().unwrap();
     assert_eq!((&found.lease, &found.request), (&claimed.lease, &claimed.request));
-    assert_eq!(b.job_to_help(std::slice::from_ref(&found.lease)).await.unwrap(), None);
+    assert_eq!(b.job_to_help(std::slice::from_ref(&found.lease), OFFER).await.unwrap(), None);
     assert!(b.wants_help(&found.lease).await.unwrap());
 
     // What the helper makes are checkpoints under the lease of the job's own worker.

@@ -2,21 +2,33 @@
 
 use std::time::Duration;
 
+use jiff::Timestamp;
+
 use super::database::sql;
-use super::rows::{JobRow, int};
+use super::rows::{JobRow, int, us};
 use super::{Claim, Digest, Lease, Store, StoreError};
 use crate::domain::{Job, JobId};
 
 impl Store {
-    /// A running study that a worker without a job of its own may help with: the oldest that is not among `not`. Its
-    /// lease stays with its worker; checkpoints may be written under it.
+    /// A running job that a worker without a job of its own may help with, and that is not among `not`: a fit that has
+    /// renewed the checkpoint `offer` within the time `fresh`, or else a study, the oldest. Its lease stays with its
+    /// worker; checkpoints may be written under it.
     ///
     /// # Errors
     /// The store's failures.
-    pub async fn job_to_help(&self, not: &[Lease]) -> Result<Option<Claim>, StoreError> {
-        let rows: Vec<JobRow> = sql(
-            "SELECT * FROM jobs WHERE state = 'running' AND kind = 'study' AND cancel_requested = 0 ORDER BY id",
-        )
+    pub async fn job_to_help(
+        &self,
+        not: &[Lease],
+        (offer, fresh): (&str, Duration),
+    ) -> Result<Option<Claim>, StoreError> {
+        let Some(now) = self.shared_time().await? else { return Ok(None) };
+        let rows: Vec<JobRow> = sql("SELECT * FROM jobs
+             WHERE state = 'running' AND cancel_requested = 0
+               AND (kind = 'study'
+                    OR EXISTS (SELECT 1 FROM checkpoints WHERE job = jobs.id AND part = $1 AND written_us > $2))
+             ORDER BY kind = 'study', id")
+        .bind(offer)
+        .bind(us(now.checked_sub(fresh).unwrap_or(Timestamp::MIN)))
         .fetch_all(self.reader())
         .await?;
         for row in rows {
@@ -45,8 +57,8 @@ impl Store {
         .await?)
     }
 
-    /// Parts and states of the checkpoints of a job with this digest, and how long ago each was written. None where the
-    /// registry is not shared.
+    /// Parts and states of the checkpoints of a job with this digest and with names that begin with `share`, and how long
+    /// ago each was written. None where the registry is not shared.
     ///
     /// # Errors
     /// The store's failures.
@@ -56,13 +68,13 @@ impl Store {
         fits: &str,
     ) -> Result<Vec<(String, Vec<u8>, Duration)>, StoreError> {
         let Some(now) = self.shared_time().await? else { return Ok(Vec::new()) };
-        let rows: Vec<(String, String, Vec<u8>, i64)> = sql(
-            "SELECT part, sha256, state, written_us FROM checkpoints WHERE job = $1 AND fits = $2 ORDER BY part",
-        )
-        .bind(job.to_string())
-        .bind(fits)
-        .fetch_all(self.reader())
-        .await?;
+        let rows: Vec<(String, String, Vec<u8>, i64)> =
+            sql("SELECT part, sha256, state, written_us FROM checkpoints
+             WHERE job = $1 AND fits = $2 AND part LIKE 'share%' ORDER BY part")
+            .bind(job.to_string())
+            .bind(fits)
+            .fetch_all(self.reader())
+            .await?;
         let whole = rows.into_iter().filter(|(_, sha256, state, _)| Digest::of(state).as_str() == sha256);
         let age = |written_us: i64| {
             let us = now.as_microsecond().saturating_sub(written_us);

@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
 
 use rayon::prelude::*;
 
@@ -14,7 +15,10 @@ use super::start::{continued, start};
 use super::{LstmPart, ModelKind, Preprocess, RigModel, Scaler, network_inputs};
 use crate::checkpoint::CheckpointStore;
 use crate::lstm::{self, LstmNet, LstmSettings, Recombine, RecombineChoice, Segment, Trained, Until};
-use crate::{EngineError, Progress, Signal, Watch};
+use crate::{EngineError, Loss, Progress, Signal, Watch};
+
+/// How often a fit looks whether networks that other processes train have come back.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// The checkpoints and the progress of a network's training.
 pub(super) struct Course<'a> {
@@ -158,6 +162,7 @@ impl NetworkData {
         }
     }
 
+    /// Trains every seed, here or in another process; the networks are the same wherever that is.
     fn train_seeds(
         &self,
         kind: ModelKind,
@@ -167,34 +172,70 @@ impl NetworkData {
         let n = settings.seeds.len();
         let stage = format!("LSTM {:?}, {n} seed{}", settings.blocks, if n == 1 { "" } else { "s" });
         let done: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(0)).collect();
-        settings
-            .seeds
-            .par_iter()
-            .enumerate()
-            .map(|(i, &seed)| {
-                let tell = |p: Progress<'_>| -> ControlFlow<()> {
-                    done[i].store((p.fraction * 1e6) as u64, Ordering::Relaxed);
-                    let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
-                    let mean =
-                        Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64), loss: p.loss };
-                    (course.watch)(mean.within(&course.progress))
-                };
-                let start = self.start(kind, settings, seed, course);
-                let part = format!("seed {i}");
-                let until = match course.start {
-                    Some(_) => Until::BetterThanStart(&self.stopping),
-                    None => Until::Best(&self.stopping),
-                };
-                lstm::train(
-                    &self.training,
-                    until,
-                    &start,
-                    (settings, seed),
-                    (course.checkpoints, &part),
-                    &tell,
-                )
-            })
-            .collect()
+        let tell = |seed: usize, share: f64, loss: Option<Loss>| {
+            done[seed].store((share * 1e6) as u64, Ordering::Relaxed);
+            let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
+            let mean = Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64), loss };
+            (course.watch)(mean.within(&course.progress))
+        };
+        let parts: Vec<String> = (0..n).map(|i| format!("seed {i}")).collect();
+        course.checkpoints.announce(&parts);
+        let mut trained: Vec<Option<Trained>> = vec![None; n];
+        loop {
+            let train_one = |(i, trained): (usize, &mut Option<Trained>)| -> Result<(), EngineError> {
+                if trained.is_none() {
+                    let seed = (settings.seeds[i], parts[i].as_str());
+                    *trained =
+                        self.train_seed(seed, kind, settings, course, &|share, loss| tell(i, share, loss))?;
+                }
+                Ok(())
+            };
+            trained.par_iter_mut().enumerate().try_for_each(train_one)?;
+            if trained.iter().all(Option::is_some) {
+                return Ok(trained.into_iter().flatten().collect());
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Trains one seed; `None` while another process does.
+    fn train_seed(
+        &self,
+        (seed, part): (u64, &str),
+        kind: ModelKind,
+        settings: &LstmSettings,
+        course: &Course<'_>,
+        tell: &(dyn Fn(f64, Option<Loss>) -> ControlFlow<()> + Sync),
+    ) -> Result<Option<Trained>, EngineError> {
+        let checkpoints = course.checkpoints;
+        if let Some(share) = checkpoints.elsewhere(part, 0.0) {
+            return if tell(share, None).is_break() { Err(EngineError::Cancelled) } else { Ok(None) };
+        }
+        let until = match course.start {
+            Some(_) => Until::BetterThanStart(&self.stopping),
+            None => Until::Best(&self.stopping),
+        };
+        let leaves = AtomicBool::new(false);
+        let watch = |p: Progress<'_>| {
+            tell(p.fraction, p.loss)?;
+            let is_elsewhere = checkpoints.elsewhere(part, p.fraction).is_some();
+            // What has ended is not left.
+            if is_elsewhere && p.fraction < 1.0 {
+                leaves.store(true, Ordering::Relaxed);
+                return ControlFlow::Break(());
+            }
+            ControlFlow::Continue(())
+        };
+        let start = self.start(kind, settings, seed, course);
+        let trained =
+            lstm::train(&self.training, until, &start, (settings, seed), (checkpoints, part), &watch);
+        if matches!(trained, Err(EngineError::Cancelled)) {
+            checkpoints.hand_over(part);
+            if leaves.into_inner() {
+                return Ok(None);
+            }
+        }
+        trained.map(Some)
     }
 }
 

@@ -6,6 +6,8 @@ mod band_tests;
 #[cfg(test)]
 mod core_tests;
 mod effect;
+#[cfg(test)]
+mod elsewhere_tests;
 mod fallback;
 mod fit;
 mod fit_data;

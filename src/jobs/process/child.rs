@@ -51,6 +51,7 @@ pub async fn work() -> Result<(), WorkError> {
         tokio::select! {
             end = &mut work => break end.unwrap_or_else(|error| Err(panicked(&error.to_string()))),
             _ = ticks.tick() => say_progress(&mut mouth, &control).await?,
+            () = control.kept() => say_kept(&mut mouth, &control).await?,
         }
     };
     say_progress(&mut mouth, &control).await?;

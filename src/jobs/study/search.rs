@@ -66,9 +66,6 @@ pub(super) async fn make(
         share: 1.0,
     };
     trials.run(&rounds).await?;
-    if helps {
-        return Err(JobError::Stopped);
-    }
     let report = std::mem::take(&mut trials.report);
     // The last fit loads its own runs.
     drop(trials);
@@ -77,7 +74,8 @@ pub(super) async fn make(
         return Err(StudyProblem::NoTrial(reason.unwrap_or_default()).into());
     };
     control.scope(format!("fit of trial {}: ", best.trial), 1.0 - LAST_FIT / whole..1.0);
-    let made = fit::fit_model(context, rig, &with(&task.fit.request, &best.settings), job, control).await?;
+    let made =
+        fit::fit_model(context, rig, &with(&task.fit.request, &best.settings), (job, helps), control).await?;
     let error = percent(best.error);
     let said =
         format!("trial {} of {} is the best, with an error of {error}", best.trial, task.search.trials);

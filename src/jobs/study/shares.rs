@@ -15,20 +15,15 @@ use uuid::Uuid;
 
 use crate::domain::JobId;
 use crate::jobs::control::Control;
+use crate::jobs::helping::{FRESH, OPENED};
 use crate::jobs::problem::JobError;
 use crate::storage::{Checkpoint, Store};
 
 /// What tells the fits of a study apart: trial and round, or size and repeat.
 pub(super) type Place = (usize, usize);
 
-/// How long a mark counts; it is renewed every two seconds.
-const FRESH: Duration = Duration::from_secs(10);
-
 /// How often a worker looks whether others have ended what is left.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
-
-/// How long a helper waits for the sign that the study's own worker computes what it would compute.
-const OPENED: Duration = Duration::from_secs(20);
 
 /// Part of the checkpoint that gives this sign.
 const OPEN: &str = "shares";
