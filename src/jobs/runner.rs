@@ -98,6 +98,11 @@ impl Runner {
                     Arc::clone(&self).run_claimed(claim).await;
                     continue;
                 }
+                Ok(None) if self.store.is_shared() => {
+                    if self.help().await {
+                        continue;
+                    }
+                }
                 Ok(None) => {}
                 Err(error) => {
                     error.count();
