@@ -14,6 +14,7 @@ use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
+use jiff::SignedDuration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tower::Layer;
@@ -105,14 +106,30 @@ static SHARED_CLOCK: RwLock<Option<(Instant, jiff::Timestamp)>> = RwLock::new(No
 /// How often the database's clock is read.
 const CLOCK_CHECK: Duration = Duration::from_secs(20);
 
-/// Reads the clock of a registry that is shared.
-async fn read_clock(store: &Store) -> Result<(), StoreError> {
-    if let Some(time) = store.shared_time().await? {
-        // As of after the answer, so that the time never runs ahead of the database's.
-        let read = Instant::now();
-        *SHARED_CLOCK.write().unwrap_or_else(PoisonError::into_inner) = Some((read, time));
+/// A clock that is off by more than this at the start is worth a warning.
+const CLOCK_OFFSET: SignedDuration = SignedDuration::from_mins(1);
+
+/// Reads the clock of a registry that is shared; how far this machine's clock is ahead of it.
+async fn read_clock(store: &Store) -> Result<SignedDuration, StoreError> {
+    let Some(time) = store.shared_time().await? else { return Ok(SignedDuration::ZERO) };
+    // As of after the answer, so that the time never runs ahead of the database's.
+    let read = Instant::now();
+    *SHARED_CLOCK.write().unwrap_or_else(PoisonError::into_inner) = Some((read, time));
+    let ahead = jiff::Timestamp::now().duration_since(time);
+    metrics::gauge!(names::CLOCK_OFFSET).set(ahead.as_secs_f64());
+    Ok(ahead)
+}
+
+/// Tells whoever starts a process on a machine whose clock is wrong.
+fn tell_of_offset(ahead: SignedDuration) {
+    if ahead.abs() > CLOCK_OFFSET {
+        let (seconds, side) =
+            (ahead.abs().as_secs(), if ahead.is_positive() { "ahead of" } else { "behind" });
+        tracing::warn!(
+            "this machine's clock is {seconds} s {side} that of the database, which counts; storage in the cloud refuses \
+             requests of a machine that is a quarter of an hour off: set the clock"
+        );
     }
-    Ok(())
 }
 
 /// Whether there is a token in force that can create all others.
@@ -138,7 +155,8 @@ impl App {
             return Err(AppError::OpenToNetwork(config.listen));
         }
         let store = Store::open_with(&config.data_dir, &config.store).await?;
-        read_clock(&store).await?;
+        let metrics = telemetry::metrics_handle();
+        tell_of_offset(read_clock(&store).await?);
         if !is_closed && !has_admin(&store).await? {
             store.close().await;
             return Err(AppError::OpenToNetwork(config.listen));
@@ -163,7 +181,7 @@ impl App {
             limits: config.limits,
             clock: now,
             draining: seen,
-            metrics: telemetry::metrics_handle(),
+            metrics,
         });
         http::begin_metrics(&http);
         let settings = config.connections.clone();

@@ -29,6 +29,9 @@ pub(super) const SCRATCH: &str = "scratch";
 /// How long a start waits for the lock of a process that is about to end.
 const LOCK_WAIT: Duration = Duration::from_secs(2);
 
+/// How long the database may take to answer before it counts as away: monitors do not wait as long as requests do.
+const PING: Duration = Duration::from_secs(2);
+
 /// Where a store is, beyond its data directory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StoreSettings {
@@ -229,7 +232,9 @@ impl Store {
     /// # Errors
     /// Any other failure of the store.
     pub async fn ping(&self) -> Result<bool, StoreError> {
-        sql("SELECT id FROM rigs LIMIT 1").fetch_optional::<String>(self.reader()).await?;
+        let asked = sql("SELECT id FROM rigs LIMIT 1");
+        let asked = asked.fetch_optional::<String>(self.reader());
+        tokio::time::timeout(PING, asked).await.map_err(|_| sqlx::Error::PoolTimedOut)??;
         if let Some(journal) = self.journal() {
             journal.check().await?;
         }

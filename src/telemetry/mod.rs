@@ -133,6 +133,7 @@ fn describe() {
         metrics::counter!(name).increment(0);
     }
     metrics::gauge!(names::CONNECTIONS).set(0.0);
+    metrics::gauge!(names::CLOCK_OFFSET).set(0.0);
     metrics::gauge!(names::BUILD_INFO, "version" => crate::VERSION).set(1.0);
 }
 

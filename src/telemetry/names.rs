@@ -61,6 +61,8 @@ metrics! {
         "Failures of the store, by kind: full, unavailable, damaged or defect.";
     ROWS_MENDED = Counter "rigcast_rows_mended_total",
         "Rows of the registry that were not as they were written, and were mended from the journal.";
+    CLOCK_OFFSET = Gauge "rigcast_clock_offset_seconds",
+        "Clock of this machine minus that of the registry's database; 0 where the registry is not shared.";
     MODEL_LOADS = Counter "rigcast_model_loads_total", "Models read from the store into memory.";
     LOADED_MODELS = Gauge "rigcast_loaded_models", "Models in memory.";
     DEGRADED = Gauge "rigcast_degraded", "Models, runs and diagnoses that could not be read when last wanted.";

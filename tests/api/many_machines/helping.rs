@@ -54,7 +54,8 @@ fn log_of(worker: Machine) -> String {
 async fn the_trials_of_a_study_are_spread_and_come_out_alike() {
     let Some(cluster) = Cluster::start() else { return };
     let Some((_service, client)) = started(&cluster).await else { return };
-    let epochs = std::env::var("RIGCAST_TEST_TRIAL_EPOCHS").map_or(40, |text| text.parse().expect("a number"));
+    let epochs =
+        std::env::var("RIGCAST_TEST_TRIAL_EPOCHS").map_or(40, |text| text.parse().expect("a number"));
     let lstm = json!({"blocks": [16], "window_len": 64, "epochs": epochs, "seeds": [1]});
     let request = json!({
         "kind": "search", "trials": TRIALS, "trial_seeds": [1, 2, 3], "fit": {"kind": "lstm", "lstm": lstm},

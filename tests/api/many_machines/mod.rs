@@ -13,6 +13,7 @@ use crate::support::{
     Postgres, Program, Storage, Way, Weather, bench, noise_csv, refused_start, rigcast, signal,
 };
 
+mod clocks;
 mod faults;
 mod helping;
 mod rolling;
@@ -76,12 +77,18 @@ impl Cluster {
 
     /// A service that runs no jobs itself, or a worker.
     fn machine(&self, kind: Kind) -> Machine {
-        let directory = directory();
-        Machine { program: self.program(kind, &directory, "127.0.0.1:0"), kind, directory }
+        self.machine_with(kind, &[])
     }
 
-    fn program(&self, kind: Kind, directory: &TempDir, address: &str) -> Program {
+    /// The same with more in its environment.
+    fn machine_with(&self, kind: Kind, more: &[(&str, &str)]) -> Machine {
+        let directory = directory();
+        Machine { program: self.program(kind, &directory, "127.0.0.1:0", more), kind, directory }
+    }
+
+    fn program(&self, kind: Kind, directory: &TempDir, address: &str, more: &[(&str, &str)]) -> Program {
         let mut environment = self.environment();
+        environment.extend_from_slice(more);
         match kind {
             Kind::Work => Program::work(address, directory.path(), &environment),
             Kind::Serve => {
@@ -96,7 +103,7 @@ impl Cluster {
         let address = machine.program.base().trim_start_matches("http://").to_owned();
         signal("-KILL", machine.program.id());
         machine.program.wait();
-        machine.program = self.program(machine.kind, &machine.directory, &address);
+        machine.program = self.program(machine.kind, &machine.directory, &address, &[]);
     }
 
     /// What a command of the program on a data directory says, and whether it succeeds.
