@@ -57,7 +57,7 @@ impl Store {
         stage: &str,
         now: Timestamp,
     ) -> Result<Option<DiagnosisId>, StoreError> {
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &diagnosis.findings).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object(digest, &diagnosis.findings).await?;
         let id = new_id(now);
         let rig: Option<String> = sql(
             "INSERT INTO diagnoses (id, rig, job, version, model_sha256, mode, request, verdict, findings,

@@ -55,7 +55,7 @@ impl Store {
         stage: &str,
         now: Timestamp,
     ) -> Result<Option<EvaluationId>, StoreError> {
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &evaluation.report).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object(digest, &evaluation.report).await?;
         let id = new_id(now);
         let rig: Option<String> =
             sql("INSERT INTO evaluations (id, rig, job, request, outline, report, elapsed_s, created_us)

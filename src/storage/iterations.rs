@@ -151,7 +151,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<JobInsert, StoreError> {
         let PreparedRun { row, object } = target;
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object_file(object).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object_file(object).await?;
         if let Some(refused) = refusal(&mut tx, rig, asker, key).await? {
             return Ok(refused);
         }
@@ -198,7 +198,7 @@ impl Store {
     ) -> Result<Option<IterationId>, StoreError> {
         let PreparedRun { row, object } = run;
         let row: NewRun = row;
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object_file(object).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object_file(object).await?;
         if rig_in(&mut tx, rig).await?.is_none() {
             return Ok(None);
         }

@@ -25,6 +25,7 @@ mod migrations;
 mod models;
 mod npy;
 mod object_file;
+mod object_locks;
 mod objects;
 mod pages;
 mod policy;

@@ -137,7 +137,7 @@ impl Store {
         key: Option<KeyedImport>,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &model.weights).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object(digest, &model.weights).await?;
         idempotency::check_unused(&mut tx, key.as_ref().map(|(once, _)| once)).await?;
         let Some(version) = insert_row(&mut tx, rig, digest, &model, now).await? else { return Ok(None) };
         activate(&mut tx, rig, version, &activation, now).await?;
@@ -178,7 +178,7 @@ impl Store {
         stage: impl FnOnce(u32, bool) -> String + Send,
         now: Timestamp,
     ) -> Result<Option<Model>, StoreError> {
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object(digest, &model.weights).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object(digest, &model.weights).await?;
         let rig: Option<String> =
             sql("SELECT rig FROM jobs WHERE id = $1 AND state = 'running' AND lease_token = $2")
                 .bind(lease.job.to_string())

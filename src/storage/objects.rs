@@ -11,7 +11,6 @@ use object_store::ObjectStoreExt;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use sha2::{Digest as _, Sha256};
-use tokio::sync::RwLockReadGuard;
 
 use super::backup::Progress;
 use super::bucket::{Bucket, Listed};
@@ -19,6 +18,7 @@ use super::corruption::CorruptObjects;
 use super::database::{Session, postgres, sql};
 use super::files::{self, failed};
 use super::object_file::ObjectFile;
+use super::object_locks::Kept;
 use super::store::SCRATCH;
 use super::write::Write;
 use super::{Store, StoreError, quarantine};
@@ -405,10 +405,10 @@ async fn join<T>(task: tokio::task::JoinHandle<Result<T, StoreError>>) -> Result
     }
 }
 
-/// A write transaction whose rows refer to an object that was just stored. No object is removed before
+/// A write transaction whose rows refer to an object that was just stored. The object is not removed before
 /// it ends, by whichever process.
-pub(super) struct ObjectWrite<'a> {
-    pub(super) gate: RwLockReadGuard<'a, ()>,
+pub(super) struct ObjectWrite {
+    pub(super) kept: Kept,
     pub(super) tx: Write,
 }
 
@@ -418,44 +418,25 @@ impl Store {
         &self,
         digest: &Digest,
         bytes: &Bytes,
-    ) -> Result<ObjectWrite<'_>, StoreError> {
-        let (gate, held) = self.hold_objects().await?;
+    ) -> Result<ObjectWrite, StoreError> {
+        let held = self.keep_object(digest).await?;
         self.objects().put(digest, bytes.clone()).await?;
-        self.write_held(gate, held).await
+        self.write_held(held).await
     }
 
     /// As [`Store::write_object`], for an object in a file.
-    pub(super) async fn write_object_file(&self, file: ObjectFile) -> Result<ObjectWrite<'_>, StoreError> {
-        let (gate, held) = self.hold_objects().await?;
+    pub(super) async fn write_object_file(&self, file: ObjectFile) -> Result<ObjectWrite, StoreError> {
+        let held = self.keep_object(file.digest()).await?;
         self.objects().put_file(file).await?;
-        self.write_held(gate, held).await
-    }
-
-    /// Keeps every object from being removed; with a shared registry by a transaction in which the rows are written
-    /// later, so that a lost connection loses both.
-    async fn hold_objects(&self) -> Result<(RwLockReadGuard<'_, ()>, Option<Session>), StoreError> {
-        let gate = self.objects_gate().read().await;
-        let held = match self.holders() {
-            None => None,
-            Some(pool) => {
-                let mut held = Session::Postgres(pool.begin().await?);
-                postgres::keep_objects(&mut held).await?;
-                Some(held)
-            }
-        };
-        Ok((gate, held))
+        self.write_held(held).await
     }
 
     /// Begins the write that an object was stored for.
-    async fn write_held<'a>(
-        &'a self,
-        gate: RwLockReadGuard<'a, ()>,
-        held: Option<Session>,
-    ) -> Result<ObjectWrite<'a>, StoreError> {
-        let Some(mut held) = held else { return Ok(ObjectWrite { gate, tx: self.write().await? }) };
+    async fn write_held(&self, (kept, held): (Kept, Option<Session>)) -> Result<ObjectWrite, StoreError> {
+        let Some(mut held) = held else { return Ok(ObjectWrite { kept, tx: self.write().await? }) };
         self.check_room()?;
         postgres::write_alone(&mut held).await?;
-        Ok(ObjectWrite { gate, tx: Write::of(self, held) })
+        Ok(ObjectWrite { kept, tx: Write::of(self, held) })
     }
 
     /// Awaits a write of an object and of its row, and removes the object again if `made` says that no
@@ -473,39 +454,22 @@ impl Store {
         written
     }
 
-    /// Removes those of `digests` that no row refers to. Called after the rows were deleted. A failure
-    /// is only logged, because the next start removes the files, and an orderly stop those of a bucket.
+    /// Removes those of `digests` that no row refers to and nobody is about to. Called after the rows were deleted. A
+    /// failure is only logged, because the next start removes the files, and an orderly stop those of a bucket.
     pub(super) async fn discard_unreferenced(&self, digests: Vec<String>) {
-        let _alone = self.objects_gate().write().await;
-        let _alone_of_all = match self.remove_objects_alone().await {
-            Ok(session) => session,
-            Err(error) => {
-                tracing::warn!(%error, "unreferenced objects were left behind");
-                return;
-            }
-        };
         for digest in digests {
-            let removed = match self.is_referenced(&digest).await {
-                Ok(true) => continue,
-                Ok(false) => self.objects().remove(&digest).await,
-                Err(error) => Err(error),
-            };
-            if let Err(error) = removed {
-                tracing::warn!(object.digest = digest, %error, "an unreferenced object was left behind");
-                // The others would wait for it in vain, and uploads for them.
-                if matches!(error, StoreError::Bucket { .. }) {
-                    break;
-                }
+            let Err(error) = self.discard_one(&digest).await else { continue };
+            tracing::warn!(object.digest = digest, %error, "an unreferenced object was left behind");
+            // The others would wait for it in vain.
+            if matches!(error, StoreError::Bucket { .. }) {
+                break;
             }
         }
     }
 
-    /// With a shared registry, a transaction that keeps the other processes from storing objects.
-    async fn remove_objects_alone(&self) -> Result<Option<Session>, StoreError> {
-        let Some(pool) = self.holders() else { return Ok(None) };
-        let mut session = Session::Postgres(pool.begin().await?);
-        postgres::remove_objects(&mut session).await?;
-        Ok(Some(session))
+    async fn discard_one(&self, digest: &str) -> Result<(), StoreError> {
+        let Some(_alone) = self.object_alone(digest).await? else { return Ok(()) };
+        if self.is_referenced(digest).await? { Ok(()) } else { self.objects().remove(digest).await }
     }
 
     async fn is_referenced(&self, digest: &str) -> Result<bool, StoreError> {

@@ -84,7 +84,7 @@ impl Store {
         now: Timestamp,
     ) -> Result<RunInsert, StoreError> {
         let PreparedRun { row: run, object } = run;
-        let ObjectWrite { gate: _gate, mut tx } = self.write_object_file(object).await?;
+        let ObjectWrite { kept: _kept, mut tx } = self.write_object_file(object).await?;
         idempotency::check_unused(&mut tx, key).await?;
         let Some(rig) = rig_in(&mut tx, rig).await? else { return Ok(RunInsert::MissingRig) };
         let unit = |name| rig.channel(name).map(|channel| &channel.unit);

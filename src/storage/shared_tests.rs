@@ -1,7 +1,7 @@
 //! Two processes on one registry. Skipped unless the tests have a PostgreSQL (`RIGCAST_TEST_DATABASE`).
 
 use std::collections::BTreeSet;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use jiff::{Timestamp, ToSpan};
@@ -68,18 +68,21 @@ async fn an_object_that_one_process_stores_is_not_removed_by_another() {
     let bytes = Bytes::from_static(b"weights");
     let digest = Digest::of(&bytes);
     // Nothing names the object yet, and the other process would remove it.
-    let write = a.write_object(&digest, &bytes).await.unwrap();
-    let other = b.reader().clone();
-    let removal = tokio::spawn(async move {
-        b.discard_unreferenced(vec![Digest::of(b"weights").as_str().to_owned()]).await;
-        b
-    });
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    assert!(!removal.is_finished(), "it waits for the row");
-    drop((write, other));
+    let kept = a.keep_object(&digest).await.unwrap();
+    a.objects().put(&digest, bytes.clone()).await.unwrap();
+    let before = Instant::now();
+    b.discard_unreferenced(vec![digest.as_str().to_owned()]).await;
+    assert_eq!(a.objects().get(digest.as_str()).await.unwrap(), bytes);
+    // However long that takes, other objects come and go.
+    let model = imported(b"others");
+    let others = b.insert_model(&rig.id, model, Activation::Leave, None, now()).await.unwrap().unwrap();
+    b.delete_model(&rig.id, others.version).await.unwrap();
+    let read = b.beside().await.objects().get(&others.sha256).await;
+    assert!(matches!(read, Err(StoreError::ObjectMissing { .. })), "{read:?}");
+    assert!(before.elapsed() < Duration::from_secs(4), "{:?}", before.elapsed());
+    drop(kept);
     let model = imported(b"weights");
     let inserted = a.insert_model(&rig.id, model, Activation::Leave, None, now()).await.unwrap().unwrap();
-    let b = removal.await.unwrap();
     assert_eq!(b.weights(&inserted).await.unwrap(), bytes);
     // The last row takes it along, for every process.
     b.delete_model(&rig.id, inserted.version).await.unwrap();

@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use sqlx::PgPool;
-use tokio::sync::RwLock;
 
 use super::bucket::{self, Bucket, BucketSettings};
 use super::database::{Pool, Session, postgres, sql, sqlite};
 use super::files::{self, failed, sync_directory};
 use super::journal::{self, Journal};
+use super::object_locks::ObjectLocks;
 use super::objects::off_thread;
 use super::reserve::Reserve;
 use super::{Objects, PostgresSettings, StoreError};
@@ -60,10 +60,7 @@ struct Inner {
     /// A store that only reads has none, and PostgreSQL has its own.
     journal: Option<Journal>,
     reserve: Option<Reserve>,
-    /// Held shared from before an object is written until a row refers to it, and exclusively while
-    /// unreferenced objects are removed. Otherwise a removal could delete an object before its row is
-    /// written.
-    objects_gate: Arc<RwLock<()>>,
+    object_locks: ObjectLocks,
     /// Keeps the lock, which ends with the file.
     _lock: Option<File>,
 }
@@ -80,7 +77,7 @@ impl Inner {
             settings,
             journal: None,
             reserve: None,
-            objects_gate: Arc::default(),
+            object_locks: ObjectLocks::default(),
             _lock: None,
         }
     }
@@ -315,8 +312,8 @@ impl Store {
         Ok(self.reader().snapshot().await?)
     }
 
-    pub(super) fn objects_gate(&self) -> &RwLock<()> {
-        &self.inner.objects_gate
+    pub(super) fn object_locks(&self) -> &ObjectLocks {
+        &self.inner.object_locks
     }
 
     /// Connections for transactions that begin before an object is stored or removed; `None` where none are needed.

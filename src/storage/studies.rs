@@ -72,7 +72,7 @@ impl Store {
         };
         let digest = Digest::of(&model.weights);
         let published = async {
-            let ObjectWrite { gate: _gate, mut tx } = self.write_object(&digest, &model.weights).await?;
+            let ObjectWrite { kept: _kept, mut tx } = self.write_object(&digest, &model.weights).await?;
             let made = insert_published(&mut tx, rig, &digest, &model, &activation, now).await?;
             let Some((version, active)) = made else { return Ok(None) };
             let stage = stage(Some((version, active)));

@@ -60,8 +60,6 @@ mod locks {
     pub(super) const MIGRATE: i64 = 0x5249_4743_0001;
     /// Held while a transaction writes.
     pub(super) const WRITE: i64 = 0x5249_4743_0002;
-    /// Held shared from before an object is stored until its row is, and alone to remove objects.
-    pub(super) const OBJECTS: i64 = 0x5249_4743_0003;
     /// Held to hold active models against new runs.
     pub(super) const DRIFT: i64 = 0x5249_4743_0004;
 }
@@ -180,14 +178,20 @@ pub(in crate::storage) async fn write_alone(session: &mut Session) -> sqlx::Resu
     sql("SELECT pg_advisory_xact_lock($1)").bind(locks::WRITE).execute(session).await.map(drop)
 }
 
-/// Lets no one remove objects until the transaction ends.
-pub(in crate::storage) async fn keep_objects(session: &mut Session) -> sqlx::Result<()> {
-    sql("SELECT pg_advisory_xact_lock_shared($1)").bind(locks::OBJECTS).execute(session).await.map(drop)
+/// Lets no one remove an object until the transaction ends.
+pub(in crate::storage) async fn keep_object(session: &mut Session, digest: &str) -> sqlx::Result<()> {
+    sql("SELECT pg_advisory_xact_lock_shared($1)").bind(lock_of(digest)).execute(session).await.map(drop)
 }
 
-/// Lets no one store objects until the transaction ends.
-pub(in crate::storage) async fn remove_objects(session: &mut Session) -> sqlx::Result<()> {
-    sql("SELECT pg_advisory_xact_lock($1)").bind(locks::OBJECTS).execute(session).await.map(drop)
+/// Lets no one store an object until the transaction ends; `false` while somebody does.
+pub(in crate::storage) async fn object_alone(session: &mut Session, digest: &str) -> sqlx::Result<bool> {
+    sql("SELECT pg_try_advisory_xact_lock($1)").bind(lock_of(digest)).fetch_one(session).await
+}
+
+/// The number of an object's lock: the first 64 bits of its digest, in hex.
+fn lock_of(digest: &str) -> i64 {
+    let first = digest.get(..16).and_then(|hex| u64::from_str_radix(hex, 16).ok());
+    first.unwrap_or_default().cast_signed()
 }
 
 /// Takes the turn of a kind of work that one process does at a time, until the transaction ends; `false` if another has
