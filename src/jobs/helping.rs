@@ -34,17 +34,13 @@ const HELPED: usize = 64;
 impl Runner {
     /// Helps with a job of another process until nothing of it is left, or a job waits; `false` if there is none.
     pub(super) async fn help(&self) -> bool {
-        let claim = {
-            let mut not = self.helped().clone();
+        let mut not = self.helped().clone();
+        let claim = loop {
             match self.store.job_to_help(&not, (OFFER, FRESH)).await {
-                Ok(Some(claim)) if !self.at_work().contains_key(&claim.job.id) => {
-                    not.push(claim.lease.clone());
-                    // Those of jobs that have ended are of no use.
-                    let old = not.len().saturating_sub(HELPED);
-                    *self.helped() = not.split_off(old);
-                    claim
-                }
-                Ok(_) => return false,
+                // Its worker and this one would share the same cores.
+                Ok(Some(claim)) if self.at_work().contains_key(&claim.job.id) => not.push(claim.lease),
+                Ok(Some(claim)) => break claim,
+                Ok(None) => return false,
                 Err(error) => {
                     error.count();
                     tracing::warn!(%error, "nobody knows which jobs want help");
@@ -52,6 +48,13 @@ impl Runner {
                 }
             }
         };
+        {
+            let mut helped = self.helped();
+            helped.push(claim.lease.clone());
+            // Those of jobs that have ended are of no use.
+            let old = helped.len().saturating_sub(HELPED);
+            helped.drain(..old);
+        }
         let span = tracing::info_span!("help", job.id = %claim.job.id, rig.id = %claim.job.rig);
         self.help_with(&claim).instrument(span).await
     }
