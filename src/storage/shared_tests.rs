@@ -9,7 +9,7 @@ use jiff::{Timestamp, ToSpan};
 use super::testing::{TestStore, draft, imported, now};
 use super::{Activation, Asker, Checkpoint, Digest, Store, StoreError, StoreSettings};
 use crate::domain::job::MAX_SERVICE_DEATHS;
-use crate::domain::{JobId, JobState, StudyRequest};
+use crate::domain::{JobId, JobState, Rig, StudyRequest};
 
 /// Two processes.
 async fn two() -> Option<[TestStore; 2]> {
@@ -128,6 +128,13 @@ async fn one_process_at_a_time_judges_runs() {
     panic!("the turn is never given back");
 }
 
+async fn queue_study(store: &Store, rig: &Rig) {
+    let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
+    let study: StudyRequest = serde_json::from_value(study).unwrap();
+    let asker = Asker { token: None, max_waiting: 9 };
+    store.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
+}
+
 /// The checkpoint that says that a fit has shares, and how long it counts.
 const OFFER: (&str, Duration) = ("share offer", Duration::from_secs(10));
 
@@ -135,10 +142,7 @@ const OFFER: (&str, Duration) = ("share offer", Duration::from_secs(10));
 async fn a_fit_is_helped_while_it_offers_shares_and_before_a_study() {
     let Some([a, b]) = two().await else { return };
     let rig = a.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-    let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
-    let study: StudyRequest = serde_json::from_value(study).unwrap();
-    let asker = Asker { token: None, max_waiting: 9 };
-    a.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
+    queue_study(&a, &rig).await;
     a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
     a.queue_fit(&rig).await;
     let fit = a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
@@ -161,10 +165,7 @@ async fn a_fit_is_helped_while_it_offers_shares_and_before_a_study() {
 async fn a_running_study_is_helped_until_it_ends_or_a_job_waits() {
     let Some([a, b]) = two().await else { return };
     let rig = a.insert_rig(&draft("bench"), None, now()).await.unwrap().unwrap();
-    let study = serde_json::json!({"kind": "search", "fit": {"kind": "lstm"}});
-    let study: StudyRequest = serde_json::from_value(study).unwrap();
-    let asker = Asker { token: None, max_waiting: 9 };
-    a.insert_job(&rig.id, &study, asker, None, now()).await.unwrap();
+    queue_study(&a, &rig).await;
     assert_eq!(b.job_to_help(&[], OFFER).await.unwrap(), None, "it only waits");
     let claimed = a.claim_job("w", now() + 30.seconds(), now()).await.unwrap().unwrap();
     let found = b.job_to_help(&[], OFFER).await.unwrap().unwrap();

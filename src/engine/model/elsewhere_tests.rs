@@ -21,7 +21,7 @@ enum Fate {
     Ends,
     /// The other process leaves it before its end.
     ComesBack,
-    /// The other process never begins.
+    /// The other process never begins, and is missed after a while.
     IsForgotten,
 }
 
@@ -33,6 +33,8 @@ struct Giver<'a> {
     fate: Fate,
     away: AtomicBool,
     gave: AtomicUsize,
+    /// How often it was asked since.
+    looks: AtomicUsize,
     work: (&'a FitData, &'a FitSettings),
 }
 
@@ -67,7 +69,11 @@ impl CheckpointStore for Giver<'_> {
             self.gave.fetch_add(1, Ordering::SeqCst);
             self.away.store(true, Ordering::SeqCst);
         }
-        self.away.load(Ordering::SeqCst).then_some(self.at)
+        let away = self.away.load(Ordering::SeqCst);
+        if away && self.fate == Fate::IsForgotten && self.looks.fetch_add(1, Ordering::SeqCst) == 2 {
+            self.away.store(false, Ordering::SeqCst);
+        }
+        away.then_some(self.at)
     }
 
     fn hand_over(&self, part: &str) {
@@ -78,18 +84,20 @@ impl CheckpointStore for Giver<'_> {
 
 impl Giver<'_> {
     fn help(&self) {
-        if self.fate != Fate::IsForgotten {
-            let leaves_at = if self.fate == Fate::Ends { 1.0 } else { 0.7 };
-            let states = Arc::clone(&self.states);
-            let helper = Helper { states, part: self.part, leaves_at, left: AtomicBool::new(false) };
-            let watch = |_: crate::Progress<'_>| match helper.left.load(Ordering::SeqCst) {
-                true => ControlFlow::Break(()),
-                false => ControlFlow::Continue(()),
-            };
-            let (data, settings) = self.work;
-            let helped = fit_resumable(data, settings, &helper, &watch);
-            assert_eq!(helped, Err(EngineError::Cancelled), "a helper makes no model");
-        }
+        let leaves_at = match self.fate {
+            Fate::Ends => 1.0,
+            Fate::ComesBack => 0.7,
+            Fate::IsForgotten => return,
+        };
+        let states = Arc::clone(&self.states);
+        let helper = Helper { states, part: self.part, leaves_at, left: AtomicBool::new(false) };
+        let watch = |_: crate::Progress<'_>| match helper.left.load(Ordering::SeqCst) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        let (data, settings) = self.work;
+        let helped = fit_resumable(data, settings, &helper, &watch);
+        assert_eq!(helped, Err(EngineError::Cancelled), "a helper makes no model");
         self.away.store(false, Ordering::SeqCst);
     }
 }
@@ -143,10 +151,17 @@ fn helped(part: &str, at: f64, fate: Fate) -> Fitted {
         fate,
         away: AtomicBool::new(false),
         gave: AtomicUsize::new(0),
+        looks: AtomicUsize::new(0),
         work: (&data, &settings),
     };
-    let fitted = fit_resumable(&data, &settings, &giver, &unwatched).expect("a model");
+    let said = AtomicBool::new(false);
+    let watch = |progress: crate::Progress<'_>| {
+        said.fetch_or(progress.stage.ends_with("3 seeds, 1 of them at other workers"), Ordering::SeqCst);
+        unwatched(progress)
+    };
+    let fitted = fit_resumable(&data, &settings, &giver, &watch).expect("a model");
     assert_eq!(giver.gave.into_inner(), 1, "it was given away");
+    assert!(fate != Fate::IsForgotten || said.into_inner(), "the stage says so");
     fitted
 }
 

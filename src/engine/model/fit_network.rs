@@ -171,11 +171,17 @@ impl NetworkData {
     ) -> Result<Vec<Trained>, EngineError> {
         let n = settings.seeds.len();
         let stage = format!("LSTM {:?}, {n} seed{}", settings.blocks, if n == 1 { "" } else { "s" });
+        let stages: Vec<String> = std::iter::once(stage.clone())
+            .chain((1..=n).map(|away| format!("{stage}, {away} of them at other workers")))
+            .collect();
         let done: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(0)).collect();
-        let tell = |seed: usize, share: f64, loss: Option<Loss>| {
+        let away: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
+        let tell = |seed: usize, share: f64, loss: Option<Loss>, is_away: bool| {
             done[seed].store((share * 1e6) as u64, Ordering::Relaxed);
+            away[seed].store(is_away, Ordering::Relaxed);
             let sum: u64 = done.iter().map(|d| d.load(Ordering::Relaxed)).sum();
-            let mean = Progress { stage: &stage, fraction: sum as f64 / (1e6 * n as f64), loss };
+            let away = away.iter().filter(|away| away.load(Ordering::Relaxed)).count();
+            let mean = Progress { stage: &stages[away], fraction: sum as f64 / (1e6 * n as f64), loss };
             (course.watch)(mean.within(&course.progress))
         };
         let parts: Vec<String> = (0..n).map(|i| format!("seed {i}")).collect();
@@ -185,8 +191,8 @@ impl NetworkData {
             let train_one = |(i, trained): (usize, &mut Option<Trained>)| -> Result<(), EngineError> {
                 if trained.is_none() {
                     let seed = (settings.seeds[i], parts[i].as_str());
-                    *trained =
-                        self.train_seed(seed, kind, settings, course, &|share, loss| tell(i, share, loss))?;
+                    let tell = |share: f64, loss: Option<Loss>, is_away: bool| tell(i, share, loss, is_away);
+                    *trained = self.train_seed(seed, kind, settings, course, &tell)?;
                 }
                 Ok(())
             };
@@ -205,11 +211,11 @@ impl NetworkData {
         kind: ModelKind,
         settings: &LstmSettings,
         course: &Course<'_>,
-        tell: &(dyn Fn(f64, Option<Loss>) -> ControlFlow<()> + Sync),
+        tell: &(dyn Fn(f64, Option<Loss>, bool) -> ControlFlow<()> + Sync),
     ) -> Result<Option<Trained>, EngineError> {
         let checkpoints = course.checkpoints;
         if let Some(share) = checkpoints.elsewhere(part, 0.0) {
-            return if tell(share, None).is_break() { Err(EngineError::Cancelled) } else { Ok(None) };
+            return if tell(share, None, true).is_break() { Err(EngineError::Cancelled) } else { Ok(None) };
         }
         let until = match course.start {
             Some(_) => Until::BetterThanStart(&self.stopping),
@@ -217,7 +223,7 @@ impl NetworkData {
         };
         let leaves = AtomicBool::new(false);
         let watch = |p: Progress<'_>| {
-            tell(p.fraction, p.loss)?;
+            tell(p.fraction, p.loss, false)?;
             let is_elsewhere = checkpoints.elsewhere(part, p.fraction).is_some();
             // What has ended is not left.
             if is_elsewhere && p.fraction < 1.0 {
