@@ -126,8 +126,8 @@ fn tell_of_offset(ahead: SignedDuration) {
         let (seconds, side) =
             (ahead.abs().as_secs(), if ahead.is_positive() { "ahead of" } else { "behind" });
         tracing::warn!(
-            "this machine's clock is {seconds} s {side} that of the database, which counts; storage in the cloud refuses \
-             requests of a machine that is a quarter of an hour off: set the clock"
+            "this machine's clock is {seconds} s {side} that of the database, whose clock is the one that counts; storage in the \
+             cloud refuses requests of a machine that is a quarter of an hour off: set the clock"
         );
     }
 }

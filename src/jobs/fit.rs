@@ -1,6 +1,7 @@
 //! The fit job: runs in, a model version out.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 
@@ -17,6 +18,7 @@ use crate::storage::{Digest, NewModel, StoreError};
 
 use super::activate;
 use super::control::Control;
+use super::helping::OPENED;
 use super::problem::{JobError, of_engine};
 use super::seed_shares::SeedShares;
 use super::spec::{JobSpec, ModelOutput};
@@ -48,16 +50,16 @@ pub(super) async fn make(
 ) -> Result<ModelOutput, JobError> {
     let request: FitRequest = spec.request()?;
     let rig = context.store.rig(&spec.rig).await?.ok_or(FitProblem::RigGone)?;
-    fit_model(context, &rig, &request, (spec.job, spec.helps), control).await
+    fit_model(context, &rig, &request, (spec.job, spec.helps.then_some(OPENED)), control).await
 }
 
 /// Fits a model for a job, to a version that is ready to be published. For a job of another worker that this one helps
-/// with it trains the networks that it is given, and there is no model.
+/// with it waits for so long for networks that it is given, and trains them; there is no model.
 pub(super) async fn fit_model(
     context: &WorkContext,
     rig: &Rig,
     request: &FitRequest,
-    (job, helps): (JobId, bool),
+    (job, helps): (JobId, Option<Duration>),
     control: &Arc<Control>,
 ) -> Result<ModelOutput, JobError> {
     // Checked again, because runs may have come and gone since the job was queued.
@@ -67,13 +69,13 @@ pub(super) async fn fit_model(
     let given = GivenParts::load(context, &mut plan).await?;
     let isa = Isa::of_process().map_err(|error| of_engine(&error, &plan.channels()))?;
     let (work, every) = ((job, fingerprint(&plan, isa)), context.checkpoint_every);
-    let shares = SeedShares::open(&context.store, work, every, control, helps).await?;
-    if helps {
-        shares.wait_for_offer().await?;
+    let shares = SeedShares::open(&context.store, work, every, control, helps.is_some()).await?;
+    if let Some(patience) = helps {
+        shares.wait_for_offer(patience).await?;
     }
     let data = load(context, &plan, control).await?;
     let (fitted, weights) = fit(context, (&plan, &given), data, shares, control).await?;
-    if helps {
+    if helps.is_some() {
         return Err(JobError::Stopped);
     }
     let Fitted { model, mut report, record } = fitted;
@@ -257,10 +259,11 @@ async fn fit(
         Ok((fitted, weights))
     });
     let fitted = tokio::select! {
-        fitted = work => fitted?,
+        fitted = work => fitted,
         never = shares.tend() => match never {},
     };
-    control.renew(None);
+    shares.leave();
+    let fitted = fitted?;
     let fitted = fitted.map_err(|error| of_engine(&error, &plan.channels()))?;
     let seconds = started.elapsed().as_secs_f64();
     tracing::info!(fit.kind = ?plan.request.kind, fit.seconds = seconds, "fitted a model");

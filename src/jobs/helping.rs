@@ -4,7 +4,7 @@
 //! leaves as soon as a job waits.
 
 use std::sync::{Arc, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::time::MissedTickBehavior;
 use tracing::Instrument;
@@ -28,13 +28,17 @@ pub(super) const OFFER: &str = "share offer";
 /// How often a worker without a job looks whether it can help.
 pub(super) const HELP_EVERY: Duration = Duration::from_secs(1);
 
-/// Jobs that a process remembers to have helped with.
-const HELPED: usize = 64;
+/// Time from the end of help with a job, because nothing of it was left, until it is asked again whether it wants help.
+const AGAIN: Duration = Duration::from_secs(30);
 
 impl Runner {
     /// Helps with a job of another process until nothing of it is left, or a job waits; `false` if there is none.
     pub(super) async fn help(&self) -> bool {
-        let mut not = self.helped().clone();
+        let mut not: Vec<Lease> = {
+            let mut helped = self.helped();
+            helped.retain(|(_, since)| since.elapsed() < AGAIN);
+            helped.iter().map(|(lease, _)| lease.clone()).collect()
+        };
         let claim = loop {
             match self.store.job_to_help(&not, (OFFER, FRESH)).await {
                 // Its worker and this one would share the same cores.
@@ -48,13 +52,6 @@ impl Runner {
                 }
             }
         };
-        {
-            let mut helped = self.helped();
-            helped.push(claim.lease.clone());
-            // Those of jobs that have ended are of no use.
-            let old = helped.len().saturating_sub(HELPED);
-            helped.drain(..old);
-        }
         let span = tracing::info_span!("help", job.id = %claim.job.id, rig.id = %claim.job.rig);
         self.help_with(&claim).instrument(span).await
     }
@@ -71,7 +68,7 @@ impl Runner {
             tokio::select! {
                 biased;
                 end = &mut work => break end,
-                () = control.kept() => self.store_checkpoints(claim, &control).await,
+                // Before the checkpoints, which a slow store takes long for.
                 _ = ticks.tick() => {
                     self.store_checkpoints(claim, &control).await;
                     self.store_help_losses(claim, &control).await;
@@ -81,12 +78,11 @@ impl Runner {
                     match self.store.wants_help(&claim.lease).await {
                         Ok(true) => {}
                         Ok(false) => control.stop(Stop::Yield),
-                        Err(error) => {
-                            error.count();
-                            control.stop(Stop::Lost);
-                        }
+                        // What it makes is of use once the store is back.
+                        Err(error) => error.count(),
                     }
                 }
+                () = control.kept() => self.store_checkpoints(claim, &control).await,
             }
         };
         self.store_checkpoints(claim, &control).await;
@@ -94,9 +90,9 @@ impl Runner {
         if let Err(JobError::Failed(problem) | JobError::Retry(problem)) = &end {
             tracing::warn!(problem.code, "could not help: {}", problem.detail);
         }
-        if control.stopped() == Some(Stop::Yield) {
-            // It may be helped again once nothing else waits.
-            self.helped().retain(|lease| *lease != claim.lease);
+        if control.stopped() != Some(Stop::Yield) {
+            // Nothing of it was left. It may be helped at once where only another job had to be done.
+            self.helped().push((claim.lease.clone(), Instant::now()));
         }
         true
     }
@@ -110,7 +106,7 @@ impl Runner {
         }
     }
 
-    fn helped(&self) -> MutexGuard<'_, Vec<Lease>> {
+    fn helped(&self) -> MutexGuard<'_, Vec<(Lease, Instant)>> {
         self.helped.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -47,8 +47,8 @@ pub(super) struct Runner {
     pub(super) stopping: watch::Sender<bool>,
     /// Jobs at work in this process.
     at_work: Mutex<HashMap<JobId, Arc<Control>>>,
-    /// Jobs of other processes that this one helps with, or has helped with until nothing was left.
-    pub(super) helped: Mutex<Vec<Lease>>,
+    /// Jobs of other processes that this one has helped with, and when.
+    pub(super) helped: Mutex<Vec<(Lease, Instant)>>,
 }
 
 impl Runner {
@@ -89,8 +89,6 @@ impl Runner {
     pub(super) async fn work(self: Arc<Self>, name: String) {
         let mut stopping = self.stopping.subscribe();
         while !*stopping.borrow() {
-            // Created before the queue is read, so that no notification is missed.
-            let queued = self.queued.notified();
             match self.claim(&name).await {
                 Ok(Some(claim)) => {
                     // Other workers may find more jobs.
@@ -110,10 +108,11 @@ impl Runner {
                 }
             }
             let look = tokio::time::sleep(self.settings.sweep);
-            tokio::pin!(queued, look);
+            tokio::pin!(look);
             loop {
                 let wants_to_help = tokio::select! {
-                    () = &mut queued => false,
+                    // What was announced since the queue was read is announced here too.
+                    () = self.queued.notified() => false,
                     _ = stopping.wait_for(|stopping| *stopping) => false,
                     () = &mut look => false,
                     () = tokio::time::sleep(HELP_EVERY), if self.store.is_shared() => true,
@@ -299,7 +298,7 @@ impl Runner {
                         Err(error) => Err(panicked(&error.to_string())),
                     };
                 }
-                () = control.kept() => self.store_checkpoints(claim, control).await,
+                // Before the checkpoints, which a slow store takes long for.
                 _ = ticks.tick() => {
                     self.store_checkpoints(claim, control).await;
                     self.store_losses(claim, control).await;
@@ -312,6 +311,7 @@ impl Runner {
                         control.stop(Stop::Yield);
                     }
                 }
+                () = control.kept() => self.store_checkpoints(claim, control).await,
             }
         }
     }

@@ -32,6 +32,9 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// second or two.
 const WORTH: Duration = Duration::from_secs(5);
 
+/// How long a helper may take before its speed counts.
+const PATIENCE: Duration = Duration::from_secs(30);
+
 /// Time after which the speed of the trainings is known.
 const KNOWN: Duration = Duration::from_secs(1);
 
@@ -40,12 +43,12 @@ const KNOWN: Duration = Duration::from_secs(1);
 enum Said {
     /// Networks can be had of the fit's worker.
     Offer,
-    /// A helper is there, and has done this share of its network.
-    Helper { who: Uuid, done: f64 },
-    /// The fit's worker leaves a part to a helper.
-    Given { part: String, to: Uuid },
-    /// A helper has ended a part, or leaves it and the fit.
-    Back { part: String, from: Uuid, leaves: bool },
+    /// A helper is there, or leaves, and has done this share of its network.
+    Helper { who: Uuid, done: f64, leaves: bool },
+    /// The fit's worker leaves a part to a helper, or to none any more; `gift` counts how often it was given.
+    Given { part: String, to: Option<Uuid>, gift: u32 },
+    /// A helper has ended a part, or leaves it.
+    Back { part: String, gift: u32, ended: bool },
 }
 
 impl Said {
@@ -55,7 +58,7 @@ impl Said {
             Self::Offer => OFFER.into(),
             Self::Helper { who, .. } => format!("share helper {who}"),
             Self::Given { part, .. } => format!("share given {part}"),
-            Self::Back { part, from, .. } => format!("share back {part} {from}"),
+            Self::Back { part, gift, .. } => format!("share back {part} {gift}"),
         }
     }
 }
@@ -65,8 +68,8 @@ impl Said {
 enum Place {
     /// This process, if it has begun.
     Here { begun: bool },
-    /// Another one since then, and the share that it has done.
-    With { who: Uuid, since: Instant, done: f64 },
+    /// Another one since then, and the share that is done there.
+    With { who: Option<Uuid>, since: Instant, done: f64 },
 }
 
 /// One network.
@@ -79,11 +82,13 @@ struct Part {
     done_before: Option<f64>,
     /// What has come back, or has been given.
     kept: Option<Vec<u8>>,
+    /// How often it was given away.
+    gift: u32,
 }
 
 impl Part {
     fn new() -> Self {
-        Self { place: Place::Here { begun: false }, done: 0.0, done_before: None, kept: None }
+        Self { place: Place::Here { begun: false }, done: 0.0, done_before: None, kept: None, gift: 0 }
     }
 
     fn is_open_here(&self) -> bool {
@@ -95,6 +100,7 @@ impl Part {
 #[derive(Debug, Default)]
 struct Parts {
     of: BTreeMap<String, Part>,
+    /// When the trainings began; for a helper, since when it is ready.
     began: Option<Instant>,
 }
 
@@ -119,11 +125,20 @@ impl Parts {
     }
 
     /// Those that helpers train.
-    fn away(&self) -> impl Iterator<Item = (&String, Uuid, Instant)> {
+    fn away(&self) -> impl Iterator<Item = (&String, &Part, Uuid)> {
         self.of.iter().filter_map(|(name, part)| match part.place {
-            Place::With { who, since, .. } => Some((name, who, since)),
-            Place::Here { .. } => None,
+            Place::With { who: Some(who), .. } => Some((name, part, who)),
+            _ => None,
         })
+    }
+
+    /// Whether a helper has its network for so long, and does so little of it, that this process has it sooner: once it has
+    /// nothing else to do.
+    fn is_slow(&self, part: &Part) -> bool {
+        let (Place::With { since, done, .. }, Some(began)) = (part.place, self.began) else { return false };
+        let (took, gained) = (since.elapsed(), done - part.done);
+        let idle = !self.of.values().any(Part::is_open_here);
+        idle && took > PATIENCE && took.as_secs_f64() * (1.0 - done) > gained * began.elapsed().as_secs_f64()
     }
 }
 
@@ -148,6 +163,7 @@ pub(super) struct SeedShares {
     fits: String,
     role: Role,
     parts: Mutex<Parts>,
+    opened: Instant,
 }
 
 impl SeedShares {
@@ -169,16 +185,16 @@ impl SeedShares {
             (role, JobCheckpoints::open(store, job, fits.clone(), every, control).await?)
         };
         let (store, control) = (store.clone(), Arc::clone(control));
-        Ok(Self { own, store, control, job, fits, role, parts: Mutex::default() })
+        Ok(Self { own, store, control, job, fits, role, parts: Mutex::default(), opened: Instant::now() })
     }
 
     /// Waits, as a helper, until the fit's worker offers what this process would compute.
     ///
     /// # Errors
     /// [`JobError::Stopped`]: it does not, as with another instruction set. The store's failures.
-    pub(super) async fn wait_for_offer(&self) -> Result<(), JobError> {
+    pub(super) async fn wait_for_offer(&self, patience: Duration) -> Result<(), JobError> {
         let began = Instant::now();
-        while began.elapsed() < OPENED && self.control.stopped().is_none() {
+        while began.elapsed() < patience && self.control.stopped().is_none() {
             let said = self.said().await?;
             if said.iter().any(|(said, age)| matches!(said, Said::Offer) && *age < FRESH) {
                 return Ok(());
@@ -213,47 +229,58 @@ impl SeedShares {
     }
 
     async fn look_for_helpers(&self, said: &[(Said, Duration)], offers: &mut bool) -> Result<(), StoreError> {
+        // Those of an attempt before this one cannot write any more.
+        let fresh = FRESH.min(self.opened.elapsed());
         let mut helpers = BTreeMap::new();
         for (said, age) in said {
-            if let Said::Helper { who, done } = said
-                && *age < FRESH
+            if let Said::Helper { who, done, leaves: false } = said
+                && *age < fresh
             {
                 helpers.insert(*who, *done);
             }
         }
-        let is_back = |part: &str, who: Uuid| {
-            let is_it =
-                |said: &Said| matches!(said, Said::Back { part: p, from, .. } if p == part && *from == who);
-            said.iter().any(|(said, _)| is_it(said))
+        let ended_back = |name: &str, gift: u32| {
+            said.iter().find_map(|(said, _)| match said {
+                Said::Back { part, gift: g, ended } if part == name && *g == gift => Some(*ended),
+                _ => None,
+            })
         };
-        let back: Vec<String> = {
-            let parts = self.parts();
-            let gone = |who, since: Instant| !helpers.contains_key(&who) && since.elapsed() > FRESH;
-            let back = parts.away().filter(|&(part, who, since)| is_back(part, who) || gone(who, since));
-            back.map(|(part, ..)| part.clone()).collect()
-        };
+        let mut back = Vec::new();
+        {
+            let mut parts = self.parts();
+            for part in parts.of.values_mut() {
+                if let Place::With { who: Some(who), done, .. } = &mut part.place {
+                    *done = helpers.get(who).map_or(*done, |there| done.max(*there));
+                }
+            }
+            for (name, part, who) in parts.away() {
+                let Place::With { since, .. } = part.place else { continue };
+                let is_gone = !helpers.contains_key(&who) && since.elapsed() > FRESH;
+                match ended_back(name, part.gift) {
+                    Some(ended) => back.push((name.clone(), ended)),
+                    None if is_gone || parts.is_slow(part) => {
+                        tracing::info!(part = name, helper = %who, "takes a network back from another worker");
+                        self.say(&Said::Given { part: name.clone(), to: None, gift: part.gift });
+                        back.push((name.clone(), false));
+                    }
+                    None => {}
+                }
+            }
+        }
         if !back.is_empty() {
             self.take(&back).await?;
         }
         let mut parts = self.parts();
-        for part in parts.of.values_mut() {
-            if let Place::With { who, done, .. } = &mut part.place {
-                *done = helpers.get(who).copied().unwrap_or(*done);
-            }
-        }
         let mut to_give = parts.giveable(WORTH);
-        let free = helpers.into_keys().find(|who| {
-            let has_left =
-                |(said, _): &(Said, _)| matches!(said, Said::Back { from, leaves: true, .. } if from == who);
-            !parts.away().any(|(_, with, _)| with == *who) && !said.iter().any(has_left)
-        });
+        let free = helpers.into_keys().find(|who| !parts.away().any(|(.., with)| with == *who));
         if let (Some(name), Some(who)) = (&to_give, free) {
             let part = parts.of.get_mut(name).expect("it was found there");
             let begun = part.place == Place::Here { begun: true };
-            part.place = Place::With { who, since: Instant::now(), done: part.done };
+            part.place = Place::With { who: Some(who), since: Instant::now(), done: part.done };
+            part.gift += 1;
             tracing::info!(part = name, helper = %who, "gives a network to another worker");
             if !begun {
-                self.say(&Said::Given { part: name.clone(), to: who });
+                self.say(&Said::Given { part: name.clone(), to: Some(who), gift: part.gift });
             }
             to_give = parts.giveable(WORTH);
         }
@@ -270,48 +297,74 @@ impl SeedShares {
         said: &[(Said, Duration)],
         idle_since: &mut Instant,
     ) -> Result<(), StoreError> {
-        let given: Vec<String> = {
-            let parts = self.parts();
-            let given = said.iter().filter_map(|(said, _)| match said {
-                Said::Given { part, to } if *to == own && !parts.of.contains_key(part) => Some(part.clone()),
-                _ => None,
-            });
-            given.collect()
-        };
+        let mut given = Vec::new();
+        {
+            let mut parts = self.parts();
+            for (said, _) in said {
+                let Said::Given { part: name, to, gift } = said else { continue };
+                let known = parts.of.get_mut(name);
+                if *to == Some(own) {
+                    if known.is_none_or(|part| part.gift < *gift) {
+                        given.push((name.clone(), *gift));
+                    }
+                } else if let Some(part) = known
+                    && part.is_open_here()
+                {
+                    // The fit's worker has given up waiting.
+                    part.place = Place::With { who: None, since: Instant::now(), done: part.done };
+                }
+            }
+        }
         if !given.is_empty() {
             tracing::info!(parts = ?given, "was given a network to train");
-            self.take(&given).await?;
+            self.take(&given.iter().map(|(name, _)| (name.clone(), false)).collect::<Vec<_>>()).await?;
+            let mut parts = self.parts();
+            for (name, gift) in given {
+                parts.of.entry(name).and_modify(|part| part.gift = gift);
+            }
         }
         let done = self.parts().of.values().find(|part| part.is_open_here()).map(|part| part.done);
         let offered = said.iter().any(|(said, age)| matches!(said, Said::Offer) && *age < FRESH);
         if done.is_some() {
             *idle_since = Instant::now();
         } else if !offered || idle_since.elapsed() > OPENED {
-            self.control.stop(Stop::Yield);
+            self.leave();
+            self.control.stop(Stop::Lost);
+            return Ok(());
         }
-        let sign = Said::Helper { who: own, done: done.unwrap_or(0.0) };
-        self.control.renew(Some(self.checkpoint(&sign)));
+        if self.parts().began.is_some() {
+            let sign = Said::Helper { who: own, done: done.unwrap_or(0.0), leaves: false };
+            self.control.renew(Some(self.checkpoint(&sign)));
+        } else {
+            // It reads the data, and estimates the FRF.
+            *idle_since = Instant::now();
+        }
         Ok(())
     }
 
-    /// Goes on with parts that another process has left, from their last states.
-    async fn take(&self, names: &[String]) -> Result<(), StoreError> {
+    /// Says, at the end of the work, that nothing is offered any more, or that a helper leaves.
+    pub(super) fn leave(&self) {
+        self.control.renew(None);
+        if let Role::Helper(who) = self.role {
+            self.say(&Said::Helper { who, done: 0.0, leaves: true });
+        }
+    }
+
+    /// Goes on with parts that another process has left, from their last states, and tells of each whether it has ended.
+    async fn take(&self, names: &[(String, bool)]) -> Result<(), StoreError> {
         let mut found: BTreeMap<String, Vec<u8>> = BTreeMap::new();
         for one in self.store.checkpoints(self.job, &self.fits).await? {
-            if names.contains(&one.part) {
+            if names.iter().any(|(name, _)| *name == one.part) {
                 found.insert(one.part, one.state.into());
             }
         }
         let mut parts = self.parts();
-        for name in names {
-            let before = parts.of.get(name);
-            let (done, kept) = match before {
-                Some(Part { place: Place::With { done, .. }, kept, .. }) => (*done, kept.clone()),
-                _ => (0.0, None),
-            };
-            let kept = found.remove(name).or(kept);
-            // A part that has ended there is looked at once more here.
-            parts.of.insert(name.clone(), Part { done: done.min(0.999), kept, ..Part::new() });
+        for (name, ended) in names {
+            let before = parts.of.remove(name).unwrap_or_else(Part::new);
+            let there = if let Place::With { done, .. } = before.place { done } else { 0.0 };
+            let done = if *ended { 1.0 } else { there.min(before.done.max(0.999)) };
+            let kept = found.remove(name).or(before.kept);
+            parts.of.insert(name.clone(), Part { done, kept, gift: before.gift, ..Part::new() });
         }
         Ok(())
     }
@@ -359,7 +412,9 @@ impl CheckpointStore for SeedShares {
     }
 
     fn announce(&self, names: &[String]) {
-        if self.role == Role::Worker {
+        if let Role::Helper(_) = self.role {
+            self.parts().began = Some(Instant::now());
+        } else if self.role == Role::Worker {
             let of = names.iter().map(|name| (name.clone(), Part::new())).collect();
             *self.parts() = Parts { of, began: Some(Instant::now()) };
         }
@@ -371,6 +426,15 @@ impl CheckpointStore for SeedShares {
             // A helper trains what it was given.
             return matches!(self.role, Role::Helper(_)).then_some(0.0);
         };
+        if share >= 1.0 {
+            // It was at its last step when it was given away: there is nothing left to do elsewhere.
+            (part.place, part.done) = (Place::Here { begun: true }, 1.0);
+            let gift = part.gift;
+            if matches!(self.role, Role::Helper(_)) {
+                self.say(&Said::Back { part: name.to_owned(), gift, ended: true });
+            }
+            return None;
+        }
         if let Place::With { done, .. } = part.place {
             return Some(done);
         }
@@ -379,21 +443,73 @@ impl CheckpointStore for SeedShares {
         if share > 0.0 {
             part.done_before.get_or_insert(share);
         }
-        if share >= 1.0
-            && let Role::Helper(from) = self.role
-        {
-            self.say(&Said::Back { part: name.to_owned(), from, leaves: false });
-        }
         None
     }
 
     fn hand_over(&self, name: &str) {
         let parts = self.parts();
-        let part = name.to_owned();
-        match (self.role, parts.of.get(name).map(|part| part.place)) {
-            (Role::Worker, Some(Place::With { who, .. })) => self.say(&Said::Given { part, to: who }),
-            (Role::Helper(from), Some(_)) => self.say(&Said::Back { part, from, leaves: true }),
+        let Some(Part { place, gift, .. }) = parts.of.get(name) else { return };
+        let (part, gift) = (name.to_owned(), *gift);
+        match (self.role, place) {
+            // After its state, which sorts before this: what is stored at once is stored by name.
+            (Role::Worker, Place::With { who, .. }) => self.say(&Said::Given { part, to: *who, gift }),
+            (Role::Helper(_), Place::Here { .. }) => self.say(&Said::Back { part, gift, ended: false }),
             _ => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ago(seconds: u64) -> Instant {
+        Instant::now().checked_sub(Duration::from_secs(seconds)).expect("the machine has run for longer")
+    }
+
+    /// Networks that have begun so many seconds ago, with the shares that are done.
+    fn parts(seconds: u64, done: &[f64]) -> Parts {
+        let part = |(k, &done): (usize, &f64)| {
+            let place = Place::Here { begun: done > 0.0 };
+            (format!("seed {k}"), Part { place, done, done_before: Some(0.0), ..Part::new() })
+        };
+        Parts { of: done.iter().enumerate().map(part).collect(), began: Some(ago(seconds)) }
+    }
+
+    #[test]
+    fn the_network_with_the_least_done_is_given_while_another_stays_and_it_pays() {
+        let given = |parts: &Parts| parts.giveable(WORTH);
+        assert_eq!(given(&parts(10, &[0.2, 0.1, 0.3])).as_deref(), Some("seed 1"));
+        assert_eq!(
+            given(&parts(10, &[0.2, 0.0, 0.0])).as_deref(),
+            Some("seed 2"),
+            "the last that has not begun"
+        );
+        assert_eq!(given(&parts(10, &[0.9, 0.95])), None, "the rest takes two seconds");
+        assert_eq!(given(&parts(10, &[0.2, 1.0])), None, "only one is left");
+        assert_eq!(given(&parts(0, &[0.2, 0.1])), None, "nobody knows how long it takes");
+        assert_eq!(given(&parts(10, &[0.0, 0.0])), None, "nothing has been done yet");
+        let mut away = parts(10, &[0.2, 0.1]);
+        away.of.get_mut("seed 1").unwrap().place = with(5, 0.1);
+        assert_eq!(given(&away), None, "the other one is away");
+    }
+
+    fn with(seconds: u64, done: f64) -> Place {
+        Place::With { who: Some(Uuid::nil()), since: ago(seconds), done }
+    }
+
+    #[test]
+    fn a_slow_helper_loses_its_network_once_nothing_else_is_to_be_done() {
+        let slow = |done_here: f64, since: u64, done: f64| {
+            let mut parts = parts(100, &[done_here, 0.2]);
+            parts.of.get_mut("seed 1").unwrap().place = with(since, done);
+            parts.is_slow(&parts.of["seed 1"])
+        };
+        assert!(slow(1.0, 60, 0.2), "it stands still");
+        assert!(!slow(0.9, 60, 0.2), "there is something else to do");
+        assert!(!slow(1.0, 20, 0.2), "it has only begun");
+        // 0.2 in 60 s: 180 s more, where all the rest took 100 s.
+        assert!(slow(1.0, 60, 0.4));
+        assert!(!slow(1.0, 60, 0.6));
     }
 }

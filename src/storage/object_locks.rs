@@ -16,8 +16,8 @@ use super::{Digest, Store, StoreError};
 /// Locks of this process that nobody holds stay in the table until there are this many.
 const TIDY_FROM: usize = 64;
 
-/// How often a removal asks whether another process stores the object, and the time in between: the database learns a
-/// little later that a transaction was dropped.
+/// How often a removal asks whether somebody stores or removes the object, and the time in between: another removal is
+/// short, and the database learns a little later that a transaction was dropped.
 const TRIES: u32 = 10;
 const PAUSE: Duration = Duration::from_millis(20);
 
@@ -75,25 +75,23 @@ impl Store {
         Ok((here, everywhere))
     }
 
-    /// Lets nobody store an object; `None` while somebody does.
+    /// Lets nobody store an object; `None` if somebody does, and goes on doing so.
     pub(super) async fn object_alone(&self, digest: &str) -> Result<Option<Alone>, StoreError> {
-        let Some(here) = self.object_locks().alone(digest) else { return Ok(None) };
-        let everywhere = match self.holders() {
-            None => None,
-            Some(pool) => {
+        for left in (0..TRIES).rev() {
+            if let Some(here) = self.object_locks().alone(digest) {
+                let Some(pool) = self.holders() else {
+                    return Ok(Some(Alone { _here: here, _everywhere: None }));
+                };
                 let mut session = Session::Postgres(pool.begin().await?);
-                let mut tries = 1;
-                while !postgres::object_alone(&mut session, digest).await? {
-                    if tries == TRIES {
-                        return Ok(None);
-                    }
-                    tries += 1;
-                    tokio::time::sleep(PAUSE).await;
+                if postgres::object_alone(&mut session, digest).await? {
+                    return Ok(Some(Alone { _here: here, _everywhere: Some(session) }));
                 }
-                Some(session)
             }
-        };
-        Ok(Some(Alone { _here: here, _everywhere: everywhere }))
+            if left > 0 {
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+        Ok(None)
     }
 }
 

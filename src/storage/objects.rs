@@ -460,15 +460,18 @@ impl Store {
         for digest in digests {
             let Err(error) = self.discard_one(&digest).await else { continue };
             tracing::warn!(object.digest = digest, %error, "an unreferenced object was left behind");
-            // The others would wait for it in vain.
-            if matches!(error, StoreError::Bucket { .. }) {
+            // The others would wait for bucket or database in vain.
+            if error.is_unavailable() || matches!(error, StoreError::Bucket { .. }) {
                 break;
             }
         }
     }
 
     async fn discard_one(&self, digest: &str) -> Result<(), StoreError> {
-        let Some(_alone) = self.object_alone(digest).await? else { return Ok(()) };
+        let Some(_alone) = self.object_alone(digest).await? else {
+            tracing::debug!(object.digest = digest, "somebody stores an object that was to be removed");
+            return Ok(());
+        };
         if self.is_referenced(digest).await? { Ok(()) } else { self.objects().remove(digest).await }
     }
 

@@ -11,8 +11,8 @@ use crate::domain::{Job, JobId};
 
 impl Store {
     /// A running job that a worker without a job of its own may help with, and that is not among `not`: a fit that has
-    /// renewed the checkpoint `offer` within the time `fresh`, or else a study, the oldest. Its lease stays with its
-    /// worker; checkpoints may be written under it.
+    /// renewed the checkpoint `offer` within the time `fresh`, or else a study, the oldest. None while a job waits. Its
+    /// lease stays with its worker; checkpoints may be written under it.
     ///
     /// # Errors
     /// The store's failures.
@@ -24,6 +24,7 @@ impl Store {
         let Some(now) = self.shared_time().await? else { return Ok(None) };
         let rows: Vec<JobRow> = sql("SELECT * FROM jobs
              WHERE state = 'running' AND cancel_requested = 0
+               AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued')
                AND (kind = 'study'
                     OR EXISTS (SELECT 1 FROM checkpoints WHERE job = jobs.id AND part = $1 AND written_us > $2))
              ORDER BY kind = 'study', id")

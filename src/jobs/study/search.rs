@@ -1,6 +1,7 @@
 //! A search: trials of drawn settings, then the fit of the best one.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::domain::StudyReport;
 use crate::domain::study::{Search, SearchMethod, SearchReport, Trial};
@@ -74,8 +75,10 @@ pub(super) async fn make(
         return Err(StudyProblem::NoTrial(reason.unwrap_or_default()).into());
     };
     control.scope(format!("fit of trial {}: ", best.trial), 1.0 - LAST_FIT / whole..1.0);
-    let made =
-        fit::fit_model(context, rig, &with(&task.fit.request, &best.settings), (job, helps), control).await?;
+    // A helper of the trials waits as long as the study runs.
+    let patience = helps.then_some(Duration::MAX);
+    let request = with(&task.fit.request, &best.settings);
+    let made = fit::fit_model(context, rig, &request, (job, patience), control).await?;
     let error = percent(best.error);
     let said =
         format!("trial {} of {} is the best, with an error of {error}", best.trial, task.search.trials);
