@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
-use crate::support::{SAFETENSORS, TestApp, bench, gain_weights, noise_csv};
+use crate::support::{SAFETENSORS, TestApp, bench, gain_weights, noise_csv, setting};
 
 /// The request that reads an object, and the name of its owner in the readiness report.
 struct Stored {
@@ -39,7 +39,7 @@ async fn stored(app: &TestApp) -> Vec<Stored> {
 
 #[tokio::test]
 async fn every_flipped_byte_is_found_named_and_never_served() {
-    let flips: usize = std::env::var("RIGCAST_TEST_FLIPS").map_or(20, |n| n.parse().expect("a number"));
+    let flips: usize = setting("RIGCAST_TEST_FLIPS", 20);
     let app = TestApp::start();
     let stored = stored(&app).await;
     let mut random = ChaCha8Rng::seed_from_u64(7);

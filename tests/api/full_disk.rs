@@ -12,7 +12,7 @@ use rigcast::client::{Client, ClientError};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv};
+use crate::support::{Program, bench, gain_weights, noise_csv, setting};
 
 /// A file system of a few megabytes in memory.
 struct SmallDisk(TempDir);
@@ -85,7 +85,7 @@ async fn a_full_disk_refuses_writes_predicts_on_and_recovers() {
     client.import("bench", gain_weights(&["u"], &["y"], 2.0)).await.expect("a model");
     let mut runs = vec![upload(&client, 0, 3000).await.expect("a run")];
     let drive = json!({"model": 1, "drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.5, 1.0]}}});
-    let rounds: u64 = std::env::var("RIGCAST_TEST_FILLINGS").map_or(4, |n| n.parse().expect("a number"));
+    let rounds: u64 = setting("RIGCAST_TEST_FILLINGS", 4);
     for round in 1..=rounds {
         let spare = upload(&client, 100 * round + 98, 3000).await.expect("room at first");
         // Filled by uploads, or at once by another file.

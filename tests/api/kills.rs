@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv};
+use crate::support::{Program, bench, gain_weights, noise_csv, setting};
 
 /// Uploads and imports that the program has acknowledged.
 #[derive(Debug, Clone, Default)]
@@ -37,10 +37,6 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("RIGCAST_SWEEP_S", "0.5"),
     ("RIGCAST_CHECKPOINT_S", "0.3"),
 ];
-
-fn setting(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |value| value.parse().expect("a number"))
-}
 
 fn random() -> ChaCha8Rng {
     let clock = std::time::SystemTime::UNIX_EPOCH.elapsed().expect("after 1970").as_millis();

@@ -9,7 +9,7 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, f4, f8, noise, npy};
+use crate::support::{Program, bench, f4, f8, noise, npy, setting};
 
 const MIB: u64 = 1 << 20;
 
@@ -18,7 +18,7 @@ const ALLOWED: u64 = 20 * MIB;
 
 /// Samples of each of two channels, or as many together; they alone have some 23 MiB.
 fn samples() -> usize {
-    std::env::var("RIGCAST_TEST_UPLOAD_SAMPLES").map_or(1_500_000, |n| n.parse().expect("a number"))
+    setting("RIGCAST_TEST_UPLOAD_SAMPLES", 1_500_000)
 }
 
 /// Noise in steps of 1/2048, whose text is short and as exact as its four bytes.

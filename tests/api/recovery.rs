@@ -14,7 +14,7 @@ use rigcast::client::Client;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv};
+use crate::support::{Program, bench, gain_weights, noise_csv, setting};
 
 const RUNS: u64 = 20;
 
@@ -128,7 +128,7 @@ async fn nothing_is_lost(data_dir: &Path, wanted: &Value, what: &str) -> bool {
 
 #[tokio::test]
 async fn a_lost_or_damaged_log_or_database_loses_nothing_that_was_acknowledged() {
-    let places: usize = std::env::var("RIGCAST_TEST_DAMAGES").map_or(4, |n| n.parse().expect("a number"));
+    let places: usize = setting("RIGCAST_TEST_DAMAGES", 4);
     let (service, wanted) = killed_service().await;
     let lost = copy(service.path());
     std::fs::remove_file(lost.path().join("rigcast.db-wal")).expect("a log");

@@ -11,7 +11,7 @@ use rigcast::client::Client;
 use serde_json::json;
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv, npy};
+use crate::support::{Program, bench, gain_weights, noise_csv, npy, setting};
 
 /// Clients that ask for predictions, each as soon as it has its answer.
 const CLIENTS: usize = 4;
@@ -93,7 +93,7 @@ async fn further(client: &Client, job: &str, progress: f64) -> f64 {
 
 #[tokio::test]
 async fn stops_under_load_break_no_answer_lose_nothing_and_the_fit_goes_on() {
-    let rounds: usize = std::env::var("RIGCAST_TEST_STOPS").map_or(2, |n| n.parse().expect("a number"));
+    let rounds: usize = setting("RIGCAST_TEST_STOPS", 2);
     let directory = TempDir::new().expect("a directory");
     let start = || Program::start(&directory, &[("RIGCAST_CHECKPOINT_S", "1")]);
     let mut program = start();

@@ -6,7 +6,7 @@ use rigcast::client::{Client, ClientError};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, noise_csv};
+use crate::support::{Program, bench, noise_csv, setting};
 
 /// A program on a directory, with rigs `bench` and `good` that have noise.
 struct Lab {
@@ -250,7 +250,7 @@ async fn workers_end_with_a_server_that_is_killed_frozen_ones_too() {
 
 #[tokio::test]
 async fn a_worker_that_freezes_past_its_lease_never_makes_a_second_model() {
-    let rounds: usize = std::env::var("RIGCAST_TEST_FREEZES").map_or(2, |n| n.parse().expect("a number"));
+    let rounds: usize = setting("RIGCAST_TEST_FREEZES", 2);
     let environment =
         [("RIGCAST_LEASE_S", "1.5"), ("RIGCAST_HEARTBEAT_S", "0.5"), ("RIGCAST_SWEEP_S", "0.5")];
     let lab = Lab::start(&environment).await;

@@ -7,6 +7,7 @@ use tempfile::TempDir;
 use super::corpus::Case;
 use super::meter::Meter;
 use super::seeds::seeds;
+use crate::support::setting;
 
 /// Growth of the program's resident memory over the whole corpus.
 const MAX_GROWTH: u64 = 256 << 20;
@@ -55,7 +56,7 @@ fn mutant(seed: &Case, random: &mut ChaCha8Rng) -> Case {
 
 #[tokio::test]
 async fn files_cut_short_or_turned_are_refused_and_cost_no_memory() {
-    let each: usize = std::env::var("RIGCAST_TEST_MUTANTS").map_or(100, |n| n.parse().expect("a number"));
+    let each: usize = setting("RIGCAST_TEST_MUTANTS", 100);
     let directory = TempDir::new().expect("a directory");
     Meter::furnish(&directory).await;
     let meter = Meter::start(directory.path()).await;

@@ -8,11 +8,11 @@ use tempfile::TempDir;
 use super::corpus::{Case, MODELS, PREDICT, large};
 use super::lies::{diverging, lies};
 use super::meter::{Meter, WEIGHTS};
-use crate::support::exchange;
+use crate::support::{exchange, setting};
 
 /// Bytes of large bodies.
 fn size() -> usize {
-    std::env::var("RIGCAST_TEST_BODY_MIB").map_or(16, |n| n.parse::<usize>().expect("a number")) << 20
+    setting("RIGCAST_TEST_BODY_MIB", 16_usize) << 20
 }
 
 #[tokio::test]

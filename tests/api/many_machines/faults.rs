@@ -15,7 +15,7 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 
 use super::{Cluster, Kind, Machine, until};
-use crate::support::{Weather, bench, noise_csv, signal};
+use crate::support::{Weather, bench, noise_csv, setting, signal};
 
 /// Longest time after a fault until every service answers again.
 const BACK: Duration = Duration::from_secs(10);
@@ -38,10 +38,6 @@ struct Load {
     /// Uploads that were refused with 503, and others.
     refused: [AtomicU64; 2],
     ends: AtomicBool,
-}
-
-fn setting(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |value| value.parse().expect("a number"))
 }
 
 /// Uploads a run, and asks for a fit of it, until it is acknowledged: each under its key, at one service and then another.

@@ -9,7 +9,7 @@ use rigcast::client::Client;
 use serde_json::{Value, json};
 
 use super::{Cluster, Machine, until};
-use crate::support::{bench, lag_csv};
+use crate::support::{bench, lag_csv, setting};
 
 /// Trials of the study.
 const TRIALS: usize = 16;
@@ -54,8 +54,7 @@ fn log_of(worker: Machine) -> String {
 async fn the_trials_of_a_study_are_spread_and_come_out_alike() {
     let Some(cluster) = Cluster::start() else { return };
     let Some((_service, client)) = started(&cluster).await else { return };
-    let epochs =
-        std::env::var("RIGCAST_TEST_TRIAL_EPOCHS").map_or(40, |text| text.parse().expect("a number"));
+    let epochs = setting("RIGCAST_TEST_TRIAL_EPOCHS", 40);
     let lstm = json!({"blocks": [16], "window_len": 64, "epochs": epochs, "seeds": [1]});
     let request = json!({
         "kind": "search", "trials": TRIALS, "trial_seeds": [1, 2, 3], "fit": {"kind": "lstm", "lstm": lstm},
@@ -92,8 +91,7 @@ async fn fitted(client: &Client, epochs: u64) -> (f64, Value) {
 async fn the_networks_of_a_fit_are_spread_and_it_comes_out_alike_even_if_a_helper_dies() {
     let Some(cluster) = Cluster::start() else { return };
     let Some((_service, client)) = started(&cluster).await else { return };
-    let epochs =
-        std::env::var("RIGCAST_TEST_FIT_EPOCHS").map_or(3000, |text| text.parse().expect("a number"));
+    let epochs = setting("RIGCAST_TEST_FIT_EPOCHS", 3000);
     let first = cluster.work_on_core(0);
     let (alone, model) = fitted(&client, epochs).await;
     let second = cluster.work_on_core(1);

@@ -11,7 +11,7 @@ use serde_json::json;
 use tokio::task::JoinHandle;
 
 use super::{Cluster, Kind, until};
-use crate::support::{bench, noise_csv};
+use crate::support::{bench, noise_csv, setting};
 
 /// Clients that predict, one request after the other.
 const CLIENTS: usize = 8;
@@ -110,7 +110,7 @@ impl Load {
 #[tokio::test(flavor = "multi_thread")]
 async fn services_are_replaced_under_load_without_a_failed_request_or_a_lost_job() {
     let Some(cluster) = Cluster::start() else { return };
-    let rolls = std::env::var("RIGCAST_TEST_ROLLS").map_or(2, |text| text.parse().expect("a number"));
+    let rolls = setting("RIGCAST_TEST_ROLLS", 2);
     let mut machines = [cluster.machine(Kind::Serve), cluster.machine(Kind::Serve)];
     let _worker = cluster.machine(Kind::Work);
     let client = machines[0].client(None);
