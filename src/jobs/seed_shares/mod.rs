@@ -25,7 +25,7 @@ use super::checkpoints::JobCheckpoints;
 use super::control::{Control, Stop};
 use super::helping::{FRESH, OPENED};
 use super::problem::JobError;
-use parts::{Part, Parts, Place};
+use parts::{Part, Parts, Place, Taken};
 use said::Said;
 
 /// How often each side looks what the other has said.
@@ -84,8 +84,7 @@ impl SeedShares {
     pub(super) async fn wait_for_offer(&self, patience: Duration) -> Result<(), JobError> {
         let began = Instant::now();
         while began.elapsed() < patience && self.control.stopped().is_none() {
-            let said = self.said().await?;
-            if said.iter().any(|(said, age)| matches!(said, Said::Offer) && *age < FRESH) {
+            if is_offered(&self.said().await?) {
                 return Ok(());
             }
             tokio::time::sleep(LOOK_EVERY).await;
@@ -120,64 +119,69 @@ impl SeedShares {
     async fn look_for_helpers(&self, said: &[(Said, Duration)], offers: &mut bool) -> Result<(), StoreError> {
         // Those of an attempt before this one cannot write any more.
         let fresh = FRESH.min(self.opened.elapsed());
-        let mut helpers = BTreeMap::new();
-        for (said, age) in said {
-            if let Said::Helper { who, done, leaves: false } = said
-                && *age < fresh
-            {
-                helpers.insert(*who, *done);
+        let there = said.iter().filter(|(_, age)| *age < fresh).filter_map(|(said, _)| match said {
+            Said::Helper { who, done, leaves: false } => Some((*who, *done)),
+            _ => None,
+        });
+        let helpers: BTreeMap<Uuid, f64> = there.collect();
+        let back = self.come_back(said, &helpers);
+        if !back.is_empty() {
+            self.take(&back).await?;
+        }
+        let mut parts = self.parts();
+        self.give(&mut parts, &helpers);
+        let to_give = parts.giveable().is_some();
+        if to_give != *offers {
+            *offers = to_give;
+            self.control.renew(offers.then(|| self.checkpoint(&Said::Offer)));
+        }
+        Ok(())
+    }
+
+    /// The networks that helpers have given back, or lose.
+    fn come_back(&self, said: &[(Said, Duration)], helpers: &BTreeMap<Uuid, f64>) -> Vec<Taken> {
+        let mut parts = self.parts();
+        for part in parts.of.values_mut() {
+            if let Place::With { who: Some(who), done, .. } = &mut part.place {
+                *done = helpers.get(who).map_or(*done, |there| done.max(*there));
             }
         }
-        let ended_back = |name: &str, gift: u32| {
+        let said_back = |name: &str, gift: u32| {
             said.iter().find_map(|(said, _)| match said {
                 Said::Back { part, gift: g, ended } if part == name && *g == gift => Some(*ended),
                 _ => None,
             })
         };
         let mut back = Vec::new();
-        {
-            let mut parts = self.parts();
-            for part in parts.of.values_mut() {
-                if let Place::With { who: Some(who), done, .. } = &mut part.place {
-                    *done = helpers.get(who).map_or(*done, |there| done.max(*there));
+        for away in parts.away() {
+            let (name, gift) = (away.name.clone(), away.part.gift);
+            let is_gone = !helpers.contains_key(&away.who) && away.since.elapsed() > FRESH;
+            match said_back(&name, gift) {
+                Some(ended) => back.push(Taken { name, gift, ended }),
+                None if is_gone || parts.is_slow(away.part) => {
+                    tracing::info!(part = name, helper = %away.who, "takes a network back from another worker");
+                    self.say(&Said::Given { part: name.clone(), to: None, gift });
+                    back.push(Taken { name, gift, ended: false });
                 }
-            }
-            for (name, part, who) in parts.away() {
-                let Place::With { since, .. } = part.place else { continue };
-                let is_gone = !helpers.contains_key(&who) && since.elapsed() > FRESH;
-                match ended_back(name, part.gift) {
-                    Some(ended) => back.push((name.clone(), ended)),
-                    None if is_gone || parts.is_slow(part) => {
-                        tracing::info!(part = name, helper = %who, "takes a network back from another worker");
-                        self.say(&Said::Given { part: name.clone(), to: None, gift: part.gift });
-                        back.push((name.clone(), false));
-                    }
-                    None => {}
-                }
+                None => {}
             }
         }
-        if !back.is_empty() {
-            self.take(&back).await?;
+        back
+    }
+
+    /// Gives a network to a helper that has none, if that pays.
+    fn give(&self, parts: &mut Parts, helpers: &BTreeMap<Uuid, f64>) {
+        let free = helpers.keys().find(|who| !parts.away().any(|away| away.who == **who));
+        let (Some(&who), Some(name)) = (free, parts.giveable()) else { return };
+        let part = parts.of.get_mut(&name).expect("it was found there");
+        let begun = part.place == Place::Here { begun: true };
+        part.place = Place::With { who: Some(who), since: Instant::now(), done: part.done };
+        part.gift += 1;
+        tracing::info!(part = name, helper = %who, "gives a network to another worker");
+        // One that has begun is given when it has stopped.
+        if !begun {
+            self.say(&Said::Given { part: name, to: Some(who), gift: part.gift });
         }
-        let mut parts = self.parts();
-        let mut to_give = parts.giveable();
-        let free = helpers.into_keys().find(|who| !parts.away().any(|(.., with)| with == *who));
-        if let (Some(name), Some(who)) = (&to_give, free) {
-            let part = parts.of.get_mut(name).expect("it was found there");
-            let begun = part.place == Place::Here { begun: true };
-            part.place = Place::With { who: Some(who), since: Instant::now(), done: part.done };
-            part.gift += 1;
-            tracing::info!(part = name, helper = %who, "gives a network to another worker");
-            if !begun {
-                self.say(&Said::Given { part: name.clone(), to: Some(who), gift: part.gift });
-            }
-            to_give = parts.giveable();
-        }
-        if to_give.is_some() != *offers {
-            *offers = to_give.is_some();
-            self.control.renew(offers.then(|| self.checkpoint(&Said::Offer)));
-        }
-        Ok(())
     }
 
     async fn look_for_gifts(
@@ -194,7 +198,7 @@ impl SeedShares {
                 let known = parts.of.get_mut(name);
                 if *to == Some(own) {
                     if known.is_none_or(|part| part.gift < *gift) {
-                        given.push((name.clone(), *gift));
+                        given.push(Taken { name: name.clone(), gift: *gift, ended: false });
                     }
                 } else if let Some(part) = known
                     && part.is_open_here()
@@ -206,17 +210,12 @@ impl SeedShares {
         }
         if !given.is_empty() {
             tracing::info!(parts = ?given, "was given a network to train");
-            self.take(&given.iter().map(|(name, _)| (name.clone(), false)).collect::<Vec<_>>()).await?;
-            let mut parts = self.parts();
-            for (name, gift) in given {
-                parts.of.entry(name).and_modify(|part| part.gift = gift);
-            }
+            self.take(&given).await?;
         }
         let done = self.parts().of.values().find(|part| part.is_open_here()).map(|part| part.done);
-        let offered = said.iter().any(|(said, age)| matches!(said, Said::Offer) && *age < FRESH);
         if done.is_some() {
             *idle_since = Instant::now();
-        } else if !offered || idle_since.elapsed() > OPENED {
+        } else if !is_offered(said) || idle_since.elapsed() > OPENED {
             self.leave();
             self.control.stop(Stop::Lost);
             return Ok(());
@@ -239,21 +238,22 @@ impl SeedShares {
         }
     }
 
-    /// Goes on with parts that another process has left, from their last states, and tells of each whether it has ended.
-    async fn take(&self, names: &[(String, bool)]) -> Result<(), StoreError> {
+    /// Goes on with parts that another process has left, from their last states.
+    async fn take(&self, taken: &[Taken]) -> Result<(), StoreError> {
         let mut found: BTreeMap<String, Vec<u8>> = BTreeMap::new();
         for one in self.store.checkpoints(self.job, &self.fits).await? {
-            if names.iter().any(|(name, _)| *name == one.part) {
+            if taken.iter().any(|taken| taken.name == one.part) {
                 found.insert(one.part, one.state.into());
             }
         }
         let mut parts = self.parts();
-        for (name, ended) in names {
+        for Taken { name, gift, ended } in taken {
             let before = parts.of.remove(name).unwrap_or_else(Part::new);
             let there = if let Place::With { done, .. } = before.place { done } else { 0.0 };
-            let done = if *ended { 1.0 } else { there.min(before.done.max(0.999)) };
+            // What has not said that it ended is open, whatever share it has told.
+            let done = if *ended { 1.0 } else { there.min(0.999) };
             let kept = found.remove(name).or(before.kept);
-            parts.of.insert(name.clone(), Part { done, kept, gift: before.gift, ..Part::new() });
+            parts.of.insert(name.clone(), Part { done, kept, gift: *gift, ..Part::new() });
         }
         Ok(())
     }
@@ -280,6 +280,11 @@ impl SeedShares {
     }
 }
 
+/// Whether the fit's worker offers networks.
+fn is_offered(said: &[(Said, Duration)]) -> bool {
+    said.iter().any(|(said, age)| matches!(said, Said::Offer) && *age < FRESH)
+}
+
 impl CheckpointStore for SeedShares {
     fn load(&self, part: &str) -> Option<Vec<u8>> {
         let kept = self.parts().of.get(part).and_then(|part| part.kept.clone());
@@ -292,9 +297,7 @@ impl CheckpointStore for SeedShares {
     }
 
     fn save(&self, part: &str, state: Vec<u8>) {
-        if let Some(part) = self.parts().of.get_mut(part)
-            && self.role != Role::Alone
-        {
+        if let Some(part) = self.parts().of.get_mut(part) {
             part.kept = Some(state.clone());
         }
         self.own.save(part, state);

@@ -48,6 +48,23 @@ impl Part {
     }
 }
 
+/// One that a helper trains.
+#[derive(Debug)]
+pub(super) struct Away<'a> {
+    pub name: &'a String,
+    pub part: &'a Part,
+    pub who: Uuid,
+    pub since: Instant,
+}
+
+/// One that changes hands, and whether it has ended where it was.
+#[derive(Debug)]
+pub(super) struct Taken {
+    pub name: String,
+    pub gift: u32,
+    pub ended: bool,
+}
+
 /// The parts of a fit, and when they began.
 #[derive(Debug, Default)]
 pub(super) struct Parts {
@@ -77,9 +94,9 @@ impl Parts {
     }
 
     /// Those that helpers train.
-    pub(super) fn away(&self) -> impl Iterator<Item = (&String, &Part, Uuid)> {
+    pub(super) fn away(&self) -> impl Iterator<Item = Away<'_>> {
         self.of.iter().filter_map(|(name, part)| match part.place {
-            Place::With { who: Some(who), .. } => Some((name, part, who)),
+            Place::With { who: Some(who), since, .. } => Some(Away { name, part, who, since }),
             _ => None,
         })
     }
