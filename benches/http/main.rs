@@ -12,7 +12,7 @@
 //! - `cargo bench --bench http -- upload`: 1 h of nine channels as RPC III, from the request to the stored run, and the
 //!   peak resident memory above that of the idle service;
 //! - `cargo bench --bench http -- fit`: peak resident memory of a fit on 2 h of runs;
-//! - `cargo bench --bench http -- load` (`fair`, `slow`, `soak`): overload, and hours of load.
+//! - `cargo bench --bench http -- load` (`fair`, `departed`, `slow`, `soak`): overload, and hours of load.
 
 mod load;
 mod rig;
@@ -71,10 +71,11 @@ fn main() {
         Some("beside") => beside(),
         Some("upload") => upload(),
         Some("fit") => fit(),
-        Some("load") => load::load(),
-        Some("fair") => load::fair(),
-        Some("slow") => load::slow(),
-        Some("soak") => load::soak(),
+        Some("load") => load::load().end(),
+        Some("fair") => load::fair().end(),
+        Some("slow") => load::slow().end(),
+        Some("departed") => load::departed().end(),
+        Some("soak") => load::soak().end(),
         _ => {
             benches();
             Criterion::default().configure_from_args().final_summary();

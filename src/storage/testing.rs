@@ -1,7 +1,9 @@
 //! Shared by the tests of the store and of the layers above: a store in a directory of its own, and
 //! short ways to rigs, runs, models and jobs.
 
+use std::fmt::Debug;
 use std::ops::Deref;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -25,6 +27,11 @@ use crate::domain::{
 };
 use crate::engine::Signal;
 use crate::engine::model::ModelKind;
+
+/// How much a test does: the number that the environment sets for a longer check, or its own.
+pub(crate) fn setting<T: FromStr<Err: Debug>>(name: &str, default: T) -> T {
+    std::env::var(name).map_or(default, |value| value.parse().expect("a number"))
+}
 
 pub(crate) fn now() -> Timestamp {
     "2026-03-01T12:00:00Z".parse().unwrap()

@@ -10,7 +10,7 @@ use jiff::{Timestamp, ToSpan};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::testing::{TestStore, draft, imported, now};
+use super::testing::{TestStore, draft, imported, now, setting};
 use super::{Activation, Asker, Beat, Checkpoint, JobInsert, JobQuery, Lease, Outcome, StoreError};
 use crate::domain::fits::FitRequest;
 use crate::domain::job::MAX_ATTEMPTS;
@@ -176,8 +176,7 @@ impl World {
 
 #[tokio::test]
 async fn no_course_of_events_loses_a_job_or_makes_two_models_of_one() {
-    let setting = |name: &str, default: u64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
-    let first = setting("RIGCAST_TEST_SEED", 1);
+    let first = setting("RIGCAST_TEST_SEED", 1_u64);
     let seeds = setting("RIGCAST_TEST_SEEDS", 12);
     for seed in first..first + seeds {
         println!("RIGCAST_TEST_SEED={seed}");

@@ -4,6 +4,7 @@ use serde_json::json;
 
 /// What was held against its bar so far.
 #[derive(Default)]
+#[must_use]
 pub struct Bars {
     missed: usize,
 }
@@ -24,8 +25,8 @@ impl Bars {
         self.missed += usize::from(!met);
     }
 
-    /// Ends the program with an error where a bar was missed.
-    pub fn end(&self) {
+    /// Ends the program with an error where a bar was missed; after every service has been stopped.
+    pub fn end(self) {
         if self.missed > 0 {
             eprintln!("{} bars missed", self.missed);
             std::process::exit(1);

@@ -3,6 +3,7 @@
 //! - `load`: C, the highest rate with a 99th percentile of at most 100 ms; twice, five and ten times that;
 //! - `fair`: one token at ten times its share, and the latency of the others;
 //! - `soak`: two hours at 0.6 C with runs and fits beside it, and what the service then holds;
+//! - `departed`: one prediction behind twenty whose clients have gone;
 //! - `slow`: 2,000 connections that send a byte now and then, and the latency of an honest client.
 //!
 //! Each ends with an error where a bar is missed.
@@ -10,6 +11,7 @@
 mod arrivals;
 mod bars;
 mod client;
+mod departed;
 mod soak;
 
 use std::sync::Arc;
@@ -26,9 +28,10 @@ use tokio::runtime::Runtime;
 use crate::rig::{activate, create, npy_request};
 use crate::service::Service;
 use arrivals::{Outcome, accepted, arrivals, quantile, shed};
-use bars::Bars;
 use client::{Target, request};
 
+pub use bars::Bars;
+pub use departed::departed;
 pub use soak::soak;
 
 /// Samples of a request: 10 s.
@@ -139,7 +142,7 @@ fn ended_job(service: &Service) -> String {
 }
 
 /// C and beyond.
-pub fn load() {
+pub fn load() -> Bars {
     let lab = Lab::start();
     let cancel = format!("POST {}/cancel HTTP/1.1", ended_job(&lab.service));
     let alone = lab.alone();
@@ -186,7 +189,7 @@ pub fn load() {
         bars.at_most(&format!("{times} C: p99 of health, s"), quantile(&health, 0.99), 0.1);
         bars.at_most(&format!("{times} C: p99 of cancelling, s"), quantile(&cancels, 0.99), 0.1);
     }
-    bars.end();
+    bars
 }
 
 /// Seconds from the end of an overload to the first half second in which all requests meet the bound.
@@ -202,7 +205,7 @@ fn recovery(lab: &Lab, per_s: f64, over: Instant) -> f64 {
 }
 
 /// Four tokens at a sixth of C each, then one of them at ten times its quarter.
-pub fn fair() {
+pub fn fair() -> Bars {
     let lab = Lab::start();
     let c = lab.capacity();
     let mut connection = lab.service.connect();
@@ -246,11 +249,11 @@ pub fn fair() {
     );
     let mut bars = Bars::default();
     bars.at_most("others' p99 beside a greedy token, of that before", ratio, 1.5);
-    bars.end();
+    bars
 }
 
 /// Honest requests with and without 2,000 connections that never finish a request.
-pub fn slow() {
+pub fn slow() -> Bars {
     let lab = Lab::start();
     let c = lab.capacity();
     let address = lab.service.address().to_owned();
@@ -275,7 +278,7 @@ pub fn slow() {
     tell("slow", &json!({"c_per_s": c, "ratio": with / without}));
     let mut bars = Bars::default();
     bars.at_most("honest p99 beside 2,000 slow connections, of that without", with / without, 2.0);
-    bars.end();
+    bars
 }
 
 /// Half of the connections are slow in the head, half in the body; one that is cut reconnects.

@@ -90,7 +90,7 @@ fn beside(service: &Service, stop: &AtomicBool) -> (usize, usize) {
 }
 
 /// Predictions at 0.6 C for hours.
-pub fn soak() {
+pub fn soak() -> Bars {
     let lab = Lab::start();
     let per_s = 0.6 * lab.capacity();
     let length = length();
@@ -135,5 +135,5 @@ pub fn soak() {
     bars.at_most("threads, second half of the first", grown(|held| held.threads as u64), FLAT);
     bars.at_most("write-ahead log, MiB", most(&held, |held| held.log) as f64 / f64::from(1 << 20), 64.0);
     bars.at_most("files in scratch at the end", scratch as f64, 0.0);
-    bars.end();
+    bars
 }

@@ -1,5 +1,7 @@
-use crate::storage::testing::{TestStore, draft, now};
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use crate::storage::testing::{TestStore, draft, now, setting};
 
 use super::*;
 use crate::domain::PageRequest;
@@ -205,4 +207,29 @@ async fn a_backup_and_a_restore_that_were_cut_short_go_on_where_they_were() {
     assert_eq!(restore(&copy, &again, quiet()).await.unwrap(), manifest);
     assert_eq!(objects_of(&again), objects_of(&copy));
     Store::open(&again).await.unwrap();
+}
+
+/// `RIGCAST_TEST_BACKUP_RUNS=10000 cargo test --lib storage::backup -- --nocapture` says how long many take.
+#[tokio::test]
+async fn a_backup_of_many_runs_has_every_one_and_the_next_copies_what_is_new_only() {
+    let (store, dir) = lab().await;
+    let rig = store.rig(&"bench".parse().unwrap()).await.unwrap().unwrap();
+    let runs: usize = setting("RIGCAST_TEST_BACKUP_RUNS", 100);
+    for k in 0..runs {
+        store.upload(&rig, &[k as f64, 0.5]).await;
+    }
+    let (first, second) = (dir.path().join("first"), dir.path().join("second"));
+    let timed = async |copy: &Path, previous: Option<&Path>| {
+        let started = Instant::now();
+        let source = Source::DataDir(store.data_dir());
+        let manifest = backup(source, None, copy, previous, now(), quiet()).await.unwrap();
+        (manifest.objects, started.elapsed().as_secs_f64())
+    };
+    let (objects, whole_s) = timed(&first, None).await;
+    store.upload(&rig, &[-1.0]).await;
+    let (more, again_s) = timed(&second, Some(&first)).await;
+    println!("a backup of {objects} objects: {whole_s:.1} s, of one more than the last has: {again_s:.1} s");
+    // The run and the model of the lab are there too.
+    assert_eq!((objects as usize, more as usize), (runs + 2, runs + 3));
+    assert_eq!(objects_of(&second), objects_of(store.data_dir()));
 }

@@ -14,7 +14,7 @@ use jiff::Timestamp;
 
 use super::*;
 use crate::domain::{JobState, PageRequest, RunPatch};
-use crate::storage::testing::{TestStore, draft, meta, now};
+use crate::storage::testing::{TestStore, draft, meta, now, setting};
 use crate::storage::{ActiveUpdate, JobQuery};
 
 /// Every journaled row.
@@ -88,7 +88,7 @@ fn objects(data_dir: &Path) -> std::collections::BTreeMap<String, Vec<u8>> {
 }
 
 fn places() -> usize {
-    std::env::var("RIGCAST_TEST_FLIPS").map_or(12, |n| n.parse().expect("a number"))
+    setting("RIGCAST_TEST_FLIPS", 12)
 }
 
 /// A start on damaged files either has everything or is refused, and then a recovery has everything. Returns whether
