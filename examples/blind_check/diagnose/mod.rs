@@ -122,8 +122,17 @@ async fn ask(how: &How, client: &Client, folder: &Path, about: &Value) -> Result
     }
     let model = match about["sim"].as_str() {
         Some(file) if !how.fit_sims => session.import(fs::read(folder.join(file))?).await?,
-        _ => session.fit(&json!({"kind": "frf"}), &names(true)).await?,
+        _ => {
+            let frf = json!({"kind": "frf"});
+            let fit = Some(&about["fit"]).filter(|fit| fit.is_object()).unwrap_or(&frf);
+            session.fit(fit, &names(true)).await?
+        }
     };
+    if about["default_request"] == true {
+        let request = json!({"model": model, "runs": session.ids(&names(false))?});
+        let (_, report) = session.diagnose(&request).await?;
+        return Ok(json!({"report": report}));
+    }
     let mut request = about["diagnosis"].clone();
     request["model"] = model.into();
     request["baseline_runs"] = session.ids(&names(true))?;

@@ -165,6 +165,11 @@ pub fn without_repeats(rng: &mut impl Rng) -> Vec<Named> {
     list
 }
 
+/// Every third time nothing: only the model errs.
+pub fn beside_errors(index: usize, rng: &mut impl Rng) -> Vec<Named> {
+    if index / 3 % 3 == 2 { vec![nothing(rng)[0]] } else { catalogue(rng) }
+}
+
 /// Effects that two at once are drawn from, no two of a pair from one family.
 pub fn for_pairs(rng: &mut impl Rng) -> Vec<Named> {
     let effects = [

@@ -19,6 +19,9 @@ const BASELINE: &str = "2026-03-01T08:00:00Z";
 /// Half of the smallest gap: what comes in bursts may be smaller on the runs that an effect is chosen on.
 const MATERIAL_GAP: f64 = 0.006;
 
+/// The sim's weights.
+const SIM: &str = "sim.safetensors";
+
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Channels of the rig as the contract's `POST /v1/rigs` takes them, drives first.
@@ -48,30 +51,22 @@ pub fn axis_name(axis: usize) -> &'static str {
 /// Files that cannot be written.
 pub fn write(case: &mut Case, id: &str, folder: &Path, truth: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    let began: jiff::Timestamp = BEGAN.parse().map_err(io::Error::other)?;
-    let mut runs = Vec::new();
-    let mut add = |name: String, record: &Record, baseline: bool| -> io::Result<()> {
-        let file = format!("{name}.npy");
-        fs::write(folder.join(&file), npy(record)?)?;
-        let started = began + jiff::SignedDuration::from_secs_f64(record.started_s);
-        let started = if baseline { BASELINE.into() } else { started.to_string() };
-        runs.push(json!({"name": name, "file": file, "kind": "noise", "baseline": baseline,
-                         "started_at": started}));
-        Ok(())
-    };
-    add("baseline-0".into(), &case.baseline(), true)?;
+    let mut runs = vec![run(folder, "baseline-0", true, &case.baseline())?];
     let (records, repeats) = case.runs();
     for (i, record) in records.iter().enumerate() {
-        add(format!("run-{i}"), record, false)?;
+        runs.push(run(folder, &format!("run-{i}"), false, record)?);
     }
     let channels = channels(case.axes);
     let n_drives = case.peaks().len();
     let names = |channels: &[Value]| -> Vec<String> {
         channels.iter().filter_map(|c| c["name"].as_str()).map(String::from).collect()
     };
-    let (sim, mean) = case.sim();
-    let sim = sim::safetensors(&sim, &names(&channels[..n_drives]), &names(&channels[n_drives..]), &mean)?;
-    fs::write(folder.join("sim.safetensors"), sim)?;
+    if case.suite.fit(case.index).is_none() {
+        let (sim, mean) = case.sim();
+        let sim =
+            sim::safetensors(&sim, &names(&channels[..n_drives]), &names(&channels[n_drives..]), &mean)?;
+        fs::write(folder.join(SIM), sim)?;
+    }
     let mut checks = Vec::new();
     if case.suite.is_checked() {
         let mut responses = Vec::new();
@@ -90,14 +85,29 @@ pub fn write(case: &mut Case, id: &str, folder: &Path, truth: &Path) -> io::Resu
         "rig": {"id": format!("case-{id}"), "name": format!("Case {id}"), "sample_rate_hz": RATE, "channels": channels},
         "runs": runs,
         "repeats": repeats.iter().map(run_names).collect::<Vec<_>>(),
-        "sim": "sim.safetensors",
+        "sim": case.suite.fit(case.index).is_none().then_some(SIM),
         "diagnosis": request(case, &channels),
+        "fit": case.suite.fit(case.index),
         "asked": case.suite.asked(case.index),
+        "default_request": case.suite.is_default_request(case.index),
         "check": checks,
         "next_experiment": case.suite == Suite::NextExperiment,
         "alone": case.suite == Suite::Time,
     });
     fs::write(folder.join("case.json"), serde_json::to_string_pretty(&about)?)
+}
+
+/// Writes a run and answers what `case.json` says of it.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn run(folder: &Path, name: &str, baseline: bool, record: &Record) -> io::Result<Value> {
+    let file = format!("{name}.npy");
+    fs::write(folder.join(&file), npy(record)?)?;
+    let began: jiff::Timestamp = BEGAN.parse().map_err(io::Error::other)?;
+    let started = began + jiff::SignedDuration::from_secs_f64(record.started_s);
+    let started = if baseline { BASELINE.into() } else { started.to_string() };
+    Ok(json!({"name": name, "file": file, "kind": "noise", "baseline": baseline, "started_at": started}))
 }
 
 /// The fields of the diagnosis request that a user knows.

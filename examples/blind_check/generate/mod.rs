@@ -24,6 +24,7 @@ mod effects;
 mod files;
 mod flaw;
 mod force;
+mod frame;
 mod retune;
 mod rig;
 mod sim;
@@ -72,11 +73,16 @@ pub fn generate(plan: &Plan) -> Result<(), AnyError> {
         .map(|(number, &(suite, index))| {
             let id = format!("{number:04}");
             let seed = plan.seeds.of(plan.round, suite.number(), index as u64);
-            let mut case = Case::draw(suite, index, seed)?;
             let folder = plan.dir.join("cases").join(&id);
-            files::write(&mut case, &id, &folder, &truth).map_err(|e| e.to_string())?;
+            let label = if suite.is_of_frames() {
+                frame::write(suite, index, seed, &id, &folder).map_err(|e| e.to_string())?
+            } else {
+                let mut case = Case::draw(suite, index, seed)?;
+                files::write(&mut case, &id, &folder, &truth).map_err(|e| e.to_string())?;
+                label(&case, &id, index, seed)
+            };
             bar.inc(1);
-            Ok(label(&case, &id, index, seed))
+            Ok(label)
         })
         .collect::<Result<_, String>>()?;
     bar.finish_and_clear();

@@ -62,7 +62,7 @@ impl Moves {
 
 /// Weights of the columns that sum to the target best: normal equations with a trace of a ridge, by
 /// elimination.
-fn least_squares(columns: &[Vec<f64>], target: &[f64]) -> Vec<f64> {
+pub fn least_squares(columns: &[Vec<f64>], target: &[f64]) -> Vec<f64> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let n = columns.len();
     let norms: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt().max(f64::MIN_POSITIVE)).collect();

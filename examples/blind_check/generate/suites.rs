@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use rand::{Rng, RngExt};
+use serde_json::{Value, json};
 
 use super::effects::{self, Named};
 
@@ -30,6 +31,14 @@ pub enum Suite {
     Time,
     /// No run made twice, no baseline, no model from before: the FRF that the service fits to the runs, and the runs.
     NoRepeats,
+    /// Models of the service that err: an FRF of few averages, a network of a short fit.
+    SimsThatErr,
+    /// Forces where no sensor is, a weak nonlinearity everywhere, a position loop, forces that nobody measures.
+    RoughRigs,
+    /// Several sensors, a law at one of them or between two.
+    Place,
+    /// Drives that are displacements, responses that are forces.
+    ForceOverDisplacement,
 }
 
 /// Lengths of the runs of one case, s. `long` and `half` (at half the level) are each run twice.
@@ -46,7 +55,7 @@ const STRIDE: usize = 11;
 
 impl Suite {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 15] = [
         Self::Catalogue,
         Self::Nothing,
         Self::Outside,
@@ -58,6 +67,10 @@ impl Suite {
         Self::NextExperiment,
         Self::Time,
         Self::NoRepeats,
+        Self::SimsThatErr,
+        Self::RoughRigs,
+        Self::Place,
+        Self::ForceOverDisplacement,
     ];
 
     /// As labels and the command line write it.
@@ -74,8 +87,9 @@ impl Suite {
     pub fn cases(self) -> usize {
         match self {
             Self::Catalogue | Self::Nothing | Self::NextExperiment => 200,
-            Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu | Self::NoRepeats => 60,
-            Self::TwoEffects | Self::ThreeAxes => 40,
+            Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu => 60,
+            Self::NoRepeats | Self::SimsThatErr | Self::RoughRigs => 60,
+            Self::TwoEffects | Self::ThreeAxes | Self::Place | Self::ForceOverDisplacement => 40,
             Self::Time => 2,
         }
     }
@@ -104,6 +118,30 @@ impl Suite {
         }
     }
 
+    /// Whether its rigs are frames.
+    pub fn is_of_frames(self) -> bool {
+        matches!(self, Self::RoughRigs | Self::Place | Self::ForceOverDisplacement)
+    }
+
+    /// The fit that makes the model, to the baseline run alone; `None` where the case brings one.
+    pub fn fit(self, index: usize) -> Option<Value> {
+        let small = |kind: &str| {
+            let lstm = json!({"blocks": [12], "window_len": 256, "hop": 128, "epochs": 25, "seeds": [1]});
+            json!({"kind": kind, "lstm": lstm})
+        };
+        (self == Self::SimsThatErr).then(|| match index % 3 {
+            // Four averages or so of forty seconds.
+            0 => json!({"kind": "frf", "frf": {"segment_len": 8192}}),
+            1 => small("lstm"),
+            _ => small("hybrid2"),
+        })
+    }
+
+    /// Whether nothing but model and runs is said.
+    pub fn is_default_request(self, index: usize) -> bool {
+        self == Self::SimsThatErr && index % 2 == 1
+    }
+
     /// Whether fresh runs are predicted with the effect adopted, to see what the intervals of closure hold.
     pub fn is_checked(self) -> bool {
         matches!(self, Self::Catalogue | Self::InSitu)
@@ -121,6 +159,10 @@ impl Suite {
             Self::ThreeAxes => effects::three_axes(rng),
             Self::NextExperiment | Self::Time => effects::ambiguous(rng),
             Self::NoRepeats => effects::without_repeats(rng),
+            Self::SimsThatErr => effects::beside_errors(index, rng),
+            Self::RoughRigs | Self::Place | Self::ForceOverDisplacement => {
+                unreachable!("frames have laws of their own")
+            }
         };
         vec![list[STRIDE * index % list.len()]]
     }

@@ -17,6 +17,11 @@ pub struct Case {
 /// Kinds of verdicts that name an effect.
 const NAMES_EFFECT: [&str; 2] = ["identified", "partial"];
 
+/// Suites in which an effect counts by its family, and an abstention as true where the first hypothesis is wrong.
+fn is_open(suite: &str) -> bool {
+    ["no-repeats", "rough-rigs", "place", "force-over-displacement"].contains(&suite)
+}
+
 /// Effects that are one law where the linear part is free too, as it is in situ: `y - clip(y)` and `clip(y)`
 /// differ by a stiffness.
 const ONE_LAW: [&str; 2] = ["bump_stop", "clearance"];
@@ -127,6 +132,33 @@ impl Case {
         self.hypotheses().first().is_some_and(|h| self.family_is_one_of(&h["family"]))
     }
 
+    /// Whether the verdict says where an effect acts, of those whose place is offered.
+    pub fn states_place(&self) -> bool {
+        let verdict = self.verdict();
+        let states = self.states_family() || self.kind() == "not_distinguishable";
+        states
+            && self.effects().any(|e| e["place"].is_object())
+            && !(verdict["at"].is_null() && verdict["between"].is_null())
+    }
+
+    /// Whether it is the place where the true effect acts: at a channel, or between two.
+    pub fn place_is_right(&self) -> bool {
+        let verdict = self.verdict();
+        let pair = |value: &Value| -> Vec<String> {
+            let names =
+                value.as_array().into_iter().flatten().filter_map(|name| name.as_str().map(String::from));
+            let mut names: Vec<String> = names.collect();
+            names.sort();
+            names
+        };
+        self.effects().map(|e| &e["place"]).any(|place| match place["at"].as_str() {
+            Some(at) => verdict["at"] == at,
+            None => {
+                !pair(&place["between"]).is_empty() && pair(&place["between"]) == pair(&verdict["between"])
+            }
+        })
+    }
+
     /// Probability of the verdict; 0 where there is none.
     pub fn stated_probability(&self) -> f64 {
         self.verdict()["probability"].as_f64().unwrap_or(0.0)
@@ -162,11 +194,19 @@ impl Case {
             }
             ("outside", kind) => kind == "none_of_catalogue",
             ("nothing", _) => self.is_right(),
-            ("no-repeats", "no_material_gap") => self.label["gap"].as_f64().is_some_and(|gap| gap < 0.04),
+            // Where nothing but the model errs every verdict is true that blames nothing on the rig.
+            ("sims-that-err", kind) if !self.has_effect() => {
+                !self.is_blamed() && kind != "not_distinguishable"
+            }
+            (suite, "no_material_gap") if is_open(suite) => {
+                self.label["gap"].as_f64().is_some_and(|gap| gap < 0.04)
+            }
             // To abstain is right where the first hypothesis is not.
-            ("no-repeats", "undecided" | "none_of_catalogue") => !self.family_is_first(),
-            ("other-equation" | "no-repeats", "not_distinguishable") => set_holds_family(),
-            ("other-equation" | "no-repeats", _) => self.family_is_right(),
+            (suite, "undecided" | "none_of_catalogue") if is_open(suite) => !self.family_is_first(),
+            ("other-equation", "not_distinguishable") => set_holds_family(),
+            (suite, "not_distinguishable") if is_open(suite) => set_holds_family(),
+            ("other-equation", _) => self.family_is_right(),
+            (suite, _) if is_open(suite) => self.family_is_right(),
             (_, "family_only") => self.family_is_right(),
             (_, "not_distinguishable") => self.truth_is_in_set(),
             _ => self.is_right(),
@@ -222,6 +262,27 @@ mod tests {
         assert!(wrong.is_blamed() && !wrong.verdict_is_true());
         let silent = of(verdict("none_of_catalogue", None, None));
         assert!(!silent.is_blamed() && !silent.family_is_right() && !silent.verdict_is_true());
+    }
+
+    #[test]
+    fn a_place_is_a_channel_or_two_in_any_order() {
+        let of = |place: Value, verdict: Value| {
+            let mut case = case("place", "clearance", "stiffness", 1, verdict);
+            case.label["effects"][0]["place"] = place;
+            (case.states_place(), case.place_is_right())
+        };
+        let stated = |at: Value, between: Value| {
+            let mut verdict = verdict("partial", Some("clearance"), Some("stiffness"));
+            (verdict["at"], verdict["between"]) = (at, between);
+            verdict
+        };
+        let (one, two) = (json!({"at": "disp_1"}), json!({"between": ["disp_1", "disp_2"]}));
+        assert_eq!(of(one.clone(), stated(json!("disp_1"), Value::Null)), (true, true));
+        assert_eq!(of(one.clone(), stated(json!("disp_2"), Value::Null)), (true, false));
+        assert_eq!(of(two.clone(), stated(Value::Null, json!(["disp_2", "disp_1"]))), (true, true));
+        assert_eq!(of(two, stated(json!("disp_1"), Value::Null)), (true, false));
+        assert_eq!(of(Value::Null, stated(json!("disp_1"), Value::Null)), (false, false));
+        assert_eq!(of(one, stated(Value::Null, Value::Null)), (false, false));
     }
 
     #[test]

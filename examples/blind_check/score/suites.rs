@@ -45,6 +45,92 @@ pub fn rows(cases: &[Case]) -> Vec<Row> {
         vec![Row::share(suite, "effect and axis right", right, Bar::AtLeast(0.90))]
     });
     add("no-repeats", no_repeats);
+    add("sims-that-err", sims_that_err);
+    add("rough-rigs", |suite, cases| of_frames(suite, cases, 0.88));
+    add("place", |suite, cases| of_frames(suite, cases, 0.88));
+    add("force-over-displacement", |suite, cases| of_frames(suite, cases, 0.90));
+    rows
+}
+
+/// What is stated with 0.9 or more and wrong, and what is blamed wrongly, of all cases.
+fn certainty(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    let wrong = |c: &Case| c.is_blamed() && !c.family_is_right();
+    vec![
+        Row::share(suite, "blamed wrongly", Share::count(cases, |c| wrong(c)), Bar::AtMost(0.03)),
+        Row::share(
+            suite,
+            "stated with 0.9 or more and wrong",
+            Share::count(cases, |c| c.stated_probability() >= 0.9 && !c.verdict_is_true()),
+            Bar::AtMost(0.01),
+        ),
+    ]
+}
+
+/// Models that err, with an effect and without.
+fn sims_that_err(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
+    let (there, none): (Vec<&Case>, Vec<&Case>) = cases.iter().partition(|c| c.has_effect());
+    let mut rows = vec![
+        Row::share(
+            suite,
+            "effect and axis right",
+            Share::count(&there, |c| c.is_right()),
+            Bar::AtLeast(0.85),
+        ),
+        Row::share(suite, "right family", Share::count(&there, |c| c.family_is_right()), Bar::None),
+        Row::share(
+            suite,
+            "blamed where only the model errs",
+            Share::count(&none, |c| c.is_blamed()),
+            Bar::AtMost(0.03),
+        ),
+    ];
+    rows.extend(certainty(suite, cases));
+    rows
+}
+
+/// Frames: the label's gap is what the best linear frame leaves of a loud run.
+fn of_frames(suite: &'static str, cases: &[&Case], family: f64) -> Vec<Row> {
+    let there: Vec<&Case> = cases
+        .iter()
+        .filter(|c| c.has_effect() && c.label["gap"].as_f64() >= Some(2.0 * MATERIAL))
+        .copied()
+        .collect();
+    let none: Vec<&Case> = cases.iter().filter(|c| !c.has_effect()).copied().collect();
+    let by_default = |yes: bool| -> Vec<&Case> {
+        there.iter().filter(|c| (c.label["default_request"] == true) == yes).copied().collect()
+    };
+    let placed: Vec<&Case> = there.iter().filter(|c| c.states_place()).copied().collect();
+    let mut rows = vec![Row::share(
+        suite,
+        "right family",
+        Share::count(&there, |c| c.family_is_right()),
+        Bar::AtLeast(family),
+    )];
+    for (name, yes) in [("right family, default requests", true), ("right family, drives run twice", false)] {
+        rows.push(Row::share(
+            suite,
+            name,
+            Share::count(&by_default(yes), |c| c.family_is_right()),
+            Bar::None,
+        ));
+    }
+    rows.extend([
+        Row::share(suite, "true family first", Share::count(&there, |c| c.family_is_first()), Bar::None),
+        Row::share(
+            suite,
+            "falsely reassured",
+            Share::count(&there, |c| c.kind() == "no_material_gap"),
+            Bar::AtMost(0.01),
+        ),
+        Row::share(
+            suite,
+            "blamed where nothing is",
+            Share::count(&none, |c| c.is_blamed()),
+            Bar::AtMost(0.03),
+        ),
+        Row::share(suite, "place right", Share::count(&placed, |c| c.place_is_right()), Bar::AtLeast(0.85)),
+    ]);
+    rows.extend(certainty(suite, cases));
     rows
 }
 
@@ -56,9 +142,7 @@ fn no_repeats(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
         cases.iter().filter(wanted).copied().collect()
     };
     let (clear, none) = (of(2.0 * MATERIAL, true), of(0.0, false));
-    let all: Vec<&Case> = cases.to_vec();
-    let wrong = |c: &Case| c.is_blamed() && !c.family_is_right();
-    vec![
+    let mut rows = vec![
         Row::share(
             suite,
             "true family first",
@@ -72,20 +156,15 @@ fn no_repeats(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
             Share::count(&clear, |c| c.kind() == "no_material_gap"),
             Bar::AtMost(0.01),
         ),
-        Row::share(suite, "blamed wrongly", Share::count(&all, |c| wrong(c)), Bar::AtMost(0.03)),
         Row::share(
             suite,
             "blamed where nothing is",
             Share::count(&none, |c| c.is_blamed()),
             Bar::AtMost(0.03),
         ),
-        Row::share(
-            suite,
-            "stated with 0.9 or more and wrong",
-            Share::count(&all, |c| c.stated_probability() >= 0.9 && !c.verdict_is_true()),
-            Bar::AtMost(0.01),
-        ),
-    ]
+    ];
+    rows.extend(certainty(suite, cases));
+    rows
 }
 
 fn catalogue(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
