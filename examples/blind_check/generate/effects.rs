@@ -165,9 +165,14 @@ pub fn without_repeats(rng: &mut impl Rng) -> Vec<Named> {
     list
 }
 
-/// Every third time nothing: only the model errs.
-pub fn beside_errors(index: usize, rng: &mut impl Rng) -> Vec<Named> {
-    if index / 3 % 3 == 2 { vec![nothing(rng)[0]] } else { catalogue(rng) }
+/// Every third time nothing: only the model errs. A default request is one about a model of the rig as it is, which has
+/// taken in what is linear.
+pub fn beside_errors(index: usize, by_default: bool, rng: &mut impl Rng) -> Vec<Named> {
+    match (index / 3 % 3 == 2, by_default) {
+        (true, _) => vec![nothing(rng)[0]],
+        (false, true) => in_situ(rng),
+        (false, false) => catalogue(rng),
+    }
 }
 
 /// Effects that two at once are drawn from, no two of a pair from one family.

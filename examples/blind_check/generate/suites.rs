@@ -159,7 +159,7 @@ impl Suite {
             Self::ThreeAxes => effects::three_axes(rng),
             Self::NextExperiment | Self::Time => effects::ambiguous(rng),
             Self::NoRepeats => effects::without_repeats(rng),
-            Self::SimsThatErr => effects::beside_errors(index, rng),
+            Self::SimsThatErr => effects::beside_errors(index, self.is_default_request(index), rng),
             Self::RoughRigs | Self::Place | Self::ForceOverDisplacement => {
                 unreachable!("frames have laws of their own")
             }

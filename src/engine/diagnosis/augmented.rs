@@ -73,6 +73,25 @@ impl Augmented {
         Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects: false }
     }
 
+    /// Takes out the taps of a law that was found by transfer; empty of any other. What is left is small text.
+    pub fn detach_taps(&mut self) -> Vec<f64> {
+        self.added.as_mut().map_or_else(Vec::new, |added| added.forward.detach_taps())
+    }
+
+    /// Whether taps were taken out.
+    pub fn lacks_taps(&self) -> bool {
+        self.added.as_ref().is_some_and(|added| added.forward.lacks_taps())
+    }
+
+    /// Puts them back.
+    ///
+    /// # Errors
+    /// [`EngineError::Weights`]: another number of them.
+    pub fn attach_taps(&mut self, taps: &[f64]) -> Result<(), EngineError> {
+        let Some(added) = &mut self.added else { return Ok(()) };
+        added.forward.attach_taps(taps).map_err(|what| EngineError::Weights(format!("effect: {what}")))
+    }
+
     /// Responses with the effect, `[response][sample]`; `None` where the free run diverges.
     pub(super) fn predict(&self, drives: &[Vec<f64>], simulated: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
         if let Some(added) = &self.added {

@@ -24,7 +24,7 @@ use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
 use super::whereabouts::location;
 use crate::EngineError;
-use crate::progress::{Watch, report};
+use crate::progress::{Progress, Watch, report};
 
 /// Hypotheses in the report.
 const LISTED: usize = 8;
@@ -52,12 +52,28 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     let prepared = prepare(input)?;
     let overview = Overview::new(input, &prepared);
     report(watch, "where", 0.1)?;
-    // Without repeats nothing tells noise from a gap but what is predicted on runs that were not seen.
-    if !prepared.from_repeats && input.mode == Mode::InSitu {
-        let found = by_transfer(input, &overview, watch)?;
+    let without = || overview.without_candidates(input);
+    // A model that was fitted on the rig has taken in what is linear of the effect: a cause is what holds beside a
+    // linear part of its own on runs that it was not fitted to. Repeats tell what is noise.
+    let adopted = input.runs.iter().any(|run| run.added.is_some());
+    // Transfer knows nothing of effects that the model has already; free runs that start from them do.
+    if input.mode == Mode::InSitu && !(prepared.from_repeats && adopted) {
+        if let Some(verdict) = prepared.from_repeats.then(without).flatten() {
+            return finish(input, &prepared, &overview, verdict, None, watch);
+        }
+        let first = |p: Progress<'_>| watch(p.within(&(0.0..0.5)));
+        let found = by_transfer(input, &overview, &first)?;
+        if prepared.from_repeats && !found.verdict.is_sure() {
+            let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
+            let outcome = contest(input, &prepared, &overview, &second)?;
+            let verdict = judge(input, &prepared, &overview, &outcome);
+            if let Some(verdict) = verdict.beside(&found.verdict) {
+                return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
+            }
+        }
         return from_transfer(input, &prepared, &overview, found, watch);
     }
-    let (verdict, outcome) = match overview.without_candidates(input) {
+    let (verdict, outcome) = match without() {
         Some(verdict) => (verdict, None),
         None => {
             let outcome = contest(input, &prepared, &overview, watch)?;
@@ -71,7 +87,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             return from_transfer(input, &prepared, &overview, found, watch);
         }
     }
-    finish(input, &prepared, &overview, verdict, outcome, watch)
+    finish(input, &prepared, &overview, verdict.of_a_sim_that_errs(input, &prepared), outcome, watch)
 }
 
 /// The report of what follows from transfer between runs.

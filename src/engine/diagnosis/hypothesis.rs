@@ -90,7 +90,7 @@ pub(super) fn hypothesis(
         plant: place.problem.plant.clone(),
         candidate: place.fitted.candidate.clone(),
         p: place.fitted.p.clone(),
-        alone: input.core_stands(place.problem.response) && better_alone(input, place),
+        alone: prepared.stands[place.problem.response] && better_alone(input, place),
     };
     let augmented = Augmented {
         added: None,

@@ -29,6 +29,11 @@ pub(super) struct Prepared {
     pub pooled: bool,
     /// The core's band, cycles a sample.
     pub band: [f64; 2],
+    /// Whether the core stands for the sim, by response.
+    pub stands: Vec<bool>,
+    /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not and stands
+    /// for it: relative to the response, by response.
+    pub sim_errs: Vec<Option<f64>>,
     /// What the baseline leaves of each core: the noise before the change.
     pub baseline_noise: Vec<super::ar::Ar>,
 }
@@ -59,8 +64,12 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         .collect::<Result<_, _>>()?;
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
-    let cut = Cut { input, simulated: simulate_all(input, &fitted), band, memory };
-    warnings.extend(other_sim(input, &cut.simulated));
+    let sim_errs: Vec<Option<f64>> =
+        fitted.iter().enumerate().map(|(r, fit)| own_error(input, &fit.core, r)).collect();
+    let stands: Vec<bool> =
+        sim_errs.iter().enumerate().map(|(r, errs)| errs.is_some() || input.core_stands(r)).collect();
+    let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
+    warnings.extend(other_sim(input, &cut.simulated, &stands));
     let mut noises = Vec::new();
     let mut from_repeats = true;
     for (r, fit) in fitted.iter().enumerate() {
@@ -93,7 +102,18 @@ pub(super) fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         warnings.push("acts_seldom".into());
     }
     let baseline_noise = fitted.into_iter().map(|f| f.noise).collect();
-    Ok(Prepared { problems, noises, from_repeats, pieces, warnings, pooled, band, baseline_noise })
+    Ok(Prepared {
+        problems,
+        noises,
+        from_repeats,
+        pieces,
+        warnings,
+        pooled,
+        band,
+        stands,
+        sim_errs,
+        baseline_noise,
+    })
 }
 
 /// Where only the fit or only the select stretches hold a gap, both are used for both: what acts a few
@@ -134,9 +154,34 @@ fn fit_core(
     core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External)
 }
 
+/// Of a sim from before the change: what it errs by on the baseline runs beyond what the core does, relative to the
+/// response, where that is half of what matters or more. What such a sim leaves of later runs is its own error and the
+/// change's together, which no law of the rig can tell apart.
+fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
+    let adopted = input.runs.iter().any(|run| run.added.is_some());
+    if input.mode == Mode::InSitu || input.sim_is_linear || adopted {
+        return None;
+    }
+    let (mut of_sim, mut of_core, mut size) = (0.0, 0.0, 0.0);
+    for run in &input.baseline {
+        let sim = run.simulated.as_ref()?.channel(response);
+        let (y, core) = (run.response.channel(response), core.simulate(run.drive.channels()));
+        // The beginning is the core's ring-in from rest.
+        let from = y.len() / 5;
+        let power = |other: &[f64]| -> f64 {
+            y[from..].iter().zip(&other[from..]).map(|(y, o)| (y - o) * (y - o)).sum()
+        };
+        let centre = mean(&y[from..]);
+        of_sim += power(sim);
+        of_core += power(&core);
+        size += y[from..].iter().map(|y| (y - centre) * (y - centre)).sum::<f64>();
+    }
+    let own = ((of_sim - of_core).max(0.0) / size.max(f64::MIN_POSITIVE)).sqrt();
+    (own > 0.5 * input.material_gap).then_some(own)
+}
+
 /// What the sim says of every run, `[run][response][sample]`.
-fn simulate_all(input: &Input, fitted: &[CoreFit]) -> Vec<Arc<Vec<Vec<f64>>>> {
-    let stands: Vec<bool> = (0..input.responses.len()).map(|r| input.core_stands(r)).collect();
+fn simulate_all(input: &Input, fitted: &[CoreFit], stands: &[bool]) -> Vec<Arc<Vec<Vec<f64>>>> {
     input
         .runs
         .par_iter()
@@ -159,11 +204,11 @@ fn free_run(core: &Core, run: &Run, response: usize) -> Vec<f64> {
     y
 }
 
-/// A warning for each response at which the FRF differs from the core that stands for it by more than
+/// A warning for each response at which the sim differs from the core that stands for it by more than
 /// `material_gap` of the response.
-fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>]) -> Vec<String> {
+fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>], stands: &[bool]) -> Vec<String> {
     let differs = |r: &usize| {
-        let stands = input.core_stands(*r);
+        let stands = stands[*r];
         let (mut difference, mut size) = (0.0, 0.0);
         for (run, core) in input.runs.iter().zip(simulated) {
             let Some(sim) = run.simulated.as_ref().filter(|_| stands) else { continue };
@@ -185,6 +230,8 @@ struct Cut<'a> {
     input: &'a Input,
     /// `[run][response][sample]`
     simulated: Vec<Arc<Vec<Vec<f64>>>>,
+    /// Whether the core stands for the sim, by response.
+    stands: &'a [bool],
     band: [f64; 2],
     /// Samples that the slowest core remembers.
     memory: usize,
@@ -282,7 +329,8 @@ impl<'a> Cut<'a> {
 
     /// What the baseline runs say against a retune of the core, where that is the sim.
     fn tolerance(&self, plant: &Plant, noise: &Noise) -> Option<Tolerance> {
-        let is_sim = self.input.sim_is_linear || self.input.runs.iter().all(|run| run.simulated.is_none());
+        let stands = self.input.sim_is_linear || self.stands[plant.response];
+        let is_sim = stands || self.input.runs.iter().all(|run| run.simulated.is_none());
         if self.input.mode == Mode::InSitu || !is_sim {
             return None;
         }

@@ -2,7 +2,7 @@
 
 use super::contest::Outcome;
 use super::decide::{NOISE_LEFT, Ranked, Ruling, rule};
-use super::effect::Effect;
+use super::effect::{Effect, Tier};
 use super::hypothesis::{axis, closes_most, place};
 use super::input::{Input, Mode};
 use super::overview::Overview;
@@ -12,6 +12,10 @@ use super::second::Two;
 
 /// Below this probability two effects together are no answer.
 pub(super) const SURE_OF_TWO: f64 = 0.7;
+/// Probability from which on an effect that was identified by transfer is sure.
+const SURE_BY_TRANSFER: f64 = 0.95;
+/// What an equation is believed at most that leaves more than the noise and that transfer does not name.
+const BESIDE_TRANSFER: f64 = 0.8;
 /// What an identified effect closes at least on the test runs.
 const CLOSES: f64 = 0.95;
 
@@ -57,6 +61,50 @@ impl Verdict {
 }
 
 impl Verdict {
+    /// Whether laws that hold elsewhere than where they were fitted settle it: nothing else is asked then.
+    pub(super) fn is_sure(&self) -> bool {
+        self.kind == VerdictKind::Identified && self.probability >= SURE_BY_TRANSFER
+    }
+
+    /// What free runs fitted down to the noise of repeats say beside a verdict by transfer between runs; `None` where
+    /// that stands. An equation that leaves no more than repeats differ by is the law, or so near to it that nothing
+    /// measured tells them apart; one that leaves more is believed only where transfer names nothing.
+    pub(super) fn beside(mut self, transfer: &Self) -> Option<Self> {
+        if self.kind == VerdictKind::Identified {
+            return Some(self);
+        }
+        let family = |effect: &Effect| Some(effect.family()) == self.family;
+        let open = match transfer.kind {
+            VerdictKind::NotDistinguishable => transfer.equivalence_set.iter().any(family),
+            kind => !kind.blames(),
+        };
+        // What bends to whatever it meets leaves little of any law.
+        let flexible = |effect: Effect| effect == Effect::Sandwich || effect.tier() == Tier::Free;
+        if self.kind != VerdictKind::Partial || !open || self.effect.is_none_or(flexible) {
+            return None;
+        }
+        self.probability = self.probability.min(BESIDE_TRANSFER);
+        self.because.extend(transfer.because.iter().cloned());
+        Some(self)
+    }
+
+    /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
+    pub(super) fn of_a_sim_that_errs(mut self, input: &Input, prepared: &Prepared) -> Self {
+        let worst = prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)));
+        let Some((r, errs)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return self };
+        self.because.push(format!(
+            "the model itself errs by {:.1} % of {} on the baseline runs, where a linear part fitted to them does not: \
+             that part stands for it here",
+            100.0 * errs,
+            input.responses[r].name
+        ));
+        if self.kind == VerdictKind::NoMaterialGap && errs >= input.material_gap {
+            self.kind = VerdictKind::NoneOfCatalogue;
+            self.because.push("nothing beyond that error is left: fit the model again".into());
+        }
+        self
+    }
+
     /// What was chosen on the select runs is only part of the answer if the test runs hold a good deal
     /// that it does not close: a rare effect may be missing from the others.
     pub(super) fn on_test(mut self, chosen: Option<&Hypothesis>) -> Self {
@@ -184,5 +232,33 @@ mod tests {
         assert!(found.because[0].contains("47 %"), "{:?}", found.because);
         first.held_out.chi2_after = 1.1;
         assert_eq!(verdict.clone().on_test(Some(&first)), verdict, "nothing is left above the noise");
+    }
+
+    #[test]
+    fn an_equation_stands_beside_transfer_where_it_leaves_only_noise_or_where_transfer_names_nothing() {
+        let report =
+            diagnose(&Input { catalogue: few(), ..request(friction, 0.01) }, &unwatched).unwrap().report;
+        let of = |kind, effect: Option<Effect>, set: &[Effect]| Verdict {
+            kind,
+            effect,
+            family: effect.map(Effect::family),
+            probability: 0.9,
+            equivalence_set: set.to_vec(),
+            ..report.verdict.clone()
+        };
+        let friction = Some(Effect::CoulombFriction);
+        let stated = |kind, effect| of(kind, effect, &[]);
+        let named = stated(VerdictKind::Partial, Some(Effect::CubicStiffness));
+        assert!(stated(VerdictKind::Identified, friction).beside(&named).is_some());
+        assert_eq!(stated(VerdictKind::Partial, friction).beside(&named), None);
+        let open = stated(VerdictKind::Undecided, None);
+        let beside = stated(VerdictKind::Partial, friction).beside(&open).unwrap();
+        assert_eq!(beside.probability, BESIDE_TRANSFER);
+        assert_eq!(stated(VerdictKind::Partial, Some(Effect::Sandwich)).beside(&open), None);
+        assert_eq!(stated(VerdictKind::NoneOfCatalogue, None).beside(&open), None);
+        let several = |set: &[Effect]| of(VerdictKind::NotDistinguishable, None, set);
+        let partial = || stated(VerdictKind::Partial, friction);
+        assert!(partial().beside(&several(&[Effect::Clearance, Effect::StribeckFriction])).is_some());
+        assert_eq!(partial().beside(&several(&[Effect::Clearance, Effect::DeadZone])), None);
     }
 }

@@ -5,7 +5,8 @@
 //! `frf.coherence [line, output, input]`, `frf.multiple_coherence [line, output]`,
 //! `frf.condition [line]`, `frf.std_error [line, output, input]`; per block i `lstm.{i}.weight_ih [4 cells, inputs]`,
 //! `lstm.{i}.weight_hh [4 cells, cells]`, `lstm.{i}.bias [4 cells]` in gate order i, f, g, o;
-//! `fc.weight [outputs, cells]`, `fc.bias`; `x.mean`, `x.std`, `y.mean`, `y.std`.
+//! `fc.weight [outputs, cells]`, `fc.bias`; `x.mean`, `x.std`, `y.mean`, `y.std`; per effect i that was found by transfer
+//! `effects.{i}.taps [taps]`, or `core.{i}.taps` of a core: its impulse responses, one after the other.
 //! PyTorch's own names (`lstm.weight_ih_l0`, two biases) are read too. The metadata key `rigcast`
 //! holds the JSON of [`Metadata`]. F32 and F64 tensors are read; spectra are written as F64.
 
@@ -137,6 +138,15 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
     let mut f64s = |name: &str, shape: Vec<usize>, values: &mut dyn Iterator<Item = f64>| {
         tensors.push((name.into(), Dtype::F64, shape, values.flat_map(f64::to_le_bytes).collect()));
     };
+    let (mut effects, mut core) = (model.effects.clone(), model.core.clone());
+    for (what, effects) in [("effects", &mut effects), ("core", &mut core)] {
+        for (i, effect) in effects.iter_mut().enumerate() {
+            let taps = effect.augmented.detach_taps();
+            if !taps.is_empty() {
+                f64s(&taps_of(what, i), vec![taps.len()], &mut taps.iter().copied());
+            }
+        }
+    }
     if let Some(frf) = &model.frf {
         let lines = frf.segment_len / 2 + 1;
         let shape = vec![lines, frf.n_outputs, frf.n_inputs];
@@ -205,8 +215,8 @@ pub fn to_safetensors(model: &RigModel) -> Vec<u8> {
         window_range: model.window_range.clone(),
         joint_range: model.joint_range.clone(),
         band: model.band.clone(),
-        core: (!model.core.is_empty()).then(|| Core { effects: model.core.clone() }),
-        effects: model.effects.clone(),
+        core: (!core.is_empty()).then_some(Core { effects: core }),
+        effects,
     };
     let metadata = serde_json::to_string(&metadata).expect("names and finite numbers are always JSON");
     let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
@@ -230,14 +240,16 @@ pub fn from_safetensors(bytes: &[u8]) -> Result<RigModel, EngineError> {
         .as_ref()
         .and_then(|m| m.get("rigcast"))
         .ok_or_else(|| wrong("the metadata key `rigcast` is missing"))?;
-    let meta: Metadata = serde_json::from_str(text)
+    let mut meta: Metadata = serde_json::from_str(text)
         .map_err(|e| wrong(format!("metadata key `rigcast`: {}", unreadable_json(&e))))?;
     drop(header);
+    let mut file =
+        File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
+    file.taps("effects", &mut meta.effects)?;
+    file.taps("core", meta.core.as_mut().map_or(&mut [], |core| &mut core.effects))?;
     let kind = meta.model_kind()?;
     check(&meta, kind)?;
     check_core(&meta, kind)?;
-    let mut file =
-        File { tensors: SafeTensors::deserialize(bytes).map_err(unreadable)?, read: Default::default() };
     let frf = if kind == ModelKind::Lstm { None } else { Some(file.frf(&meta)?) };
     // A model without an FRF is told first of the tensors that it does not have.
     let frf_quality = match &frf {
@@ -409,7 +421,22 @@ struct File<'a> {
     read: std::collections::BTreeSet<String>,
 }
 
+/// Tensor of the impulse responses of one effect.
+fn taps_of(what: &str, effect: usize) -> String {
+    format!("{what}.{effect}.taps")
+}
+
 impl File<'_> {
+    /// Gives effects whose taps stand in tensors their taps; files of before have them in the metadata.
+    fn taps(&mut self, what: &str, effects: &mut [AddedEffect]) -> Result<(), EngineError> {
+        for (i, effect) in effects.iter_mut().enumerate().filter(|(_, effect)| effect.augmented.lacks_taps())
+        {
+            let (_, taps) = self.values(&taps_of(what, i), &[None])?;
+            effect.augmented.attach_taps(&taps)?;
+        }
+        Ok(())
+    }
+
     fn has(&self, name: &str) -> bool {
         self.tensors.tensor(name).is_ok()
     }

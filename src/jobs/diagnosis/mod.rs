@@ -87,8 +87,17 @@ async fn load(
             let span = |sample: u64| usize::try_from(sample.min(part.run.samples)).unwrap_or(usize::MAX);
             let whole = halves(&plan, &sim, &part.run, signal)?;
             let range = span(part.from_sample)..span(part.to_sample);
+            let simulated = match &*sim {
+                Sim::Model(predictor, effects) => {
+                    let (simulated, _) = predicted(predictor, effects, &whole.x)
+                        .map_err(|error| diverged(&error, &plan, &part.run))?;
+                    Some(simulated.slice(range.clone()))
+                }
+                Sim::Outside => None,
+            };
             let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
-            measured(&plan, &sim, &part.run, &kept)
+            let measured = measured(&plan, &sim, &part.run, &kept)?;
+            Ok::<_, JobError>(diagnosis::Run { simulated, ..measured })
         };
         baseline.push(context.compute.run(Class::Fit, None, cut).await??);
         step(control, "loading runs", baseline.len() as f64 / steps)?;

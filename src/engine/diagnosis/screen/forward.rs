@@ -25,7 +25,15 @@ const TAIL: f64 = 1e-5;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Kernel {
     pub from: isize,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taps: Vec<f64>,
+    /// How many taps are kept apart from it; see [`Forward::detach_taps`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    apart: usize,
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 impl Kernel {
@@ -481,6 +489,43 @@ impl Forward {
             })
             .unzip();
         Some((over_rate, x, y))
+    }
+
+    fn kernels(&mut self) -> impl Iterator<Item = &mut Kernel> {
+        self.outputs.iter_mut().flat_map(|o| o.linear.iter_mut().chain(&mut o.before).chain(&mut o.kernels))
+    }
+
+    /// Takes the taps out, all in one row, and leaves how many each impulse response has: they are too many for text.
+    pub fn detach_taps(&mut self) -> Vec<f64> {
+        let mut all = Vec::new();
+        for kernel in self.kernels() {
+            kernel.apart = kernel.taps.len();
+            all.append(&mut kernel.taps);
+        }
+        all
+    }
+
+    /// Whether taps were taken out.
+    pub fn lacks_taps(&self) -> bool {
+        let mut kernels =
+            self.outputs.iter().flat_map(|o| o.linear.iter().chain(&o.before).chain(&o.kernels));
+        kernels.any(|kernel| kernel.apart > 0)
+    }
+
+    /// Puts the taps back.
+    ///
+    /// # Errors
+    /// Another number of them than were taken out, in words.
+    pub fn attach_taps(&mut self, taps: &[f64]) -> Result<(), String> {
+        let mut rest = taps;
+        for kernel in self.kernels() {
+            let apart = std::mem::take(&mut kernel.apart);
+            let (own, others) =
+                rest.split_at_checked(apart).ok_or_else(|| format!("taps: {} are too few", taps.len()))?;
+            kernel.taps.extend(own);
+            rest = others;
+        }
+        if rest.is_empty() { Ok(()) } else { Err(format!("taps: {} are too many", taps.len())) }
     }
 
     /// The law's numbers.

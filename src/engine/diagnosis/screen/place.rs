@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::band::Band;
+use super::band::{Band, noisy_below};
 use super::input::{Channel, Recording};
 use super::law::Scale;
 use super::motion::{Limits, Motion, motion};
@@ -47,7 +47,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
         matches!(c.quantity, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration)
     };
     let some = recording.drives.iter().chain(&recording.responses).any(moving);
-    let of = |drive: bool, channel: usize, quantity: Quantity| -> Vec<Motion> {
+    let of = |drive: bool, channel: usize, quantity: Quantity, limits: Limits| -> Vec<Motion> {
         recording
             .records
             .iter()
@@ -60,26 +60,40 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     };
     let mut out = Vec::new();
     for (i, channel) in recording.drives.iter().enumerate() {
-        let motion = of(true, i, channel.quantity);
+        let motion = of(true, i, channel.quantity, limits);
         out.extend(argument(Place::Drive(i), channel.quantity, motion));
     }
-    let mut seen: Vec<(usize, Quantity)> = Vec::new();
+    // What noise makes of an acceleration's displacement at low frequencies is no motion.
+    let above_noise = |r: usize, quantity: Quantity| -> Limits {
+        let integrals = match quantity {
+            Quantity::Acceleration => 2,
+            Quantity::Velocity => 1,
+            _ => return limits,
+        };
+        let records =
+            recording.records.iter().zip(used).map(|(record, &used)| &record.response.channel(r)[..used]);
+        let low_hz = limits.low_hz.max(noisy_below(records, integrals, rate));
+        Limits { low_hz, ..limits }
+    };
+    let mut seen: Vec<(usize, Quantity, Limits, Vec<Motion>)> = Vec::new();
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
-        let motion = of(false, r, channel.quantity);
-        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion) {
+        let own = above_noise(r, channel.quantity);
+        let motion = of(false, r, channel.quantity, own);
+        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion.clone()) {
             out.push(argument);
-            seen.push((r, channel.quantity));
+            seen.push((r, channel.quantity, own, motion));
         }
     }
-    let first = out.len() - seen.len();
     let mut between = Vec::new();
-    for (a, (i, quantity)) in seen.iter().enumerate() {
-        for (b, (j, other)) in seen[..a].iter().enumerate() {
-            if quantity == other {
-                let (x, y) = (&out[first + a].motion, &out[first + b].motion);
-                let motion = x.iter().zip(y).map(|(x, y)| less(x, y)).collect();
-                between.extend(argument(Place::Between(*i, *j), *quantity, motion));
-            }
+    for (a, (i, quantity, own, x)) in seen.iter().enumerate() {
+        for (j, other, its, y) in seen[..a].iter().filter(|(_, other, ..)| other == quantity) {
+            let both = Limits { low_hz: own.low_hz.max(its.low_hz), ..limits };
+            let cut = |r: usize, own: &Limits, motion: &Vec<Motion>| {
+                if own.low_hz < both.low_hz { of(false, r, *other, both) } else { motion.clone() }
+            };
+            let (x, y) = (cut(*i, own, x), cut(*j, its, y));
+            let motion = x.iter().zip(&y).map(|(x, y)| less(x, y)).collect();
+            between.extend(argument(Place::Between(*i, *j), *quantity, motion));
         }
     }
     out.extend(between);

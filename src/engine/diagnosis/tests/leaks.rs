@@ -1,6 +1,6 @@
 use super::rig::{few, hardening, noise_drive, request, respond, run};
 use crate::Signal;
-use crate::diagnosis::{Augmented, Input, Role, Verdict, VerdictKind, diagnose};
+use crate::diagnosis::{Augmented, Effect, Input, Role, Verdict, VerdictKind, diagnose};
 use crate::progress::unwatched;
 
 /// Whole runs with given roles, one repeat each, so that the test runs stand alone.
@@ -101,4 +101,29 @@ fn an_frf_as_sim_is_stood_for_by_the_core_and_what_it_misses_is_no_gap() {
     let predicted = found.augmented[0].apply(&signal(&drive), &signal(&estimate), None).unwrap();
     let error = |y: &[f64]| -> f64 { truth.iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
     assert!(error(predicted.channel(0)) < 0.05 * error(&estimate));
+}
+
+#[test]
+fn a_sim_that_errs_on_its_own_baseline_is_stood_for_by_the_core_and_said_to_err() {
+    let of = |force, errs: f64| {
+        let mut request = Input { catalogue: few(), ..request(force, 0.01) };
+        for run in request.baseline.iter_mut().chain(&mut request.runs) {
+            let sim =
+                respond(run.drive.channel(0), super::rig::none).iter().map(|y| (1.0 + errs) * y).collect();
+            run.simulated = Some(Signal::new(super::rig::RATE, vec![sim]).unwrap());
+        }
+        diagnose(&request, &unwatched).unwrap().report
+    };
+    let nothing = of(super::rig::none, 0.06);
+    assert_eq!(nothing.verdict.kind, VerdictKind::NoneOfCatalogue, "{:?}", nothing.verdict);
+    assert!(
+        nothing.verdict.because.iter().any(|b| b.contains("the model itself errs by")),
+        "{:?}",
+        nothing.verdict
+    );
+    assert!(nothing.warnings.contains(&"core_stands_for_sim: disp_x".to_owned()), "{:?}", nothing.warnings);
+    let bent = of(hardening, 0.06);
+    assert_eq!(bent.verdict.effect, Some(Effect::CubicStiffness), "{:?}", bent.verdict);
+    let good = of(super::rig::none, 0.0);
+    assert_eq!(good.verdict.kind, VerdictKind::NoMaterialGap, "{:?}", good.verdict);
 }

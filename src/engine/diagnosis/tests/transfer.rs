@@ -105,6 +105,43 @@ fn the_sim_with_the_law_predicts_a_run_that_nobody_saw_and_survives_storage() {
 }
 
 #[test]
+fn drives_run_twice_name_the_effect_of_a_model_that_was_fitted_on_the_rig() {
+    let mut input = super::rig::request(friction, 0.01);
+    input.baseline = vec![run("low", noise_drive(25.0, 0.4, 3), friction, 0.01, 10)];
+    (input.mode, input.sim_is_linear) = (Mode::InSitu, true);
+    let found = report(&input);
+    assert_eq!(found.verdict.family, Some(Family::FrictionHysteresis), "{:?}", found.verdict);
+    assert_eq!(found.noise_floor_source, NoiseSource::Repeats);
+}
+
+#[test]
+fn taps_go_apart_from_the_rest_of_a_law_and_come_back() {
+    let found = diagnose(&unrepeated(stiffening, 0.003), &unwatched).unwrap();
+    let whole = &found.augmented[0];
+    let mut text = whole.clone();
+    let mut taps = text.detach_taps();
+    assert!(taps.len() > 50 && text.lacks_taps());
+    let short = serde_json::to_string(&text).unwrap();
+    assert!(
+        short.len() < 8000 && short.len() * 2 < serde_json::to_string(whole).unwrap().len(),
+        "{}",
+        short.len()
+    );
+    let mut back: crate::diagnosis::Augmented = serde_json::from_str(&short).unwrap();
+    back.attach_taps(&taps).unwrap();
+    assert_eq!(&back, whole);
+    for wrong in [1, -1] {
+        if wrong > 0 {
+            taps.push(0.0)
+        } else {
+            taps.truncate(taps.len() - 2)
+        }
+        let mut back: crate::diagnosis::Augmented = serde_json::from_str(&short).unwrap();
+        assert!(matches!(back.attach_taps(&taps), Err(EngineError::Weights(_))));
+    }
+}
+
+#[test]
 fn friction_is_a_family_of_its_own() {
     let verdict = report(&unrepeated(friction, 0.003)).verdict;
     let of_friction = |e: &Effect| e.family() == Family::FrictionHysteresis;

@@ -17,6 +17,8 @@ use crate::diagnosis::screen::{FreeRun, Grouping, Number, NumberOf, Place, Recor
 
 /// Normal deviation that 90 % of all lie within.
 const WITHIN: f64 = 1.645;
+/// Share of what a sim with the law on it leaves, below which the law's own linear part takes the sim's place.
+const BETTER_ALONE: f64 = 0.9;
 /// Points of a law's curve.
 const CURVE: usize = 41;
 
@@ -106,7 +108,8 @@ impl Of<'_> {
         })
     }
 
-    /// The law on top of the sim; where the linear part stands for the sim, without it if that is better.
+    /// The law on top of the sim; without the sim where the law's own linear part is better: than a linear sim at all,
+    /// than another by more than chance, on groups that it was not fitted to.
     fn added(&self) -> Added {
         let responses = self.input.responses.len();
         let standing = self.ranked.standing;
@@ -118,9 +121,21 @@ impl Of<'_> {
         };
         let whole = Added { alone: vec![true; responses], ..bare.clone() };
         let left = |added: &Added, r: usize| self.left(added, r).unwrap_or(f64::INFINITY);
-        let alone =
-            (0..responses).map(|r| self.input.core_stands(r) && left(&whole, r) <= left(&bare, r)).collect();
+        let stands = |r: usize| {
+            if self.input.core_stands(r) {
+                left(&whole, r) <= left(&bare, r)
+            } else {
+                self.held_out_alone(r) < BETTER_ALONE * left(&bare, r)
+            }
+        };
+        let alone = (0..responses).map(stands).collect();
         Added { alone, ..bare }
+    }
+
+    /// RMS of what the law on its own linear part leaves of groups that it was not fitted to.
+    fn held_out_alone(&self, r: usize) -> f64 {
+        let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
+        level * root_mean_square(&self.free.errors[r])
     }
 
     /// RMS of what a sim with the law leaves of a response over all runs, after their first sixth; `None` where
@@ -138,10 +153,9 @@ impl Of<'_> {
     /// How far the gap of a response closes in groups that the law was not fitted to.
     fn held_out(&self, r: usize, added: &Added) -> Option<HeldOut> {
         let power = &self.overview.power[r];
-        let level = power.response.max(f64::MIN_POSITIVE).sqrt();
         let stands = self.input.core_stands(r) || self.input.runs.iter().any(|run| run.simulated.is_none());
         let (rms_before, rms_after) = if stands {
-            (power.rms_error, level * root_mean_square(&self.free.errors[r]))
+            (power.rms_error, self.held_out_alone(r))
         } else {
             // A sim that bends by itself: the law has to help on top of it.
             let of_sim: Vec<f64> = self
@@ -150,7 +164,8 @@ impl Of<'_> {
                 .iter()
                 .flat_map(|run| run.simulated.as_ref().map_or(Vec::new(), |s| errors(run, r, s.channel(r))))
                 .collect();
-            (rms(&of_sim), self.left(added, r)?)
+            let after = if added.alone[r] { self.held_out_alone(r) } else { self.left(added, r)? };
+            (rms(&of_sim), after)
         };
         let noise_rms = self.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
         let above = |rms: f64| (rms * rms - noise_rms * noise_rms).max(0.0);

@@ -71,7 +71,11 @@ pub(super) fn by_transfer(
     Ok(Found {
         verdict,
         gap: evidence.gap(),
-        noise: if noise.is_some() { NoiseSource::FoundRepeats } else { NoiseSource::Bounded },
+        noise: match (&noise, input.repeats.is_empty()) {
+            (None, _) => NoiseSource::Bounded,
+            (Some(_), true) => NoiseSource::FoundRepeats,
+            (Some(_), false) => NoiseSource::Repeats,
+        },
         linear_closure: evidence.linear_closure(),
         next,
         hypotheses: listed.into_iter().map(|l| (l.hypothesis, l.augmented)).collect(),
