@@ -63,7 +63,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
         }
         let first = |p: Progress<'_>| watch(p.within(&(0.0..0.5)));
         let found = by_transfer(input, &overview, &first)?;
-        if prepared.from_repeats && !found.verdict.is_sure() {
+        if prepared.from_repeats {
             let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
             let outcome = contest(input, &prepared, &overview, &second)?;
             let verdict = judge(input, &prepared, &overview, &outcome);

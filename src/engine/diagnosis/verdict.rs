@@ -12,8 +12,6 @@ use super::second::Two;
 
 /// Below this probability two effects together are no answer.
 pub(super) const SURE_OF_TWO: f64 = 0.7;
-/// Probability from which on an effect that was identified by transfer is sure.
-const SURE_BY_TRANSFER: f64 = 0.95;
 /// What an equation is believed at most that leaves more than the noise and that transfer does not name.
 const BESIDE_TRANSFER: f64 = 0.8;
 /// What an identified effect closes at least on the test runs.
@@ -61,11 +59,6 @@ impl Verdict {
 }
 
 impl Verdict {
-    /// Whether laws that hold elsewhere than where they were fitted settle it: nothing else is asked then.
-    pub(super) fn is_sure(&self) -> bool {
-        self.kind == VerdictKind::Identified && self.probability >= SURE_BY_TRANSFER
-    }
-
     /// What free runs fitted down to the noise of repeats say beside a verdict by transfer between runs; `None` where
     /// that stands. An equation that leaves no more than repeats differ by is the law, or so near to it that nothing
     /// measured tells them apart; one that leaves more is believed only where transfer names nothing.

@@ -14,10 +14,11 @@ use super::super::drives;
 use super::super::files;
 use super::super::rig::{FINE, RATE, rms};
 use super::super::suites::Suite;
+use super::body::{Beyond, Control, Frame, Quantity, Stretch};
 use super::draw::{self, Wanted};
 use super::law::{self, Named};
 use super::linear::Nearby;
-use super::{Beyond, Control, Frame, Place, Quantity, Stretch};
+use super::place::Place;
 
 /// Smallest and largest share that the best linear frame leaves of a response.
 const GAP: [f64; 2] = [0.03, 0.35];

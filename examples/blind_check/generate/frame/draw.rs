@@ -3,7 +3,7 @@
 use rand::{Rng, RngExt};
 
 use super::super::suites::Suite;
-use super::{Control, Frame, MASSES, Quantity, Sensor, Site};
+use super::body::{Control, Frame, MASSES, Quantity, Sensor, Site};
 
 /// What a frame of a suite has to have.
 #[derive(Debug, Clone, Copy)]

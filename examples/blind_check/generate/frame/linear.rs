@@ -2,7 +2,7 @@
 
 use super::super::retune::least_squares;
 use super::super::rig::{COARSE, rms};
-use super::{Beyond, Control, Frame, Stretch};
+use super::body::{Beyond, Control, Frame, Stretch};
 
 /// Rounds of the fit, and the most that a round moves a number, as a share of it.
 const ROUNDS: usize = 3;

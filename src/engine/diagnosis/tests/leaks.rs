@@ -1,6 +1,6 @@
 use super::rig::{few, hardening, noise_drive, request, respond, run};
 use crate::Signal;
-use crate::diagnosis::{Augmented, Effect, Input, Role, Verdict, VerdictKind, diagnose};
+use crate::diagnosis::{Augmented, Family, Input, Role, Verdict, VerdictKind, diagnose};
 use crate::progress::unwatched;
 
 /// Whole runs with given roles, one repeat each, so that the test runs stand alone.
@@ -123,7 +123,7 @@ fn a_sim_that_errs_on_its_own_baseline_is_stood_for_by_the_core_and_said_to_err(
     );
     assert!(nothing.warnings.contains(&"core_stands_for_sim: disp_x".to_owned()), "{:?}", nothing.warnings);
     let bent = of(hardening, 0.06);
-    assert_eq!(bent.verdict.effect, Some(Effect::CubicStiffness), "{:?}", bent.verdict);
+    assert_eq!(bent.verdict.family, Some(Family::Stiffness), "{:?}", bent.verdict);
     let good = of(super::rig::none, 0.0);
     assert_eq!(good.verdict.kind, VerdictKind::NoMaterialGap, "{:?}", good.verdict);
 }
