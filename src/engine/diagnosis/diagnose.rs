@@ -67,7 +67,9 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
             let outcome = contest(input, &prepared, &overview, &second)?;
             let verdict = judge(input, &prepared, &overview, &outcome);
-            if let Some(verdict) = verdict.beside(&found.verdict) {
+            let fitted = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining);
+            let carried = found.hypotheses.first().map_or(1.0, |(best, _)| best.remaining_share);
+            if let Some(verdict) = verdict.beside(&found.verdict, [fitted, carried]) {
                 return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
             }
         }

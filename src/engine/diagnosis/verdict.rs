@@ -61,9 +61,12 @@ impl Verdict {
 impl Verdict {
     /// What free runs fitted down to the noise of repeats say beside a verdict by transfer between runs; `None` where
     /// that stands. An equation that leaves no more than repeats differ by is the law, or so near to it that nothing
-    /// measured tells them apart; one that leaves more is believed only where transfer names nothing.
-    pub(super) fn beside(mut self, transfer: &Self) -> Option<Self> {
-        if self.kind == VerdictKind::Identified {
+    /// measured tells them apart; one that leaves more is believed only where transfer names nothing, or names its
+    /// family and leaves more still. `left` are the shares of the gap that both leave, that by transfer last.
+    pub(super) fn beside(mut self, transfer: &Self, left: [f64; 2]) -> Option<Self> {
+        let of_family = matches!(self.kind, VerdictKind::Partial | VerdictKind::FamilyOnly);
+        let one = of_family && self.family == transfer.family && left[0] < left[1];
+        if self.kind == VerdictKind::Identified || one {
             return Some(self);
         }
         let family = |effect: &Effect| Some(effect.family()) == self.family;
@@ -242,16 +245,21 @@ mod tests {
         let friction = Some(Effect::CoulombFriction);
         let stated = |kind, effect| of(kind, effect, &[]);
         let named = stated(VerdictKind::Partial, Some(Effect::CubicStiffness));
-        assert!(stated(VerdictKind::Identified, friction).beside(&named).is_some());
-        assert_eq!(stated(VerdictKind::Partial, friction).beside(&named), None);
+        assert!(stated(VerdictKind::Identified, friction).beside(&named, [0.1, 0.05]).is_some());
+        assert_eq!(stated(VerdictKind::Partial, friction).beside(&named, [0.01, 0.05]), None);
+        let same = stated(VerdictKind::Partial, Some(Effect::FreeStiffness));
+        assert!(same.clone().beside(&named, [0.01, 0.05]).is_some());
+        assert_eq!(same.beside(&named, [0.1, 0.05]), None);
         let open = stated(VerdictKind::Undecided, None);
-        let beside = stated(VerdictKind::Partial, friction).beside(&open).unwrap();
+        let beside = stated(VerdictKind::Partial, friction).beside(&open, [0.1, 0.2]).unwrap();
         assert_eq!(beside.probability, BESIDE_TRANSFER);
-        assert_eq!(stated(VerdictKind::Partial, Some(Effect::Sandwich)).beside(&open), None);
-        assert_eq!(stated(VerdictKind::NoneOfCatalogue, None).beside(&open), None);
+        assert_eq!(stated(VerdictKind::Partial, Some(Effect::Sandwich)).beside(&open, [0.1, 0.2]), None);
+        assert_eq!(stated(VerdictKind::NoneOfCatalogue, None).beside(&open, [0.1, 0.2]), None);
         let several = |set: &[Effect]| of(VerdictKind::NotDistinguishable, None, set);
         let partial = || stated(VerdictKind::Partial, friction);
-        assert!(partial().beside(&several(&[Effect::Clearance, Effect::StribeckFriction])).is_some());
-        assert_eq!(partial().beside(&several(&[Effect::Clearance, Effect::DeadZone])), None);
+        assert!(
+            partial().beside(&several(&[Effect::Clearance, Effect::StribeckFriction]), [0.1, 0.2]).is_some()
+        );
+        assert_eq!(partial().beside(&several(&[Effect::Clearance, Effect::DeadZone]), [0.1, 0.2]), None);
     }
 }

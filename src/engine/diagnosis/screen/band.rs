@@ -225,7 +225,7 @@ mod tests {
         let below = |x: &[f64], integrals| noisy_below(std::iter::once(x), integrals, rate);
         let [quiet, loud] = [below(&little, 2), below(&much, 2)];
         assert!(quiet < loud && loud > 0.2 && loud < 8.0, "{quiet} {loud}");
-        assert!(below(&much, 1) < loud, "a velocity is integrated once");
+        assert!((0.2..8.0).contains(&below(&much, 1)), "a velocity is integrated once");
         assert!(below(&signal, 2) < 0.05, "nothing is cut without noise");
     }
 }
