@@ -11,8 +11,8 @@ use serde_json::json;
 use super::bars::Bars;
 use super::client::request;
 use super::tell;
-use crate::rig::{activate, create, npy_request};
-use crate::service::Service;
+use crate::ready;
+use crate::rig::npy_request;
 
 /// Samples of a request: ten minutes, so that an answer takes longer than it takes to see that a client has gone.
 const SAMPLES: usize = 600_000;
@@ -20,9 +20,7 @@ const ROUNDS: usize = 7;
 
 /// Rounds of one prediction alone, one behind twenty closed connections, one behind twenty resets.
 pub fn departed() -> Bars {
-    let service = Service::start();
-    create(&service);
-    activate(&service, Recombine::Welch, None);
+    let service = ready(Recombine::Welch, None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     let _entered = runtime.enter();
     let (head, body) = npy_request(SAMPLES, Dtype::F4);

@@ -25,7 +25,8 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 
-use crate::rig::{activate, create, npy_request};
+use crate::ready;
+use crate::rig::npy_request;
 use crate::service::Service;
 use arrivals::{Outcome, accepted, arrivals, quantile, shed};
 use client::{Target, request};
@@ -55,9 +56,7 @@ impl Lab {
     fn start() -> Self {
         let maximum = getrlimit(Resource::Nofile).maximum;
         setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).expect("more file handles");
-        let service = Service::start();
-        create(&service);
-        activate(&service, Recombine::Welch, None);
+        let service = ready(Recombine::Welch, None);
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let target = Arc::new(Target::new(service.address().parse().expect("an address")));
         Self { service, runtime: runtime.expect("a runtime"), target }

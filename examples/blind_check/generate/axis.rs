@@ -56,9 +56,8 @@ impl Axis {
         for i in 0..masses {
             axis.mass[i] = rng.random_range(0.4..1.6);
             let hz = lowest * if i == 0 { 1.3 } else { rng.random_range(1.0..2.5) };
-            let w = std::f64::consts::TAU * hz;
-            axis.stiffness[i] = axis.mass[i] * w * w;
-            axis.damping[i] = 2.0 * rng.random_range(0.015..0.08) * axis.mass[i] * w;
+            [axis.stiffness[i], axis.damping[i]] =
+                spring_and_damper(axis.mass[i], hz, rng.random_range(0.015..0.08));
         }
         axis
     }
@@ -81,6 +80,12 @@ impl Axis {
         }
         below
     }
+}
+
+/// Stiffness and damping below a mass that has this natural frequency and ratio of damping on them.
+pub fn spring_and_damper(mass: f64, hz: f64, ratio: f64) -> [f64; 2] {
+    let w = std::f64::consts::TAU * hz;
+    [mass * w * w, 2.0 * ratio * mass * w]
 }
 
 /// The response of an actuator to its command.

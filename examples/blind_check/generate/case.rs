@@ -69,7 +69,8 @@ fn times(k: usize) -> [f64; 2] {
     [STARTS_S[k] / PROGRAMME_S, 1.0 / (RATE * PROGRAMME_S)]
 }
 
-fn log_uniform(range: [f64; 2], rng: &mut impl Rng) -> f64 {
+/// A number whose logarithm is drawn evenly.
+pub fn log_uniform(range: [f64; 2], rng: &mut impl Rng) -> f64 {
     (range[0].ln() + rng.random_range(0.0..1.0) * (range[1] / range[0]).ln()).exp()
 }
 

@@ -28,7 +28,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 fn channels(axes: usize) -> Vec<Value> {
     let channel = |quantity: &str, unit: &str, role: &str, axis: &str| {
         let name = if role == "drive" { format!("drive_{axis}") } else { format!("{quantity}_{axis}") };
-        json!({"name": name, "unit": unit, "role": role, "quantity": quantity, "axis": axis})
+        self::channel(&name, unit, role, quantity, axis)
     };
     let driven = if axes == 1 { vec!["x", "z"] } else { AXES.to_vec() };
     let mut out: Vec<Value> = driven.iter().map(|a| channel("force", "kN", "drive", a)).collect();
@@ -37,6 +37,11 @@ fn channels(axes: usize) -> Vec<Value> {
         out.extend(AXES[..axes].iter().map(|a| channel("force", "kN", "response", a)));
     }
     out
+}
+
+/// A channel as the contract's `POST /v1/rigs` takes it.
+pub fn channel(name: &str, unit: &str, role: &str, quantity: &str, axis: &str) -> Value {
+    json!({"name": name, "unit": unit, "role": role, "quantity": quantity, "axis": axis})
 }
 
 /// Name of an axis of a rig with `axes` of them.

@@ -137,9 +137,15 @@ impl Suite {
         })
     }
 
-    /// Whether nothing but model and runs is said.
+    /// Whether nothing but model and runs is said, in every second case of the suites that have both.
     pub fn is_default_request(self, index: usize) -> bool {
-        self == Self::SimsThatErr && index % 2 == 1
+        match self {
+            Self::SimsThatErr => index % 2 == 1,
+            // Four kinds of rig take turns.
+            Self::RoughRigs => (index / 4).is_multiple_of(2),
+            Self::Place | Self::ForceOverDisplacement => index.is_multiple_of(2),
+            _ => false,
+        }
     }
 
     /// Whether fresh runs are predicted with the effect adopted, to see what the intervals of closure hold.

@@ -17,9 +17,14 @@ pub struct Case {
 /// Kinds of verdicts that name an effect.
 const NAMES_EFFECT: [&str; 2] = ["identified", "partial"];
 
-/// Suites in which an effect counts by its family, and an abstention as true where the first hypothesis is wrong.
+/// Suites in which an abstention counts as true where the first hypothesis is wrong.
 fn is_open(suite: &str) -> bool {
     ["no-repeats", "rough-rigs", "place", "force-over-displacement"].contains(&suite)
+}
+
+/// Suites in which an effect counts by its family.
+fn counts_family(suite: &str) -> bool {
+    suite == "other-equation" || is_open(suite)
 }
 
 /// Effects that are one law where the linear part is free too, as it is in situ: `y - clip(y)` and `clip(y)`
@@ -203,10 +208,8 @@ impl Case {
             }
             // To abstain is right where the first hypothesis is not.
             (suite, "undecided" | "none_of_catalogue") if is_open(suite) => !self.family_is_first(),
-            ("other-equation", "not_distinguishable") => set_holds_family(),
-            (suite, "not_distinguishable") if is_open(suite) => set_holds_family(),
-            ("other-equation", _) => self.family_is_right(),
-            (suite, _) if is_open(suite) => self.family_is_right(),
+            (suite, "not_distinguishable") if counts_family(suite) => set_holds_family(),
+            (suite, _) if counts_family(suite) => self.family_is_right(),
             (_, "family_only") => self.family_is_right(),
             (_, "not_distinguishable") => self.truth_is_in_set(),
             _ => self.is_right(),

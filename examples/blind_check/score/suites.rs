@@ -66,6 +66,23 @@ fn certainty(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
     ]
 }
 
+/// Cases with a gap that is clearly one beside a linear part, and cases without any effect.
+fn clear_and_none<'a>(cases: &[&'a Case]) -> [Vec<&'a Case>; 2] {
+    let is_clear = |c: &Case| c.label["gap"].as_f64() >= Some(2.0 * MATERIAL);
+    let of = |wanted: &dyn Fn(&Case) -> bool| cases.iter().copied().filter(|c| wanted(c)).collect();
+    [of(&|c| c.has_effect() && is_clear(c)), of(&|c| !c.has_effect())]
+}
+
+/// What is reassured although there is a clear gap, and blamed although there is no effect.
+fn errors(suite: &'static str, clear: &[&Case], none: &[&Case]) -> [Row; 2] {
+    let reassured = Share::count(clear, |c| c.kind() == "no_material_gap");
+    let blamed = Share::count(none, |c| c.is_blamed());
+    [
+        Row::share(suite, "falsely reassured", reassured, Bar::AtMost(0.01)),
+        Row::share(suite, "blamed where nothing is", blamed, Bar::AtMost(0.03)),
+    ]
+}
+
 /// Models that err, with an effect and without.
 fn sims_that_err(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
     let (there, none): (Vec<&Case>, Vec<&Case>) = cases.iter().partition(|c| c.has_effect());
@@ -90,12 +107,7 @@ fn sims_that_err(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
 
 /// Frames: the label's gap is what the best linear frame leaves of a loud run.
 fn of_frames(suite: &'static str, cases: &[&Case], family: f64) -> Vec<Row> {
-    let there: Vec<&Case> = cases
-        .iter()
-        .filter(|c| c.has_effect() && c.label["gap"].as_f64() >= Some(2.0 * MATERIAL))
-        .copied()
-        .collect();
-    let none: Vec<&Case> = cases.iter().filter(|c| !c.has_effect()).copied().collect();
+    let [there, none] = clear_and_none(cases);
     let by_default = |yes: bool| -> Vec<&Case> {
         there.iter().filter(|c| (c.label["default_request"] == true) == yes).copied().collect()
     };
@@ -114,34 +126,18 @@ fn of_frames(suite: &'static str, cases: &[&Case], family: f64) -> Vec<Row> {
             Bar::None,
         ));
     }
-    rows.extend([
-        Row::share(suite, "true family first", Share::count(&there, |c| c.family_is_first()), Bar::None),
-        Row::share(
-            suite,
-            "falsely reassured",
-            Share::count(&there, |c| c.kind() == "no_material_gap"),
-            Bar::AtMost(0.01),
-        ),
-        Row::share(
-            suite,
-            "blamed where nothing is",
-            Share::count(&none, |c| c.is_blamed()),
-            Bar::AtMost(0.03),
-        ),
-        Row::share(suite, "place right", Share::count(&placed, |c| c.place_is_right()), Bar::AtLeast(0.85)),
-    ]);
+    let first = Share::count(&there, |c| c.family_is_first());
+    rows.push(Row::share(suite, "true family first", first, Bar::None));
+    rows.extend(errors(suite, &there, &none));
+    let place = Share::count(&placed, |c| c.place_is_right());
+    rows.push(Row::share(suite, "place right", place, Bar::AtLeast(0.85)));
     rows.extend(certainty(suite, cases));
     rows
 }
 
 /// Default requests. The label's gap is what the best linear rig leaves of the loud run.
 fn no_repeats(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
-    let gap = |c: &Case| c.label["gap"].as_f64().unwrap_or(0.0);
-    let of = |least: f64, there: bool| -> Vec<&Case> {
-        let wanted = |c: &&&Case| gap(c) >= least && c.has_effect() == there;
-        cases.iter().filter(wanted).copied().collect()
-    };
-    let (clear, none) = (of(2.0 * MATERIAL, true), of(0.0, false));
+    let [clear, none] = clear_and_none(cases);
     let mut rows = vec![
         Row::share(
             suite,
@@ -150,19 +146,8 @@ fn no_repeats(suite: &'static str, cases: &[&Case]) -> Vec<Row> {
             Bar::AtLeast(0.85),
         ),
         Row::share(suite, "true family stated", Share::count(&clear, |c| c.family_is_right()), Bar::None),
-        Row::share(
-            suite,
-            "falsely reassured",
-            Share::count(&clear, |c| c.kind() == "no_material_gap"),
-            Bar::AtMost(0.01),
-        ),
-        Row::share(
-            suite,
-            "blamed where nothing is",
-            Share::count(&none, |c| c.is_blamed()),
-            Bar::AtMost(0.03),
-        ),
     ];
+    rows.extend(errors(suite, &clear, &none));
     rows.extend(certainty(suite, cases));
     rows
 }

@@ -96,7 +96,7 @@ pub(super) fn hypothesis(
         added: None,
         members: places.iter().map(member).collect(),
         time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
-        on_effects: input.runs.iter().any(|run| run.added.is_some()),
+        on_effects: input.has_adopted(),
     };
     let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
     Some((

@@ -142,6 +142,11 @@ impl Input {
         self.sim_is_linear && !self.runs.iter().filter_map(|run| run.added.as_ref()).any(acts)
     }
 
+    /// Whether the sim has adopted effects.
+    pub(super) fn has_adopted(&self) -> bool {
+        self.runs.iter().any(|run| run.added.is_some())
+    }
+
     /// Largest magnitude allowed of each drive: what is set, or `reached` by the runs.
     pub(super) fn limits(&self, reached: &[f64]) -> Vec<f64> {
         self.drive_limit.clone().unwrap_or_else(|| reached.to_vec())

@@ -158,8 +158,7 @@ fn fit_core(
 /// response, where that is half of what matters or more. What such a sim leaves of later runs is its own error and the
 /// change's together, which no law of the rig can tell apart.
 fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
-    let adopted = input.runs.iter().any(|run| run.added.is_some());
-    if input.mode == Mode::InSitu || input.sim_is_linear || adopted {
+    if input.mode == Mode::InSitu || input.sim_is_linear || input.has_adopted() {
         return None;
     }
     let (mut of_sim, mut of_core, mut size) = (0.0, 0.0, 0.0);

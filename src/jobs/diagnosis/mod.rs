@@ -88,12 +88,13 @@ async fn load(
             let whole = halves(&plan, &sim, &part.run, signal)?;
             let range = span(part.from_sample)..span(part.to_sample);
             let simulated = match &*sim {
-                Sim::Model(predictor, effects) => {
+                // Only a model from before a change is held against its own runs.
+                Sim::Model(predictor, effects) if plan.request.mode == Mode::External => {
                     let (simulated, _) = predicted(predictor, effects, &whole.x)
                         .map_err(|error| diverged(&error, &plan, &part.run))?;
                     Some(simulated.slice(range.clone()))
                 }
-                Sim::Outside => None,
+                _ => None,
             };
             let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
             let measured = measured(&plan, &sim, &part.run, &kept)?;

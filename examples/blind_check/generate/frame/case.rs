@@ -4,21 +4,20 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use rand::{Rng, RngExt, SeedableRng};
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde_json::{Value, json};
 
-use super::super::case::Record;
+use super::super::case::{Record, log_uniform};
 use super::super::drives;
-use super::super::files;
+use super::super::files::{self, channel};
 use super::super::rig::{FINE, RATE, rms};
 use super::super::suites::Suite;
 use super::body::{Beyond, Control, Frame, Quantity, Stretch};
 use super::draw::{self, Wanted};
 use super::law::{self, Named};
 use super::linear::Nearby;
-use super::place::Place;
 
 /// Smallest and largest share that the best linear frame leaves of a response.
 const GAP: [f64; 2] = [0.03, 0.35];
@@ -32,12 +31,9 @@ const LONG_S: f64 = 30.0;
 const HALF_S: f64 = 20.0;
 const BASELINE_S: f64 = 40.0;
 const ATTEMPTS: u64 = 60;
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// A drawn case.
 struct Case {
-    index: usize,
-    rough: bool,
     /// The first has the law.
     frames: Vec<Frame>,
     named: Named,
@@ -49,10 +45,6 @@ struct Case {
     elsewhere: bool,
     high_hz: f64,
     rng: ChaCha8Rng,
-}
-
-fn log_uniform(range: [f64; 2], rng: &mut impl Rng) -> f64 {
-    (range[0].ln() + rng.random_range(0.0..1.0) * (range[1] / range[0]).ln()).exp()
 }
 
 impl Case {
@@ -114,10 +106,10 @@ impl Case {
             if rough && kind == 3 { process(frame, log_uniform(PROCESS, &mut rng), &mut rng) } else { 0.0 };
         let noise = log_uniform(NOISE, &mut rng);
         let elsewhere = wanted.elsewhere;
-        Some(Self { index, rough, frames, named, beyond, process, noise, gap, elsewhere, high_hz, rng })
+        Some(Self { frames, named, beyond, process, noise, gap, elsewhere, high_hz, rng })
     }
 
-    /// Drives of all frames, one after the other; axes side by side follow their neighbours' commands a little.
+    /// Drives of all frames, one after the other.
     fn drives(&mut self, seconds: f64, level: f64) -> Vec<Vec<f64>> {
         let count = self.frames.iter().map(|frame| frame.driven.len()).sum();
         noises(count, seconds, level, self.high_hz, &mut self.rng)
@@ -144,55 +136,56 @@ impl Case {
         Record { drives: drives.to_vec(), responses, started_s }
     }
 
-    /// Names, units, roles, quantities of the channels, drives first; and where the law acts.
-    fn channels(&self) -> (Vec<Value>, Option<Place>) {
-        let channel = |name: &str, unit: &str, role: &str, quantity: &str, axis: &str| json!({"name": name, "unit": unit, "role": role, "quantity": quantity, "axis": axis});
+    /// The channels, drives first.
+    fn channels(&self) -> Vec<Value> {
         let frame = &self.frames[0];
         if frame.control == Control::Specimen {
-            let count = self.frames.len();
-            let mut all: Vec<Value> = (0..count)
-                .map(|a| channel(&format!("disp_{}", AXES[a]), "mm", "drive", "displacement", AXES[a]))
-                .collect();
-            all.extend(
-                (0..count)
-                    .map(|a| channel(&format!("force_{}", AXES[a]), "kN", "response", "force", AXES[a])),
-            );
-            return (all, self.named.family.map(|_| Place::At(format!("disp_{}", AXES[0]))));
+            let axes = || (0..self.frames.len()).map(files::axis_name);
+            let drives = axes().map(|a| channel(&format!("disp_{a}"), "mm", "drive", "displacement", a));
+            let forces = axes().map(|a| channel(&format!("force_{a}"), "kN", "response", "force", a));
+            return drives.chain(forces).collect();
         }
-        let looped = matches!(frame.control, Control::Loop { .. });
-        let mut all: Vec<Value> = (0..frame.driven.len())
-            .map(|d| {
-                let name = format!("drive_{}", d + 1);
-                if looped && d == 0 {
-                    channel(&name, "mm", "drive", "displacement", "z")
-                } else {
-                    channel(&name, "kN", "drive", "force", "z")
-                }
-            })
-            .collect();
-        let name = |mass: usize| match frame.sensors[0].quantity {
-            Quantity::Acceleration => format!("acc_{}", mass + 1),
-            _ => format!("disp_{}", mass + 1),
-        };
-        all.extend(frame.sensors.iter().map(|sensor| match sensor.quantity {
-            Quantity::Acceleration => channel(&name(sensor.mass), "m/s^2", "response", "acceleration", "z"),
-            _ => channel(&name(sensor.mass), "mm", "response", "displacement", "z"),
-        }));
-        let site = frame.site;
-        let place = match self.named.law {
-            law if law.is_of_command() => Some(Place::At("drive_1".into())),
-            law if !law.is_force() => self.named.family.map(|_| Place::At(name(frame.sensors[0].mass))),
-            _ if self.elsewhere => None,
-            _ if site.joint && site.mass > 0 => Some(Place::Between(name(site.mass - 1), name(site.mass))),
-            _ => Some(Place::At(name(site.mass))),
-        };
-        (all, place)
+        let drives = (1..=frame.driven.len()).map(|d| {
+            let in_loop = d == 1 && matches!(frame.control, Control::Loop { .. });
+            let (unit, quantity) = if in_loop { ("mm", "displacement") } else { ("kN", "force") };
+            channel(&format!("drive_{d}"), unit, "drive", quantity, "z")
+        });
+        let responses = frame.sensors.iter().map(|sensor| {
+            let (unit, quantity) = match sensor.quantity {
+                Quantity::Acceleration => ("m/s^2", "acceleration"),
+                _ => ("mm", "displacement"),
+            };
+            channel(&self.sensor_at(sensor.mass), unit, "response", quantity, "z")
+        });
+        drives.chain(responses).collect()
     }
 
-    /// Every second case says all that a lab can know; the others name runs.
-    fn is_default_request(&self) -> bool {
-        let turn = if self.rough { self.index / 4 } else { self.index };
-        turn.is_multiple_of(2)
+    /// Name of the sensor at a mass.
+    fn sensor_at(&self, mass: usize) -> String {
+        let acceleration = self.frames[0].sensors[0].quantity == Quantity::Acceleration;
+        format!("{}_{}", if acceleration { "acc" } else { "disp" }, mass + 1)
+    }
+
+    /// Where the law acts, as a verdict has it: `at` a channel or `between` two; `None` without a law, and where no
+    /// sensor is.
+    fn place(&self) -> Option<Value> {
+        self.named.family?;
+        let (frame, law) = (&self.frames[0], self.named.law);
+        let mass = frame.site.mass;
+        let at = |channel: String| Some(json!({"at": channel}));
+        if frame.control == Control::Specimen {
+            at(format!("disp_{}", files::axis_name(0)))
+        } else if law.is_of_command() {
+            at("drive_1".into())
+        } else if !law.is_force() {
+            at(self.sensor_at(frame.sensors[0].mass))
+        } else if self.elsewhere {
+            None
+        } else if frame.site.joint && mass > 0 {
+            Some(json!({"between": [self.sensor_at(mass - 1), self.sensor_at(mass)]}))
+        } else {
+            at(self.sensor_at(mass))
+        }
     }
 }
 
@@ -239,11 +232,10 @@ fn process(frame: &Frame, share: f64, rng: &mut ChaCha8Rng) -> f64 {
 pub fn write(suite: Suite, index: usize, seed: u64, id: &str, folder: &Path) -> io::Result<Value> {
     let mut case = Case::draw(suite, index, seed).map_err(io::Error::other)?;
     fs::create_dir_all(folder)?;
-    let (channels, place) = case.channels();
     let low = case.drives(BASELINE_S, 0.5);
     let (long, half) = (case.drives(LONG_S, 1.0), case.drives(HALF_S, 0.5));
     let mut runs = vec![files::run(folder, "baseline-0", true, &case.record(&low, 0.0))?];
-    let plain = case.is_default_request();
+    let plain = suite.is_default_request(index);
     let order: &[(&str, &Vec<Vec<f64>>)] =
         &[("run-0", &long), ("run-1", &half), ("run-2", &half), ("run-3", &long)];
     let order = if plain { &order[..2] } else { order };
@@ -254,7 +246,7 @@ pub fn write(suite: Suite, index: usize, seed: u64, id: &str, folder: &Path) -> 
     let repeats = if plain { json!([]) } else { json!([["run-0", "run-3"], ["run-1", "run-2"]]) };
     let about = json!({
         "id": id,
-        "rig": {"id": format!("case-{id}"), "name": format!("Case {id}"), "sample_rate_hz": RATE, "channels": channels},
+        "rig": {"id": format!("case-{id}"), "name": format!("Case {id}"), "sample_rate_hz": RATE, "channels": case.channels()},
         "runs": runs,
         "repeats": repeats,
         "sim": null,
@@ -266,7 +258,7 @@ pub fn write(suite: Suite, index: usize, seed: u64, id: &str, folder: &Path) -> 
     });
     fs::write(folder.join("case.json"), serde_json::to_string_pretty(&about)?)?;
     let effect = json!({"effect": case.named.effect, "family": case.named.family, "axis": null,
-                        "strength": case.beyond.strength, "place": place.map(|place| place.label())});
+                        "strength": case.beyond.strength, "place": case.place()});
     Ok(
         json!({"id": id, "suite": suite.name(), "index": index, "seed": seed, "effects": [effect], "gap": case.gap,
               "noise": case.noise, "axes": case.frames.len(), "elsewhere": case.elsewhere,
@@ -285,12 +277,11 @@ mod tests {
         for suite in [Suite::RoughRigs, Suite::Place, Suite::ForceOverDisplacement] {
             for index in 0..6 {
                 let case = Case::draw(suite, index, 40 + index as u64).unwrap();
-                let (channels, place) = case.channels();
                 let sensors: usize = case.frames.iter().map(|frame| frame.sensors.len()).sum();
                 let drives: usize = case.frames.iter().map(|frame| frame.driven.len()).sum();
-                assert_eq!(channels.len(), sensors + drives);
+                assert_eq!(case.channels().len(), sensors + drives);
                 assert_eq!(
-                    place.is_some(),
+                    case.place().is_some(),
                     case.named.family.is_some() && !case.elsewhere,
                     "{suite:?} {index}"
                 );

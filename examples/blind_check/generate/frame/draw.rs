@@ -2,6 +2,7 @@
 
 use rand::{Rng, RngExt};
 
+use super::super::axis::spring_and_damper;
 use super::super::suites::Suite;
 use super::body::{Control, Frame, MASSES, Quantity, Sensor, Site};
 
@@ -42,9 +43,8 @@ pub fn frame(wanted: Wanted, rng: &mut impl Rng) -> Frame {
     for i in 0..masses {
         frame.mass[i] = rng.random_range(0.4..1.6);
         let hz = lowest * if i == 0 { 1.2 } else { rng.random_range(1.0..2.3) };
-        let w = std::f64::consts::TAU * hz;
-        frame.stiffness[i] = frame.mass[i] * w * w;
-        frame.damping[i] = 2.0 * rng.random_range(0.015..0.09) * frame.mass[i] * w;
+        [frame.stiffness[i], frame.damping[i]] =
+            spring_and_damper(frame.mass[i], hz, rng.random_range(0.015..0.09));
     }
     if rng.random_bool(0.4) {
         frame.driven.push(rng.random_range(0..masses));

@@ -6,6 +6,5 @@ mod case;
 mod draw;
 mod law;
 mod linear;
-mod place;
 
 pub use case::write;

@@ -133,6 +133,13 @@ pub(super) struct Output {
     pub kernels: Vec<Kernel>,
 }
 
+impl Output {
+    /// All of its impulse responses.
+    fn all(&self) -> impl Iterator<Item = &Kernel> {
+        self.linear.iter().chain(&self.before).chain(&self.kernels)
+    }
+}
+
 /// A law at a place on top of a linear part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Forward {
@@ -507,9 +514,7 @@ impl Forward {
 
     /// Whether taps were taken out.
     pub fn lacks_taps(&self) -> bool {
-        let mut kernels =
-            self.outputs.iter().flat_map(|o| o.linear.iter().chain(&o.before).chain(&o.kernels));
-        kernels.any(|kernel| kernel.apart > 0)
+        self.outputs.iter().flat_map(Output::all).any(|kernel| kernel.apart > 0)
     }
 
     /// Puts the taps back.
@@ -592,11 +597,10 @@ impl Forward {
             counted("linear", output.linear.len(), drives)?;
             counted("before", output.before.len(), drives)?;
             counted("kernels", output.kernels.len(), self.signals())?;
-            let kernels = || output.linear.iter().chain(&output.before).chain(&output.kernels);
-            if kernels().any(|k| k.taps.len() > MOST_TAPS || k.from.unsigned_abs() > MOST_TAPS) {
+            if output.all().any(|k| k.taps.len() > MOST_TAPS || k.from.unsigned_abs() > MOST_TAPS) {
                 return Err(format!("taps: at most {MOST_TAPS}"));
             }
-            let numbers = kernels().flat_map(|k| &k.taps).chain([&output.offset, &output.offset_before]);
+            let numbers = output.all().flat_map(|k| &k.taps).chain([&output.offset, &output.offset_before]);
             finite(numbers)?;
         }
         for (_, Scale { centre, d, v }) in arguments() {

@@ -1,5 +1,7 @@
 //! Where a law may act, and over which motion.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::band::{Band, noisy_below};
@@ -75,24 +77,29 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
         let low_hz = limits.low_hz.max(noisy_below(records, integrals, rate));
         Limits { low_hz, ..limits }
     };
-    let mut seen: Vec<(usize, Quantity, Limits, Vec<Motion>)> = Vec::new();
+    let mut seen: Vec<(usize, Quantity, Limits)> = Vec::new();
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
         let own = above_noise(r, channel.quantity);
         let motion = of(false, r, channel.quantity, own);
-        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion.clone()) {
+        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion) {
             out.push(argument);
-            seen.push((r, channel.quantity, own, motion));
+            seen.push((r, channel.quantity, own));
         }
     }
+    let first = out.len() - seen.len();
     let mut between = Vec::new();
-    for (a, (i, quantity, own, x)) in seen.iter().enumerate() {
-        for (j, other, its, y) in seen[..a].iter().filter(|(_, other, ..)| other == quantity) {
+    for (a, (i, quantity, own)) in seen.iter().enumerate() {
+        for (b, (j, other, its)) in seen[..a].iter().enumerate().filter(|(_, s)| s.1 == *quantity) {
             let both = Limits { low_hz: own.low_hz.max(its.low_hz), ..limits };
-            let cut = |r: usize, own: &Limits, motion: &Vec<Motion>| {
-                if own.low_hz < both.low_hz { of(false, r, *other, both) } else { motion.clone() }
+            let cut = |at: usize, r: usize, own: &Limits| {
+                if own.low_hz < both.low_hz {
+                    Cow::Owned(of(false, r, *other, both))
+                } else {
+                    Cow::Borrowed(&out[first + at].motion)
+                }
             };
-            let (x, y) = (cut(*i, own, x), cut(*j, its, y));
-            let motion = x.iter().zip(&y).map(|(x, y)| less(x, y)).collect();
+            let (x, y) = (cut(a, *i, own), cut(b, *j, its));
+            let motion = x.iter().zip(y.iter()).map(|(x, y)| less(x, y)).collect();
             between.extend(argument(Place::Between(*i, *j), *quantity, motion));
         }
     }

@@ -63,7 +63,7 @@ struct Of<'a> {
 impl Of<'_> {
     fn listed(&self) -> Option<Listed> {
         let standing = self.ranked.standing;
-        let added = self.added();
+        let (added, of_bare) = self.added();
         let loudest = self.input.runs.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
         let drives = loudest.drive.channels();
         let peaks: Vec<f64> = (0..self.input.drives.len())
@@ -76,7 +76,7 @@ impl Of<'_> {
         let responses: Option<Vec<ChannelHeldOut>> = (0..self.input.responses.len())
             .map(|r| {
                 let channel = self.input.responses[r].name.clone();
-                Some(ChannelHeldOut { channel, held_out: self.held_out(r, &added)? })
+                Some(ChannelHeldOut { channel, held_out: self.held_out(r, &added, of_bare.as_deref())? })
             })
             .collect();
         let mut responses = responses?;
@@ -109,8 +109,9 @@ impl Of<'_> {
     }
 
     /// The law on top of the sim; without the sim where the law's own linear part is better: than a linear sim at all,
-    /// than another by more than chance, on groups that it was not fitted to.
-    fn added(&self) -> Added {
+    /// than another by more than chance, on groups that it was not fitted to. With it, what the law on top of the sim
+    /// leaves of each response.
+    fn added(&self) -> (Added, Option<Vec<f64>>) {
         let responses = self.input.responses.len();
         let standing = self.ranked.standing;
         let bare = Added {
@@ -120,16 +121,18 @@ impl Of<'_> {
             alone: vec![false; responses],
         };
         let whole = Added { alone: vec![true; responses], ..bare.clone() };
-        let left = |added: &Added, r: usize| self.left(added, r).unwrap_or(f64::INFINITY);
+        let of_bare = self.left(&bare);
+        let of_whole = (0..responses).any(|r| self.input.core_stands(r)).then(|| self.left(&whole)).flatten();
+        let at = |left: &Option<Vec<f64>>, r: usize| left.as_ref().map_or(f64::INFINITY, |left| left[r]);
         let stands = |r: usize| {
             if self.input.core_stands(r) {
-                left(&whole, r) <= left(&bare, r)
+                at(&of_whole, r) <= at(&of_bare, r)
             } else {
-                self.held_out_alone(r) < BETTER_ALONE * left(&bare, r)
+                self.held_out_alone(r) < BETTER_ALONE * at(&of_bare, r)
             }
         };
         let alone = (0..responses).map(stands).collect();
-        Added { alone, ..bare }
+        (Added { alone, ..bare }, of_bare)
     }
 
     /// RMS of what the law on its own linear part leaves of groups that it was not fitted to.
@@ -138,20 +141,23 @@ impl Of<'_> {
         level * root_mean_square(&self.free.errors[r])
     }
 
-    /// RMS of what a sim with the law leaves of a response over all runs, after their first sixth; `None` where
+    /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where
     /// the sim is not known or the free run diverges.
-    fn left(&self, added: &Added, r: usize) -> Option<f64> {
-        let mut left = Vec::new();
+    fn left(&self, added: &Added) -> Option<Vec<f64>> {
+        let mut left = vec![Vec::new(); self.input.responses.len()];
         for run in &self.input.runs {
             let simulated = run.simulated.as_ref()?.channels();
             let made = added.predict(run.drive.channels(), simulated)?;
-            left.extend(errors(run, r, &made[r]));
+            for (r, left) in left.iter_mut().enumerate() {
+                left.extend(errors(run, r, &made[r]));
+            }
         }
-        Some(rms(&left))
+        Some(left.iter().map(|left| rms(left)).collect())
     }
 
-    /// How far the gap of a response closes in groups that the law was not fitted to.
-    fn held_out(&self, r: usize, added: &Added) -> Option<HeldOut> {
+    /// How far the gap of a response closes in groups that the law was not fitted to; `of_bare` is what the law on top
+    /// of the sim leaves of each.
+    fn held_out(&self, r: usize, added: &Added, of_bare: Option<&[f64]>) -> Option<HeldOut> {
         let power = &self.overview.power[r];
         let stands = self.input.core_stands(r) || self.input.runs.iter().any(|run| run.simulated.is_none());
         let (rms_before, rms_after) = if stands {
@@ -164,7 +170,7 @@ impl Of<'_> {
                 .iter()
                 .flat_map(|run| run.simulated.as_ref().map_or(Vec::new(), |s| errors(run, r, s.channel(r))))
                 .collect();
-            let after = if added.alone[r] { self.held_out_alone(r) } else { self.left(added, r)? };
+            let after = if added.alone[r] { self.held_out_alone(r) } else { of_bare?[r] };
             (rms(&of_sim), after)
         };
         let noise_rms = self.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
