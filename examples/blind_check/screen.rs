@@ -4,13 +4,19 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use rigcast::engine::diagnosis::screen::{Channel, Record, Recording, Screening, group, screen};
+use rigcast::engine::diagnosis::screen::{
+    Channel, Place, Record, Recording, Screening, Standing, group, screen,
+};
+use rigcast::engine::diagnosis::{Family, Weights, alternatives};
 use rigcast::engine::progress::unwatched;
 use rigcast::engine::{Quantity, Signal};
 use rigcast::formats::{csv, npy};
 use serde_json::Value;
 
 use crate::AnyError;
+
+/// Probability that any law is right from which on one is named.
+const NAMED: f64 = 0.65;
 
 /// Command line.
 #[derive(Debug, clap::Args)]
@@ -93,32 +99,82 @@ fn recording(
     Ok(Recording { drives: channels, responses, records })
 }
 
+/// What the cases of a suite came to.
+#[derive(Default)]
+struct Counts {
+    cases: usize,
+    /// The true family leaves least; it has the largest probability; it is named, and another is.
+    first: usize,
+    likeliest: usize,
+    right: usize,
+    wrong: usize,
+    /// Of those that are named right: the label has a place, and it is that.
+    placed: usize,
+    at_place: usize,
+    /// Another is named with 0.9 or more.
+    sure_and_wrong: usize,
+}
+
 /// Screens the cases of a directory and counts by suite how often the first family is that of the label.
 fn cases(dir: &Path) -> Result<(), AnyError> {
     let labels: Value = serde_json::from_slice(&std::fs::read(dir.join("labels.json"))?)?;
-    let mut counts: std::collections::BTreeMap<String, (usize, usize)> = std::collections::BTreeMap::new();
+    let mut counts: std::collections::BTreeMap<String, Counts> = std::collections::BTreeMap::new();
     for label in labels["cases"].as_array().into_iter().flatten() {
         let id = label["id"].as_str().ok_or("a label without id")?;
-        let truth: Vec<String> = label["effects"]
-            .as_array()
-            .into_iter()
-            .flatten()
-            .map(|e| format!("{} on {}", e["effect"], e["axis"]))
-            .collect();
+        let effects = || label["effects"].as_array().into_iter().flatten();
+        let truth: Vec<String> =
+            effects().map(|e| format!("{} on {} {}", e["effect"], e["axis"], e["place"])).collect();
         let suite = label["suite"].as_str().unwrap_or_default();
         let recording = case(&dir.join("cases").join(id))?;
-        let found = print(&format!("{suite} {id} ({})", truth.join(", ")), &recording);
-        let families: Vec<&Value> =
-            label["effects"].as_array().into_iter().flatten().map(|e| &e["family"]).collect();
-        let first = found.and_then(|s| s.foremost().first().map(|f| serde_json::json!(f.family)));
         let count = counts.entry(suite.to_owned()).or_default();
-        count.0 += usize::from(first.is_some_and(|first| families.contains(&&first)));
-        count.1 += 1;
+        count.cases += 1;
+        let Some(found) = print(&format!("{suite} {id} ({})", truth.join(", ")), &recording) else {
+            continue;
+        };
+        let is_true = |family: Family| effects().any(|e| e["family"] == serde_json::json!(family));
+        count.first += usize::from(found.foremost().first().is_some_and(|f| is_true(f.family)));
+        let Some((best, likely, any)) = decided(&found) else { continue };
+        let right = is_true(best.family);
+        count.likeliest += usize::from(right);
+        if any < NAMED {
+            continue;
+        }
+        count.right += usize::from(right);
+        count.wrong += usize::from(!right);
+        count.sure_and_wrong += usize::from(!right && likely >= 0.9);
+        let mut places = effects().map(|e| &e["place"]).filter(|p| right && !p.is_null()).peekable();
+        count.placed += usize::from(places.peek().is_some());
+        count.at_place += usize::from(places.any(|p| *p == place(&recording, best.place)));
     }
-    for (suite, (right, all)) in counts {
-        println!("{suite}: the true family is first in {right} of {all}");
+    println!(
+        "suite: the true family is first, likeliest, named; another is named, surely; at the true place"
+    );
+    for (suite, c) in counts {
+        println!(
+            "{suite}: {} {} {} of {}; {} {}; {} of {}",
+            c.first, c.likeliest, c.right, c.cases, c.wrong, c.sure_and_wrong, c.at_place, c.placed
+        );
     }
     Ok(())
+}
+
+/// The likeliest law, its probability and that of any law.
+fn decided(found: &Screening) -> Option<(&Standing, f64, f64)> {
+    let all = alternatives(found);
+    let features: Vec<_> = all.iter().map(|a| a.features).collect();
+    let p = Weights::fitted().probabilities(&features, 1.0);
+    let best = (0..p.len()).max_by(|&a, &b| p[a].total_cmp(&p[b]))?;
+    Some((all[best].standing, p[best], p.iter().sum()))
+}
+
+/// A place as labels have it.
+fn place(recording: &Recording, place: Place) -> Value {
+    let response = |r: usize| &recording.responses[r].name;
+    match place {
+        Place::Drive(d) => serde_json::json!({"at": recording.drives[d].name}),
+        Place::Response(r) | Place::Output(r) => serde_json::json!({"at": response(r)}),
+        Place::Between(a, b) => serde_json::json!({"between": [response(a.min(b)), response(a.max(b))]}),
+    }
 }
 
 /// The runs of a case; the baseline is one of them where the rig had the effect then.
@@ -173,6 +229,13 @@ fn print(name: &str, recording: &Recording) -> Option<Screening> {
             format!("x{:.3}{free} {} {:?}", s.ratio, s.effect.name(), s.place)
         })
         .collect();
-    println!("{name}; {}; {}; {:.1} s", means.join(" "), families.join(", "), began.elapsed().as_secs_f64());
+    let decision = decided(&found)
+        .map_or(String::new(), |(s, p, any)| format!("{} {p:.2} of {any:.2}", s.effect.name()));
+    println!(
+        "{name}; {}; {}; {decision}; {:.1} s",
+        means.join(" "),
+        families.join(", "),
+        began.elapsed().as_secs_f64()
+    );
     Some(found)
 }

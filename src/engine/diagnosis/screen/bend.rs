@@ -61,12 +61,12 @@ impl Bench<'_> {
         let setting = Setting { lags: Lags { span, ..lags }, poles: None, ridge: RIDGE, growth: 1.0 };
         let base = desk.rebased(&setting, &[])?;
         let entries = Entry::all(&base, self.entries.len(), &desk.drives);
-        Some(then(&Bench { desk, base: &base, entries: &entries, linear: self.linear }))
+        Some(then(&Bench { desk, base: &base, entries: &entries, linear: self.linear, predicted: &[] }))
     }
 
     /// The same beside this linear part.
     fn bent_here(&self, arguments: &[Argument], standing: &Standing, mut front: Front) -> Option<FreeRun> {
-        let argument = &*self.argument(arguments, standing.place)?;
+        let argument = &*self.argument(arguments, standing)?;
         let hinges = |front| self.signals(Law::Block { front, kinks: KINKS_OF_BEND }, argument, None);
         let mut signals = hinges(front);
         let first = self.block(standing.place, Way::Behind, &signals, standing.response);

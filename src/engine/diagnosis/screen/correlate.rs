@@ -1,5 +1,6 @@
 //! Products of a column with all lags of all drives, block by block through the Fourier transform.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use faer::Mat;
@@ -8,6 +9,17 @@ use rigcast_numerics::fft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::moments::{Lags, padded};
 use super::track::{Segment, Track};
+
+thread_local! {
+    /// Plans of all sizes: filters of one size are made by the thousand, and a plan costs as much as a filter's use.
+    static PLANS: RefCell<RealFftPlanner> = RefCell::new(RealFftPlanner::new());
+}
+
+type Plans = (Arc<dyn RealToComplex<f64>>, Arc<dyn ComplexToReal<f64>>);
+
+fn plans(size: usize) -> Plans {
+    PLANS.with_borrow_mut(|plans| (plans.plan_fft_forward(size), plans.plan_fft_inverse(size)))
+}
 
 /// Spectra of the drives' blocks, made once.
 pub(super) struct Correlator {
@@ -22,8 +34,7 @@ pub(super) struct Correlator {
 impl Correlator {
     pub fn new(drives: &[Track], segments: &[Segment], lags: Lags) -> Self {
         let size = (4 * lags.span).next_power_of_two().max(512);
-        let mut planner = RealFftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        let (forward, inverse) = plans(size);
         let step = size + 1 - lags.span;
         let blocks = segments
             .iter()
@@ -88,8 +99,7 @@ impl Filter {
     /// `impulse[k]` is the response at lag `k`; signals have `n` samples.
     pub fn new(impulse: &[f64], n: usize) -> Self {
         let size = (n + impulse.len()).next_power_of_two();
-        let mut planner = RealFftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        let (forward, inverse) = plans(size);
         Self { size, lines: spectrum(impulse, size, &*forward), forward, inverse }
     }
 

@@ -8,7 +8,7 @@ use super::correlate::Correlator;
 use super::groups::{Grouping, Stretch};
 use super::input::Recording;
 use super::judge::Base;
-use super::linear_part::{LEAD, Setting, choose, longest, with_modes};
+use super::linear_part::{LEAD, Setting, choose, longest, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
 use super::motion::Limits;
@@ -177,10 +177,9 @@ impl<'a> Desk<'a> {
         bases
     }
 
-    /// A linear part of modes for other responses, beside the lead of one for these.
+    /// The modes of a linear part for other responses.
     pub fn setting_of(&self, responses: &[Track], like: &Setting) -> Option<Setting> {
-        let found = with_modes(&self.drives, responses, &self.segments, like.lags.lead)?;
-        Some(found.setting)
+        moved(like, &self.drives, responses, &self.segments)
     }
 
     /// A linear part set alike, with further signals among the responses; `None` where it is singular to rounding.

@@ -48,7 +48,7 @@ impl Entry {
         (0..responses).map(|response| Self::new(base, response, drives)).collect()
     }
 
-    fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
+    pub fn new(base: &Base<'_>, response: usize, drives: &[Track]) -> Self {
         let impulses = (0..drives.len()).map(|d| base.impulse(response, d, longest(drives))).collect();
         Self::of(impulses, base.setting(), drives)
     }
@@ -117,6 +117,13 @@ impl Entry {
         let mut kernels = Vec::with_capacity(signals);
         for _ in 0..signals {
             let mut kernel = Kernel::default();
+            if let (Way::Modal, Some(poles)) = (way, &self.back.poles) {
+                let theta: Vec<f64> = rest.by_ref().take(1 + poles.states()).collect();
+                kernel.add(&[theta[0]], isize::from(own), 1.0);
+                kernel.add(&poles.impulse(&theta[1..], poles.memory(self.longest)), 0, 1.0);
+                kernels.push(kernel);
+                continue;
+            }
             if way == Way::Free {
                 let theta: Vec<f64> = rest.by_ref().take(self.back.width()).collect();
                 kernel.add(&self.back.impulse(&theta, self.longest), -(self.lead as isize), 1.0);
@@ -157,6 +164,7 @@ impl Entry {
     pub fn width(&self, place: Place, way: Way, signals: usize) -> usize {
         let of_one = match place {
             _ if way == Way::Free => self.back.width(),
+            _ if let (Way::Modal, Some(poles)) = (way, &self.back.poles) => 1 + poles.states(),
             Place::Drive(_) if way == Way::Loaded => BEHIND,
             Place::Drive(_) if way == Way::Behind => BEYOND,
             Place::Drive(_) => DIRECT[usize::from(signals > 2)] + BEHIND,
@@ -190,6 +198,12 @@ impl Entry {
         let direct = DIRECT[usize::from(signals.len() > 2)];
         let mut tracks: Vec<(Track, Range<isize>)> = Vec::new();
         for signal in signals {
+            if let (Way::Modal, Some(poles)) = (way, &self.back.poles) {
+                let at_once = isize::from(own);
+                tracks.push((signal.clone(), at_once..at_once + 1));
+                tracks.extend(poles.filter(signal).into_iter().map(|state| (state, 0..1)));
+                continue;
+            }
             match place {
                 _ if way == Way::Free => {
                     let lead = self.lead as isize;

@@ -284,11 +284,26 @@ impl Forward {
         fed(self.argument.0) || self.second.is_some_and(|s| fed(s.0))
     }
 
+    /// Whether the law's argument is a motion of the structure.
+    pub(super) fn is_over_a_motion(&self) -> bool {
+        let motion = |source: Source| match source {
+            Source::Output(_) => true,
+            Source::Linear(output) => output >= self.responses,
+            Source::Drive { .. } => false,
+        };
+        motion(self.argument.0) || self.second.is_some_and(|s| motion(s.0))
+    }
+
     /// Free run of a record; `None` where it diverges.
     pub(super) fn run(&self, course: &Course<'_>) -> Option<Run> {
         let signals = if self.feeds_back() { self.in_loop(course)? } else { self.open(course) };
         let outputs = self.outputs_of(course, &signals);
         outputs.iter().flatten().all(|y| y.is_finite()).then_some(Run { outputs, signals })
+    }
+
+    /// Samples a second of the analysis.
+    fn analysis_hz(&self) -> f64 {
+        self.rate_hz / self.step as f64
     }
 
     /// Outputs that follow from drives and signals, at the rate of the analysis.
@@ -321,6 +336,14 @@ impl Forward {
             Source::Drive { channel, quantity } => {
                 motion(course.whole[channel], quantity, self.rate_hz, self.limits)
             }
+            // Of an argument that is no response.
+            Source::Linear(output) | Source::Output(output) if output >= self.responses => {
+                let of = &self.outputs[output];
+                let mut d = self.linear(&of.before, course);
+                d.iter_mut().for_each(|d| *d += of.offset_before);
+                let limits = Limits { low_hz: 0.0, high_hz: self.analysis_hz() };
+                motion(&d, Quantity::Displacement, self.analysis_hz(), limits)
+            }
             Source::Linear(response) | Source::Output(response) => {
                 let level: f64 = self.outputs[response]
                     .before
@@ -348,7 +371,9 @@ impl Forward {
         let second = self.second.map(|(source, scale)| (source, scale, self.known(source, course)));
         let beside: Option<Vec<f64>> =
             second.as_ref().map(|(_, scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
-        let signals = self.law.signals(&argument, scale, self.rate_hz, course.clock, beside.as_deref());
+        let driven = matches!(source, Source::Drive { .. });
+        let rate = if driven { self.rate_hz } else { self.analysis_hz() };
+        let signals = self.law.signals(&argument, scale, rate, course.clock, beside.as_deref());
         let mut out: Vec<Vec<f64>> = signals.iter().map(|x| thin(source, x)).collect();
         out.push(thin(source, &argument.d));
         out.extend(second.map(|(source, _, m)| thin(source, &m.d)));
@@ -370,7 +395,7 @@ impl Forward {
     /// Signals of a law whose argument depends on them.
     fn in_loop(&self, course: &Course<'_>) -> Option<Vec<Vec<f64>>> {
         let n = course.thin.first().map_or(0, |u| u.len());
-        let rate = self.rate_hz / self.step as f64;
+        let rate = self.analysis_hz();
         let scale = self.argument.1;
         let argument = self.feed(self.argument.0, course);
         let second = self.second.map(|(source, scale)| (self.feed(source, course), scale));
@@ -480,8 +505,7 @@ impl Forward {
         let over_rate = match self.law {
             Law::Cubic | Law::Quadratic | Law::Polynomial | Law::Kink { .. } => false,
             Law::OneSided { .. } | Law::FreeStiffness => false,
-            Law::Coulomb { .. } | Law::Stribeck { .. } | Law::QuadraticDamping => true,
-            Law::OneSidedDamping { .. } | Law::KinkedDamping { .. } | Law::FreeDamping => true,
+            law if law.is_over_rate() => true,
             _ => return None,
         };
         let scale = self.argument.1;
@@ -547,6 +571,9 @@ impl Forward {
             }
             Law::Slider { limit } | Law::BoucWen { limit } => vec![length("yield_displacement", limit * d)],
             Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![rate("kink", at * v)],
+            Law::PowerDamping { exponent } => {
+                vec![Number { name: "exponent", value: exponent, of: NumberOf::Ratio }]
+            }
             Law::RateLimit { limit } => vec![rate("rate", limit * v)],
             Law::Block { front, .. } | Law::Bent { front, .. } => front.numbers(self.rate_hz),
             _ => Vec::new(),

@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::entry::Entry;
 use super::forward::{Course, Forward, Kernel, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
-use super::law::{Law, Way};
+use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
 use super::place::{Argument, Place};
 use super::report::Standing;
 use super::run::{Bench, geometric_mean, mean_square};
-use super::track::{Segment, Track, delayed};
+use super::track::{Segment, Track, delayed, mean};
 
 /// Rounds of simulation and fit.
 const ROUNDS: usize = 8;
@@ -25,6 +25,8 @@ const DISTORTED: f64 = 0.03;
 /// How often its modes are found anew beside the law, and the relative gain that asks for another time.
 const RELOCATIONS: usize = 3;
 const GAINED: f64 = 0.05;
+/// A law over a predicted motion that leaves more than so many times what its regression leaves does not run well.
+const RUNS_WELL: f64 = 1.15;
 /// Shares of the law that are tried where the whole runs away.
 const SHARES: [f64; 4] = [1.0, 0.7, 0.4, 0.1];
 
@@ -43,6 +45,7 @@ pub struct FreeRun {
 }
 
 /// Columns that enter together, `[signals]` of them at one place.
+#[derive(Clone)]
 struct Part {
     place: Place,
     way: Way,
@@ -59,6 +62,7 @@ struct Round {
 }
 
 /// A law with its arguments, before anything is fitted.
+#[derive(Clone)]
 pub(super) struct Aim {
     bare: Forward,
     parts: Vec<Part>,
@@ -80,26 +84,56 @@ struct Fit<'a, 'd> {
     most: usize,
 }
 
+fn left(run: &Option<FreeRun>) -> f64 {
+    run.as_ref().map_or(f64::INFINITY, |run| run.ratio)
+}
+
+impl Aim {
+    /// The same over the motion that the linear part alone has.
+    fn opened(&self) -> Self {
+        let open = |(source, scale): (Source, Scale)| match source {
+            Source::Output(output) => (Source::Linear(output), scale),
+            known => (known, scale),
+        };
+        let bare = Forward {
+            argument: open(self.bare.argument),
+            second: self.bare.second.map(open),
+            ..self.bare.clone()
+        };
+        Self { bare, ..self.clone() }
+    }
+}
+
 impl Bench<'_> {
     /// The free run of a standing; `None` where it runs away or its place is none of these records.
     pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<FreeRun> {
-        let aim = self.aim(arguments, standing)?;
+        let mut aim = self.aim(arguments, standing)?;
         let mut best = self.beside(&aim, None);
+        if standing.predicted && aim.bare.feeds_back() && left(&best) > RUNS_WELL * standing.ratio {
+            // A law that runs away in its own motion may still do well in that of the linear part.
+            let open = aim.opened();
+            let found = self.beside(&open, None);
+            if left(&found) < left(&best) {
+                (aim, best) = (open, found);
+            }
+        }
         if let Law::Block { front, .. } = standing.law {
             let bent = self.bent(arguments, standing, front);
-            let left = |run: &Option<FreeRun>| run.as_ref().map_or(f64::INFINITY, |run| run.ratio);
             return if left(&bent) < left(&best) { bent } else { best };
         }
-        if !aim.bare.feeds_back() || mean_square(&self.linear[standing.response].errors).sqrt() < DISTORTED {
+        if !aim.bare.is_over_a_motion()
+            || mean_square(&self.linear[standing.response].errors).sqrt() < DISTORTED
+        {
             return best;
         }
         // The less of the law is in the responses, the truer the modes, and the more of the law is found beside them.
         let mut setting: Option<Setting> = None;
         for _ in 0..RELOCATIONS {
             let undisturbed = self.without_law(&aim, setting.as_ref())?;
-            let Some(next) = self.desk.setting_of(&undisturbed, self.base.setting()) else { break };
+            let like = setting.as_ref().unwrap_or(self.base.setting());
+            let Some(next) = self.desk.setting_of(&undisturbed, like) else { break };
             let found = self.beside(&aim, Some(&next));
-            let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.ratio);
+            let so_far = left(&best);
             let Some(found) = found.filter(|found| found.ratio < so_far) else { break };
             let still = found.ratio > (1.0 - GAINED) * so_far;
             (best, setting) = (Some(found), Some(next));
@@ -112,16 +146,21 @@ impl Bench<'_> {
 
     /// What is simulated: the law with its arguments.
     pub(super) fn aim(&self, arguments: &[Argument], standing: &Standing) -> Option<Aim> {
-        let argument = &*self.argument(arguments, standing.place)?;
+        let argument = &*self.argument(arguments, standing)?;
+        let among = self.among(arguments, standing);
         let other = match standing.other {
-            Some(place) => Some(arguments.iter().find(|a| a.place == place)?),
+            Some(place) => Some(among.iter().find(|a| a.place == place)?),
             None => None,
         };
         let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(|a| self.unbent(a)).collect();
         let fed_back = |place: Place| matches!(place, Place::Response(_) | Place::Between(..));
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
         let fed: Vec<usize> = (0..places.len()).filter(|&i| fed_back(places[i])).collect();
-        let extra: Vec<Track> = fed.iter().map(|&i| unbent[i].clone()).collect();
+        // Whatever the signals begin with, what is fed back is fitted to what was measured.
+        let extra: Vec<Track> = fed
+            .iter()
+            .map(|&i| Some(self.unbent(arguments.iter().find(|a| a.place == places[i])?)))
+            .collect::<Option<_>>()?;
         let source = |i: usize| match (places[i], fed.iter().position(|&f| f == i)) {
             (_, Some(at)) => Source::Output(self.entries.len() + at),
             (Place::Drive(channel), _) => {
@@ -134,7 +173,7 @@ impl Bench<'_> {
         let law = standing.law;
         let count = law.count();
         let mut parts = vec![
-            Part { place: argument.place, way: law.way(), signals: 0..count },
+            Part { place: argument.place, way: argument.way(law), signals: 0..count },
             Part { place: argument.place, way: Way::Plain, signals: count..count + 1 },
         ];
         if let Some(other) = other {
@@ -217,11 +256,6 @@ impl Bench<'_> {
     }
 }
 
-fn mean(track: &Track) -> f64 {
-    let n = track.iter().map(Vec::len).sum::<usize>().max(1);
-    track.iter().flatten().sum::<f64>() / n as f64
-}
-
 impl Fit<'_, '_> {
     /// Fits and simulates in turn, from the signals of the measured arguments on. A law that is strong has disturbed
     /// the linear part: with each round its signals enter through that which was fitted beside them.
@@ -236,7 +270,7 @@ impl Fit<'_, '_> {
             let Some((forward, runs)) = self.run(entries, &blocks, &signals, None, &records) else { break };
             let error = self.error(&runs);
             let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.error);
-            let feeds_back = forward.feeds_back();
+            let over_a_motion = forward.is_over_a_motion();
             let next: Vec<Track> = (0..forward.signals())
                 .map(|i| runs.iter().map(|run| run.signals[i].clone()).collect())
                 .collect();
@@ -244,7 +278,7 @@ impl Fit<'_, '_> {
             if error < so_far {
                 best = Some(Round { error, forward, signals, entries: own });
             }
-            if !feeds_back || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
+            if !over_a_motion || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
                 break;
             }
             (signals, own) = (next, Some(through));
@@ -289,14 +323,23 @@ impl Fit<'_, '_> {
 
     /// Columns of the signals at every output.
     fn blocks(&self, entries: &[Entry], signals: &[Track]) -> Vec<Block> {
+        let made = |part: &Part, output: usize| {
+            let own = self.own(part, output);
+            let tracks = &signals[part.signals.clone()];
+            let segments = &self.bench.desk.segments;
+            let columns = entries[output].columns(part.place, own, part.way, tracks, segments);
+            self.base.block(columns, output)
+        };
+        // What moves every mode by itself does so alike at all responses.
+        let modal = &self.aim.parts[0];
+        let shared = (modal.way == Way::Modal).then(|| made(modal, 0));
         (0..self.measured.len())
             .map(|output| {
-                let of = |part: &Part| {
-                    let own = self.own(part.place, output);
-                    let tracks = &signals[part.signals.clone()];
-                    let segments = &self.bench.desk.segments;
-                    let columns = entries[output].columns(part.place, own, part.way, tracks, segments);
-                    self.base.block(columns, output)
+                let of = |part: &Part| match &shared {
+                    Some(block) if part.way == Way::Modal && !self.own(part, output) => {
+                        self.base.retargeted(block, output)
+                    }
+                    _ => made(part, output),
                 };
                 let first = of(&self.aim.parts[0]);
                 self.aim.parts[1..].iter().fold(first, |all, part| all.beside(&of(part), self.base.segments))
@@ -304,10 +347,12 @@ impl Fit<'_, '_> {
             .collect()
     }
 
-    /// Whether a place is an output itself.
-    fn own(&self, place: Place, output: usize) -> bool {
+    /// Whether the place of a part is an output itself. What moves every mode by itself moves a response at once: the
+    /// response is not what is fed back, that is an output of its own.
+    fn own(&self, part: &Part, output: usize) -> bool {
         let responses = self.aim.bare.responses;
-        place == Place::Response(output) || (output >= responses && self.aim.fed[output - responses] == place)
+        let fed = output >= responses && self.aim.fed[output - responses] == part.place;
+        fed || (part.way != Way::Modal && part.place == Place::Response(output))
     }
 
     /// The forward model of coefficients fitted to all groups but one.
@@ -319,7 +364,7 @@ impl Fit<'_, '_> {
             let mut at = 0;
             let mut kernels = Vec::new();
             for part in &self.aim.parts {
-                let own = self.own(part.place, output);
+                let own = self.own(part, output);
                 let entry = &entries[output];
                 let count = part.signals.len();
                 let width = entry.width(part.place, part.way, count);

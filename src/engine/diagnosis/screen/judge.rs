@@ -169,6 +169,18 @@ impl<'a> Base<'a> {
         Block { columns: scaled, cross, solved, gram, target, norms }
     }
 
+    /// The same columns for another response.
+    pub fn retargeted(&self, block: &Block, response: usize) -> Block {
+        let mut target = vec![Mat::zeros(block.width(), 1); self.n_groups()];
+        for (at, (segment, x)) in self.segments.iter().zip(&block.columns).enumerate() {
+            for c in 0..x.ncols() {
+                let with = super::super::linear::dot(x.col_as_slice(c), &self.responses[at][response]);
+                target[segment.group][(c, 0)] += with;
+            }
+        }
+        Block { target, ..block.clone() }
+    }
+
     /// Held-out errors of the linear part with a block.
     pub fn judge(&self, block: &Block, response: usize) -> HeldOut {
         let (gram, target, cross) = (sum(&block.gram), sum(&block.target), sum(&block.cross));
@@ -263,6 +275,17 @@ impl<'a> Base<'a> {
         } else {
             beside(law) / gram[(law, law)].max(f64::MIN_POSITIVE)
         }
+    }
+
+    /// The second signal of a law of two relative to its first, whose `law` columns come first in the block.
+    pub fn second_by_first(&self, block: &Block, law: usize, response: usize) -> f64 {
+        let gamma = self.fitted(block, response);
+        let of = |c: usize| gamma[(c, 0)] * block.norms[c];
+        let half = law / 2;
+        let size: f64 = (0..half).map(|c| (of(c) / block.norms[c].max(f64::MIN_POSITIVE)).powi(2)).sum();
+        let with: f64 =
+            (0..half).map(|c| of(c) * of(half + c) / block.norms[c].max(f64::MIN_POSITIVE).powi(2)).sum();
+        if size > 0.0 { with / size } else { 0.0 }
     }
 
     /// How much of a law's part, as fitted to all groups, each group alone asks for beside a linear part of its

@@ -59,6 +59,11 @@ pub enum Law {
     },
     /// `v |v|`.
     QuadraticDamping,
+    /// `v |v|^(exponent - 1)`.
+    PowerDamping {
+        /// Power of the velocity.
+        exponent: f64,
+    },
     /// `max(v - at, 0)`: another damping beyond a velocity on one side.
     OneSidedDamping {
         /// Velocity of the kink, either sign.
@@ -116,6 +121,9 @@ pub(super) enum Way {
     Behind,
     /// The signal is all of the law, and leaves through a filter of its own that is set as the linear part is.
     Free,
+    /// The signals move every mode of the linear part by factors of their own, as a force does that acts elsewhere than
+    /// the drives.
+    Modal,
 }
 
 /// What a law sees at one instant.
@@ -145,6 +153,9 @@ const KINKS: [f64; 5] = [-1.5, -0.6, 0.0, 0.6, 1.5];
 const OUTERMOST: [f64; 2] = [2.2, 3.2];
 /// Its kinks while filters are tried.
 const FEW_KINKS: usize = 5;
+/// Powers of a damper's velocity: at 1 it is linear.
+const LEAST_POWER: f64 = 1.2;
+const MOST_POWER: f64 = 5.0;
 /// Where several sliders slip.
 const LIMITS: [f64; 4] = [0.1, 0.35, 1.0, 2.5];
 
@@ -184,6 +195,7 @@ impl Law {
             }
             Self::BoucWen { limit } => out[0] = yielding(&mut memory.z[0], step, limit),
             Self::QuadraticDamping => out[0] = v * v.abs(),
+            Self::PowerDamping { exponent } => out[0] = v.signum() * v.abs().powf(exponent),
             Self::OneSidedDamping { at } => out[0] = (v - at).max(0.0),
             Self::KinkedDamping { at } => out[0] = v.clamp(-at, at),
             Self::FreeDamping => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (v - at).max(0.0)),
@@ -234,6 +246,20 @@ impl Law {
         out
     }
 
+    /// Whether it is a function of its argument's rate alone.
+    pub(super) fn is_over_rate(self) -> bool {
+        matches!(
+            self,
+            Self::Coulomb { .. }
+                | Self::Stribeck { .. }
+                | Self::QuadraticDamping
+                | Self::PowerDamping { .. }
+                | Self::OneSidedDamping { .. }
+                | Self::KinkedDamping { .. }
+                | Self::FreeDamping
+        )
+    }
+
     /// Laws whose numbers are larger or smaller by a factor; none of a law without numbers. Filters stay below `high`
     /// cycles a sample.
     pub(super) fn nearby(self, factor: f64, high: f64) -> Vec<Self> {
@@ -255,6 +281,9 @@ impl Law {
             Self::Stribeck { smooth, decay } => Self::Stribeck { smooth, decay: decay * factor },
             Self::Slider { limit } => Self::Slider { limit: limit * factor },
             Self::BoucWen { limit } => Self::BoucWen { limit: limit * factor },
+            Self::PowerDamping { exponent } => {
+                Self::PowerDamping { exponent: (exponent * factor).clamp(LEAST_POWER, MOST_POWER) }
+            }
             Self::OneSidedDamping { at } => Self::OneSidedDamping { at: at * factor },
             Self::KinkedDamping { at } => Self::KinkedDamping { at: at * factor },
             Self::RateLimit { limit } => Self::RateLimit { limit: limit * factor },
@@ -275,6 +304,7 @@ impl Law {
             Self::Kink { at } | Self::OneSided { at } => vec![at],
             Self::OneSidedDamping { at } | Self::KinkedDamping { at } => vec![at],
             Self::Coulomb { smooth } => vec![smooth],
+            Self::PowerDamping { exponent } => vec![exponent],
             Self::Stribeck { smooth, decay } => vec![smooth, decay],
             Self::Slider { limit } | Self::BoucWen { limit } | Self::RateLimit { limit } => vec![limit],
             Self::Block { front, .. } => front.values(),
@@ -320,6 +350,7 @@ impl Law {
     /// Laws of damping.
     pub(super) fn damping() -> Vec<Self> {
         let mut laws = vec![Self::QuadraticDamping, Self::FreeDamping];
+        laws.extend([1.5, 3.0].map(|exponent| Self::PowerDamping { exponent }));
         laws.extend([-1.0, 0.0, 1.0].map(|at| Self::OneSidedDamping { at }));
         laws.extend([0.5, 1.0, 1.8].map(|at| Self::KinkedDamping { at }));
         laws

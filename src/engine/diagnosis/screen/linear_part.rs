@@ -167,10 +167,10 @@ pub(super) fn with_modes(
     segments: &[Segment],
     lead: usize,
 ) -> Option<WithModes> {
-    let lags = Lags { lead, span: lead + DIRECT };
+    let span = lead + DIRECT;
     let mut best: Option<WithModes> = None;
     let fits = |pairs: &usize| {
-        let columns = drives.len() * (2 * pairs + lags.span);
+        let columns = drives.len() * (2 * pairs + span);
         *pairs == PAIRS[0] || (columns <= MOST_OF_MODES && 5 * columns <= unique_rows(segments))
     };
     for pairs in PAIRS.into_iter().filter(fits) {
@@ -179,20 +179,48 @@ pub(super) fn with_modes(
         for _ in 0..STAGES {
             let Some(next) = relocate(poles, drives, responses, segments, DIRECT) else { break };
             poles = next;
-            let columns = modes::columns(drives, segments, &poles, lead, lags.span);
-            let moments = Moments::of_columns(&columns, responses, segments);
-            let parts = of_parts(&moments, segments);
-            let settings =
-                MODE_RIDGES.map(|ridge| Setting { lags, poles: Some(poles.clone()), ridge, growth: 1.0 });
-            let found: Vec<(f64, Setting)> =
-                settings.into_iter().map(|setting| (self::error(&parts, &setting), setting)).collect();
-            let (error, setting) = least(&found);
-            if error.is_finite() && best.as_ref().is_none_or(|b| error < b.error - ALIKE) {
-                best = Some(WithModes { error, setting, columns, moments });
+            let found = with_poles(&poles, drives, responses, segments, lead);
+            if found.error.is_finite() && best.as_ref().is_none_or(|b| found.error < b.error - ALIKE) {
+                best = Some(found);
             }
         }
     }
     best
+}
+
+/// A linear part of modes whose poles are given, with the ridge by held-out error.
+fn with_poles(
+    poles: &Poles,
+    drives: &[Track],
+    responses: &[Track],
+    segments: &[Segment],
+    lead: usize,
+) -> WithModes {
+    let lags = Lags { lead, span: lead + DIRECT };
+    let columns = modes::columns(drives, segments, poles, lead, lags.span);
+    let moments = Moments::of_columns(&columns, responses, segments);
+    let parts = of_parts(&moments, segments);
+    let settings = MODE_RIDGES.map(|ridge| Setting { lags, poles: Some(poles.clone()), ridge, growth: 1.0 });
+    let found: Vec<(f64, Setting)> =
+        settings.into_iter().map(|setting| (self::error(&parts, &setting), setting)).collect();
+    let (error, setting) = least(&found);
+    WithModes { error, setting, columns, moments }
+}
+
+/// The modes of a linear part moved to where other responses have them; as [`with_modes`] where it has none.
+pub(super) fn moved(
+    setting: &Setting,
+    drives: &[Track],
+    responses: &[Track],
+    segments: &[Segment],
+) -> Option<Setting> {
+    let lead = setting.lags.lead;
+    let Some(poles) = &setting.poles else {
+        return with_modes(drives, responses, segments, lead).map(|found| found.setting);
+    };
+    let poles = relocate(poles.clone(), drives, responses, segments, DIRECT)?;
+    let found = with_poles(&poles, drives, responses, segments, lead);
+    found.error.is_finite().then_some(found.setting)
 }
 
 fn of_parts(moments: &[Moments], segments: &[Segment]) -> Vec<Moments> {

@@ -83,6 +83,29 @@ impl Poles {
         out
     }
 
+    /// From -1 to 1: how far coefficients of the states move every mode as a force does that it follows, of a response
+    /// that is the motion itself (0), its rate (1) or the rate of that (2).
+    pub fn follows(&self, coefficients: &[f64], rates: usize) -> f64 {
+        let (mut with, mut all, mut at) = (0.0, 0.0, 0);
+        for &pole in &self.0 {
+            let (re, im) = (coefficients[at], if pole.im == 0.0 { 0.0 } else { coefficients[at + 1] });
+            at += if pole.im == 0.0 { 1 } else { 2 };
+            // The states are a sample late.
+            let now = Complex64::new(re, -im) / pole;
+            // A struck mode goes as a sine, its rate as a cosine, the rate of that against the sine.
+            let along = match (rates, pole.im == 0.0) {
+                (0, true) | (1, false) => now.re,
+                (_, true) => 0.0,
+                (0, false) => -now.im,
+                _ => now.im,
+            };
+            let power = 1.0 / (1.0 - pole.norm_sqr()).max(1e-6);
+            with += along * power;
+            all += now.norm() * power;
+        }
+        if all > 0.0 { with / all } else { 0.0 }
+    }
+
     /// Samples after which every mode has rung down to a thousandth, at most `most`.
     pub fn memory(&self, most: usize) -> usize {
         let slowest = self.0.iter().map(|p| p.norm()).fold(0.0, f64::max);

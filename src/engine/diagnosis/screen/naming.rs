@@ -10,6 +10,10 @@ const STOP: f64 = 1.2;
 /// A slider that slips at fewer deviations is dry friction.
 const DRY: f64 = 0.08;
 
+/// Stribeck's second part relative to its first: below it the force at high velocity is half as large again as that
+/// when sliding begins.
+const RISES: f64 = -0.33;
+
 /// What stands at a place: its laws have names of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
@@ -22,8 +26,20 @@ enum Role {
 }
 
 /// The effect that a law at a place is. `gain` is the law's gain relative to the linear part's of the same
-/// signal: its sign tells a clip from a dead zone and a slider from a play.
-pub(super) fn effect(law: Law, place: Place, of: Quantity, response: Quantity, gain: f64) -> Effect {
+/// signal: its sign tells a clip from a dead zone and a slider from a play. `second` is the second signal of a law
+/// relative to its first.
+pub(super) fn effect(
+    law: Law,
+    place: Place,
+    of: Quantity,
+    response: Quantity,
+    gain: f64,
+    second: f64,
+) -> Effect {
+    if matches!(law, Law::Stribeck { .. }) && second < RISES {
+        // A force that grows with the velocity is no friction.
+        return Effect::FreeDamping;
+    }
     let moves = |q| matches!(q, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration);
     let role = match place {
         Place::Response(_) | Place::Between(..) => Role::Structure,
@@ -53,7 +69,7 @@ fn of_force(law: Law, gain: f64) -> Effect {
         Law::Stribeck { .. } => Effect::StribeckFriction,
         Law::Slider { .. } | Law::BoucWen { .. } => Effect::BoucWenHysteresis,
         Law::FreeHysteresis => Effect::FreeHysteresis,
-        Law::QuadraticDamping => Effect::QuadraticDamping,
+        Law::QuadraticDamping | Law::PowerDamping { .. } => Effect::QuadraticDamping,
         Law::OneSidedDamping { .. } | Law::KinkedDamping { .. } | Law::FreeDamping => Effect::FreeDamping,
         Law::RateLimit { .. } => Effect::RateLimit,
         Law::ValveFlow => Effect::ValveFlow,
@@ -95,7 +111,7 @@ mod tests {
         let (force, length) = (Quantity::Force, Quantity::Displacement);
         let kink = Law::Kink { at: 0.7 };
         let slider = Law::Slider { limit: 0.5 };
-        let of = |law, place, drive, response, gain| effect(law, place, drive, response, gain);
+        let of = |law, place, drive, response, gain| effect(law, place, drive, response, gain, 0.0);
         assert_eq!(of(kink, Place::Drive(0), force, length, 0.4), Effect::DriveSaturation);
         assert_eq!(of(kink, Place::Drive(0), force, length, -0.4), Effect::DeadZone);
         assert_eq!(of(kink, Place::Drive(0), length, force, -0.4), Effect::Clearance);
@@ -103,5 +119,9 @@ mod tests {
         assert_eq!(of(kink, Place::Output(0), length, length, 0.4), Effect::SensorSaturation);
         assert_eq!(of(slider, Place::Drive(0), length, force, 0.4), Effect::BoucWenHysteresis);
         assert_eq!(of(slider, Place::Drive(0), force, length, -0.9), Effect::Backlash);
+        let stribeck = Law::Stribeck { smooth: 0.04, decay: 0.7 };
+        let sliding = |second| effect(stribeck, Place::Response(0), length, length, -1.0, second);
+        assert_eq!(sliding(0.5), Effect::StribeckFriction);
+        assert_eq!(sliding(-0.6), Effect::FreeDamping);
     }
 }

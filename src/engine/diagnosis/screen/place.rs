@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::band::{Band, noisy_below};
 use super::input::{Channel, Recording};
-use super::law::Scale;
+use super::law::{Law, Scale, Way};
 use super::motion::{Limits, Motion, motion};
 use crate::Quantity;
 
@@ -32,6 +32,16 @@ pub(super) struct Argument {
     /// `[record]`.
     pub motion: Vec<Motion>,
     pub scale: Scale,
+    /// Whether it is what the linear part makes of the drives, at the rate of the analysis, and not what was measured.
+    pub predicted: bool,
+}
+
+impl Argument {
+    /// How the signals of a law over it reach a response.
+    pub fn way(&self, law: Law) -> Way {
+        let of_structure = matches!(self.place, Place::Response(_) | Place::Between(..));
+        if self.predicted && of_structure { Way::Modal } else { law.way() }
+    }
 }
 
 /// Limits of what is integrated and differentiated.
@@ -129,5 +139,6 @@ pub(super) fn argument(place: Place, quantity: Quantity, motion: Vec<Motion>) ->
         quantity,
         motion,
         scale: Scale { centre: if of_rig { 0.0 } else { mean }, d, v },
+        predicted: false,
     })
 }

@@ -47,6 +47,9 @@ pub struct Standing {
     pub place: Place,
     /// The other argument of a law of two.
     pub other: Option<Place>,
+    /// Whether its argument is what the linear part makes of the drives, without noise, and its signals move every mode
+    /// by factors of their own; else the argument is what was measured.
+    pub predicted: bool,
     /// Its name in the catalogue.
     pub effect: Effect,
     /// Its family.
@@ -64,7 +67,8 @@ pub struct Standing {
     pub ratios: Vec<f64>,
     /// Held-out error of each group at the response that it helps most, relative to the response.
     pub errors: Vec<f64>,
-    /// Its gain relative to the linear part's of the same signal.
+    /// Its gain relative to the linear part's of the same signal; of a predicted argument from -1, where it resists in
+    /// every mode, to 1.
     pub gain: f64,
     /// How much of the law each group alone asks for, 1 being the fit to all; for the foremost of each family.
     pub gains: Vec<Option<f64>>,

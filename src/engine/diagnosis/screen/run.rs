@@ -14,12 +14,11 @@ use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
 use super::law::{Law, Way};
 use super::modes::Poles;
-use super::motion::Motion;
+use super::motion::{Limits, Motion, motion};
 use super::naming;
 use super::place::{Argument, Place, argument, arguments};
 use super::report::{LinearPart, Screening, Standing};
-use super::track::Track;
-use crate::diagnosis::Family;
+use super::track::{Track, mean};
 use crate::progress::{Watch, report, within};
 use crate::{EngineError, Quantity};
 
@@ -30,10 +29,22 @@ const FEWEST: usize = 300;
 const BEHIND: f64 = 2.0;
 const NOTHING: f64 = 0.97;
 const CONFIRMED: usize = 6;
+/// Places at which a family is run freely at most, and how much more than the best law may be left at others.
+const PLACES: usize = 3;
+const ELSEWHERE: f64 = 1.3;
 /// Stages, and the share of the first.
 const STAGE: &str = "laws by transfer";
 const FREE_STAGE: &str = "free runs";
 const SCREENED: f64 = 0.6;
+/// Predicted motions over which all laws are tried at most, and the laws by which they are chosen.
+const MOST_PREDICTED: usize = 6;
+const PROBES: [Law; 5] = [
+    Law::Cubic,
+    Law::Kink { at: 0.7 },
+    Law::OneSided { at: 0.0 },
+    Law::Slider { limit: 0.15 },
+    Law::QuadraticDamping,
+];
 /// Factors by which the numbers of laws are moved between the grid's.
 const FINER: [f64; 3] = [1.18, 1.09, 1.04];
 /// A bend behind a filter that leaves more than this is not searched further: the best of many filters leaves a little
@@ -73,12 +84,13 @@ pub fn screen(
     }
     let arguments = arguments(recording, desk.limits, &desk.used);
     let bases = desk.bases();
-    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base)).collect();
+    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base, &arguments)).collect();
     let benches = bases.iter().zip(&ways).map(|(base, ways)| Bench {
         desk: &desk,
         base,
         entries: &ways.entries,
         linear: &ways.linear,
+        predicted: &ways.predicted,
     });
     // The linear part is the one beside which some law leaves least.
     let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
@@ -100,17 +112,19 @@ pub fn screen(
     Ok(screening)
 }
 
-/// How signals enter beside a linear part, and what that leaves alone.
+/// How signals enter beside a linear part, what that leaves alone, and the motions that it predicts.
 struct Ways {
     entries: Vec<Entry>,
     linear: Vec<HeldOut>,
+    predicted: Vec<Argument>,
 }
 
 impl Ways {
-    fn new(desk: &Desk<'_>, base: &Base<'_>) -> Self {
+    fn new(desk: &Desk<'_>, base: &Base<'_>, arguments: &[Argument]) -> Self {
         let responses = desk.responses.len();
         let entries = Entry::all(base, responses, &desk.drives);
-        Self { entries, linear: (0..responses).map(|r| base.linear(r)).collect() }
+        let predicted = predicted(desk, base, arguments);
+        Self { entries, linear: (0..responses).map(|r| base.linear(r)).collect(), predicted }
     }
 }
 
@@ -120,6 +134,8 @@ pub(super) struct Bench<'a> {
     pub base: &'a Base<'a>,
     pub entries: &'a [Entry],
     pub linear: &'a [HeldOut],
+    /// Motions of the structure as the linear part predicts them.
+    pub predicted: &'a [Argument],
 }
 
 /// What a law leaves at one response.
@@ -144,6 +160,9 @@ impl Bench<'_> {
         for at in 0..arguments.len() {
             report(watch, STAGE, within(at as f64 / arguments.len() as f64, progress))?;
             standings.extend(self.over(arguments, at));
+        }
+        for at in self.promising() {
+            standings.extend(self.over(self.predicted, at));
         }
         for response in 0..self.entries.len() {
             standings.extend(self.over_output(response));
@@ -170,24 +189,19 @@ impl Bench<'_> {
         })
     }
 
-    /// Runs the foremost of each family freely, as far as they may be the right one.
+    /// Runs the foremost of each family freely, as far as they may be the right one, and its rivals at other places; of
+    /// a family the one that leaves least then comes first.
     fn run_free(
         &self,
         arguments: &[Argument],
-        standings: &mut [Standing],
+        standings: &mut Vec<Standing>,
         watch: Watch<'_>,
     ) -> Result<(), EngineError> {
         let best = standings.first().map_or(1.0, |s| s.ratio);
-        let mut families: Vec<Family> = Vec::new();
-        let mut foremost: Vec<usize> = Vec::new();
-        for (at, standing) in standings.iter().enumerate() {
-            if standing.ratio < (BEHIND * best).min(NOTHING) && !families.contains(&standing.family) {
-                families.push(standing.family);
-                foremost.push(at);
-            }
-        }
-        foremost.truncate(CONFIRMED);
-        let found: Vec<(usize, Option<FreeRun>)> = foremost
+        let of_families = contenders(standings);
+        let near = |of: &&Vec<usize>| standings[of[0]].ratio < (BEHIND * best).min(NOTHING);
+        let chosen: Vec<usize> = of_families.iter().filter(near).take(CONFIRMED).flatten().copied().collect();
+        let found: Vec<(usize, Option<FreeRun>)> = chosen
             .into_par_iter()
             .map(|at| {
                 report(watch, FREE_STAGE, SCREENED)?;
@@ -197,15 +211,24 @@ impl Bench<'_> {
         for (at, free) in found {
             standings[at].free = free;
         }
+        let left = |at: usize| standings[at].free.as_ref().map_or(f64::INFINITY, |free| free.ratio);
+        let ahead: Vec<(usize, usize)> = of_families
+            .iter()
+            .filter_map(|of| {
+                let least = of.iter().copied().min_by(|&a, &b| left(a).total_cmp(&left(b)))?;
+                (left(least) < left(of[0])).then_some((of[0], least))
+            })
+            .collect();
+        for (first, least) in ahead {
+            standings.swap(first, least);
+        }
         report(watch, FREE_STAGE, 1.0)
     }
 
     /// Standings of all laws over one argument, at all responses.
     fn over(&self, arguments: &[Argument], at: usize) -> Vec<Standing> {
         let argument = &arguments[at];
-        let unbent = [self.unbent(argument)];
-        let responses: Vec<usize> = (0..self.entries.len()).collect();
-        let companions = self.companions(argument.place, &unbent, &responses);
+        let companions = self.companions_of(argument);
         self.laws(arguments, at)
             .into_par_iter()
             .map(|(law, other)| {
@@ -219,6 +242,26 @@ impl Bench<'_> {
                 self.standing(law, argument, Some(other.place), &signals, &both)
             })
             .collect()
+    }
+
+    /// Predicted motions that are worth all laws: those over which one of a few leaves least.
+    fn promising(&self) -> Vec<usize> {
+        let all: Vec<usize> = (0..self.predicted.len()).collect();
+        if all.len() <= MOST_PREDICTED {
+            return all;
+        }
+        let least = |at: usize| {
+            let argument = &self.predicted[at];
+            let companions = self.companions_of(argument);
+            let of = |law: &Law| {
+                let signals = self.signals(*law, argument, None);
+                self.standing(*law, argument, None, &signals, &companions).ratio
+            };
+            PROBES.iter().map(of).fold(1.0, f64::min)
+        };
+        let mut ranked: Vec<(f64, usize)> = all.into_par_iter().map(|at| (least(at), at)).collect();
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        ranked.into_iter().take(MOST_PREDICTED).map(|(_, at)| at).collect()
     }
 
     /// Laws over an argument, bends behind filters of the band among them.
@@ -247,11 +290,20 @@ impl Bench<'_> {
     }
 
     /// The argument at a place; of an output it is made here.
-    pub(super) fn argument<'b>(&self, arguments: &'b [Argument], place: Place) -> Option<Cow<'b, Argument>> {
-        match place {
+    pub(super) fn argument<'b>(
+        &'b self,
+        arguments: &'b [Argument],
+        of: &Standing,
+    ) -> Option<Cow<'b, Argument>> {
+        match of.place {
             Place::Output(response) => self.output(response).map(Cow::Owned),
-            place => arguments.iter().find(|a| a.place == place).map(Cow::Borrowed),
+            place => self.among(arguments, of).iter().find(|a| a.place == place).map(Cow::Borrowed),
         }
+    }
+
+    /// The arguments among which that of a standing is.
+    pub(super) fn among<'b>(&'b self, measured: &'b [Argument], of: &Standing) -> &'b [Argument] {
+        if of.predicted { self.predicted } else { measured }
     }
 
     /// The linear part's prediction as an argument, at the rate of the analysis.
@@ -261,27 +313,34 @@ impl Bench<'_> {
             d: d.clone(),
         };
         let motion = self.entries[response].output.iter().map(moving).collect();
-        argument(Place::Output(response), Quantity::Other, motion)
+        let found = argument(Place::Output(response), Quantity::Other, motion)?;
+        Some(Argument { predicted: true, ..found })
     }
 
     /// The signals of a law at the rate of the analysis.
     pub(super) fn signals(&self, law: Law, argument: &Argument, other: Option<&Argument>) -> Vec<Track> {
-        let rate = self.desk.recording.sample_rate_hz();
+        let desk = self.desk;
+        let rate = if argument.predicted { desk.rate_hz() } else { desk.recording.sample_rate_hz() };
         let mut signals: Vec<Track> = Vec::new();
         for (record, motion) in argument.motion.iter().enumerate() {
             let beside: Option<Vec<f64>> = other.map(|o| {
                 let scale = o.scale;
                 o.motion[record].d.iter().map(|d| (d - scale.centre) / scale.d).collect()
             });
-            let clock = self.desk.clocks[record];
+            let clock = desk.clocks[record];
             let of_record = law.signals(motion, argument.scale, rate, clock, beside.as_deref());
             signals.resize_with(of_record.len(), Vec::new);
             for (signal, samples) in signals.iter_mut().zip(of_record) {
-                let thin = !matches!(argument.place, Place::Output(_));
-                signal.push(if thin { self.desk.thinner.thin(&samples) } else { samples });
+                signal.push(if argument.predicted { samples } else { desk.thinner.thin(&samples) });
             }
         }
         signals
+    }
+
+    /// Companions at all responses.
+    fn companions_of(&self, argument: &Argument) -> Vec<(usize, Block, HeldOut)> {
+        let responses: Vec<usize> = (0..self.entries.len()).collect();
+        self.companions(argument.place, &[self.unbent(argument)], &responses)
     }
 
     /// The linear signal at a place, let in as a law's signal is, at each response, and its held-out errors.
@@ -320,7 +379,8 @@ impl Bench<'_> {
     }
 
     pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {
-        let own = place == Place::Response(response);
+        // What is predicted holds nothing of the response that it enters.
+        let own = place == Place::Response(response) && way != Way::Modal;
         let columns = self.entries[response].columns(place, own, way, signals, &self.desk.segments);
         self.base.block(columns, response)
     }
@@ -333,6 +393,8 @@ impl Bench<'_> {
         signals: &[Track],
         companions: &[(usize, Block, HeldOut)],
     ) -> Standing {
+        let way = argument.way(law);
+        let shared = (way == Way::Modal).then(|| self.block(argument.place, way, signals, 0));
         let mut ratios = vec![1.0; self.entries.len()];
         let mut best: Option<AtResponse> = None;
         let (mut left, mut before, mut error) = (0.0, 0.0, 0.0);
@@ -343,7 +405,11 @@ impl Bench<'_> {
                 error += mean_square(&linear.errors);
                 continue;
             };
-            let law = self.block(argument.place, law.way(), signals, response);
+            // What moves every mode by itself does so alike at all responses.
+            let law = match &shared {
+                Some(block) => self.base.retargeted(block, response),
+                None => self.block(argument.place, way, signals, response),
+            };
             let width = law.width();
             let block = law.beside(companion, self.base.segments);
             let found = self.base.judge(&block, response);
@@ -361,22 +427,31 @@ impl Bench<'_> {
         }
         let error = (error / self.entries.len().max(1) as f64).sqrt();
         let ratio = if before > 0.0 { f64::sqrt(left / before) } else { 1.0 };
-        let (response, worst, errors, gain) = match &best {
+        let (response, worst, errors, gain, second) = match &best {
             Some(b) => {
                 let worst = b.ratios.iter().copied().fold(0.0, f64::max);
                 let direct = matches!(argument.place, Place::Drive(_) | Place::Output(_));
-                let gain = self.base.relative_gain(&b.block, b.width, direct, b.response);
-                (b.response, worst, b.errors.clone(), gain)
+                let gain = if let Some(block) = shared.as_ref().filter(|_| ratio < NOTHING) {
+                    self.gain_of_modes(law, argument, signals, block)
+                } else {
+                    self.base.relative_gain(&b.block, b.width, direct, b.response)
+                };
+                let second = match law {
+                    Law::Stribeck { .. } => self.base.second_by_first(&b.block, b.width, b.response),
+                    _ => 0.0,
+                };
+                (b.response, worst, b.errors.clone(), gain, second)
             }
-            None => (0, 1.0, Vec::new(), 0.0),
+            None => (0, 1.0, Vec::new(), 0.0, 0.0),
         };
         let quantity = self.desk.recording.responses[response].quantity;
-        let effect = naming::effect(law, argument.place, argument.quantity, quantity, gain);
+        let effect = naming::effect(law, argument.place, argument.quantity, quantity, gain, second);
         let (place, family) = (argument.place, effect.family());
         Standing {
             law,
             place,
             other,
+            predicted: argument.predicted,
             effect,
             family,
             ratio,
@@ -388,6 +463,48 @@ impl Bench<'_> {
             gain,
             gains: Vec::new(),
             free: None,
+        }
+    }
+
+    /// From -1, where a law over a predicted motion resists it in every mode, to 1, where it gives way.
+    fn gain_of_modes(&self, law: Law, argument: &Argument, signals: &[Track], block: &Block) -> f64 {
+        let setting = self.base.setting();
+        let Some(poles) = &setting.poles else { return 0.0 };
+        let width = 1 + poles.states();
+        // How far each signal goes with the motion or its rate.
+        let slopes: Vec<f64> = signals
+            .iter()
+            .map(|signal| {
+                let level = mean(signal);
+                let with = |of: fn(&Motion) -> &[f64]| -> f64 {
+                    let pairs = signal.iter().zip(&argument.motion).flat_map(|(s, m)| s.iter().zip(of(m)));
+                    pairs.map(|(s, x)| (s - level) * x).sum()
+                };
+                if law.is_over_rate() {
+                    with(|m| &m.v) / argument.scale.v
+                } else {
+                    with(|m| &m.d) / argument.scale.d
+                }
+            })
+            .collect();
+        let follows = |response: usize| -> f64 {
+            let rates = match self.desk.recording.responses[response].quantity {
+                Quantity::Velocity => 1,
+                Quantity::Acceleration => 2,
+                _ => 0,
+            };
+            let block = self.base.retargeted(block, response);
+            let found = self.base.coefficients(&block, response, None, 1).columns;
+            let mut of_all = vec![0.0; poles.states()];
+            for (own, slope) in found.chunks_exact(width).zip(&slopes) {
+                of_all.iter_mut().zip(&own[1..]).for_each(|(all, c)| *all += slope * c);
+            }
+            poles.follows(&of_all, rates)
+        };
+        match argument.place {
+            Place::Between(a, b) => 0.5 * (follows(a) - follows(b)),
+            Place::Response(r) => follows(r),
+            _ => 0.0,
         }
     }
 
@@ -417,7 +534,7 @@ impl Bench<'_> {
 
     /// The standing with its number moved, where that leaves less.
     fn refined(&self, arguments: &[Argument], standing: &Standing) -> Option<Standing> {
-        let argument = &*self.argument(arguments, standing.place)?;
+        let argument = &*self.argument(arguments, standing)?;
         let responses: Vec<usize> = match standing.place {
             Place::Output(response) => vec![response],
             _ => (0..self.entries.len()).collect(),
@@ -452,21 +569,18 @@ impl Bench<'_> {
     /// The linear signal at a place at the rate of the analysis.
     pub(super) fn unbent(&self, argument: &Argument) -> Track {
         let d: Vec<Vec<f64>> = argument.motion.iter().map(|m| m.d.clone()).collect();
-        if matches!(argument.place, Place::Output(_)) { d } else { self.desk.thinned(&d) }
+        if argument.predicted { d } else { self.desk.thinned(&d) }
     }
 
-    /// Fits the foremost law of each family to each group alone.
+    /// Fits the foremost laws of each family to each group alone.
     fn confirm(&self, arguments: &[Argument], standings: &mut [Standing]) {
-        let mut seen = Vec::new();
-        for standing in standings.iter_mut() {
-            if seen.contains(&standing.family) {
-                continue;
-            }
-            seen.push(standing.family);
-            let Some(argument) = self.argument(arguments, standing.place) else { continue };
-            let other = standing.other.and_then(|o| arguments.iter().find(|a| a.place == o));
+        for at in contenders(standings).concat() {
+            let standing = &mut standings[at];
+            let Some(argument) = self.argument(arguments, standing) else { continue };
+            let of_two = self.among(arguments, standing);
+            let other = standing.other.and_then(|o| of_two.iter().find(|a| a.place == o));
             let signals = self.signals(standing.law, &argument, other);
-            let law = self.block(argument.place, standing.law.way(), &signals, standing.response);
+            let law = self.block(argument.place, argument.way(standing.law), &signals, standing.response);
             let companion =
                 self.block(argument.place, Way::Plain, &[self.unbent(&argument)], standing.response);
             let companion = match other {
@@ -481,6 +595,70 @@ impl Bench<'_> {
             standing.gains = self.base.gains(&block, law.width(), standing.response);
         }
     }
+}
+
+/// Motions of the structure as a linear part predicts them: without noise, and without what laws add to them.
+fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument]) -> Vec<Argument> {
+    let responses: Vec<&Argument> =
+        measured.iter().filter(|a| matches!(a.place, Place::Response(_))).collect();
+    let tracks: Vec<Track> = responses
+        .iter()
+        .map(|a| desk.thinned(&a.motion.iter().map(|m| m.d.clone()).collect::<Vec<_>>()))
+        .collect();
+    if tracks.is_empty() {
+        return Vec::new();
+    }
+    let Some(with_motions) = desk.rebased(base.setting(), &tracks) else { return Vec::new() };
+    let first = desk.responses.len();
+    let linear: Vec<Track> = (0..tracks.len())
+        .into_par_iter()
+        .map(|at| {
+            let mut d = Entry::new(&with_motions, first + at, &desk.drives).output;
+            let level = mean(&tracks[at]) - mean(&d);
+            d.iter_mut().flatten().for_each(|d| *d += level);
+            d
+        })
+        .collect();
+    let rate = desk.rate_hz();
+    let limits = Limits { low_hz: 0.0, high_hz: rate };
+    let moving = |place: Place, quantity: Quantity, d: &Track| {
+        let motion = d.iter().map(|d| motion(d, Quantity::Displacement, rate, limits)).collect();
+        argument(place, quantity, motion).map(|found| Argument { predicted: true, ..found })
+    };
+    let at = |r: usize| responses.iter().position(|a| a.place == Place::Response(r));
+    measured
+        .iter()
+        .filter_map(|a| match a.place {
+            Place::Response(r) => moving(a.place, a.quantity, &linear[at(r)?]),
+            Place::Between(i, j) => {
+                let less = |(x, y): (&Vec<f64>, &Vec<f64>)| x.iter().zip(y).map(|(x, y)| x - y).collect();
+                let d: Track = linear[at(i)?].iter().zip(&linear[at(j)?]).map(less).collect();
+                moving(a.place, a.quantity, &d)
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+/// Of each family the foremost standing, then those of other places of the structure that do nearly as well as the best
+/// of all.
+fn contenders(standings: &[Standing]) -> Vec<Vec<usize>> {
+    let best = standings.first().map_or(1.0, |s| s.ratio);
+    let mut of_families: Vec<Vec<usize>> = Vec::new();
+    for (at, standing) in standings.iter().enumerate() {
+        let of_structure = matches!(standing.place, Place::Response(_) | Place::Between(..));
+        match of_families.iter_mut().find(|of| standings[of[0]].family == standing.family) {
+            None => of_families.push(vec![at]),
+            Some(of) => {
+                let seen = of.iter().any(|&other| standings[other].place == standing.place);
+                let near = standing.ratio < ELSEWHERE * best;
+                if of_structure && near && !seen && of.len() < PLACES {
+                    of.push(at);
+                }
+            }
+        }
+    }
+    of_families
 }
 
 /// Leaves out bends behind filters where a law of the same drive as it is does nearly as well: the bend is the drive's

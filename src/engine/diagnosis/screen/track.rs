@@ -34,6 +34,12 @@ pub(super) fn delayed(samples: &[f64], segment: &Segment, lag: isize) -> Vec<f64
     out
 }
 
+/// Mean over all samples.
+pub(super) fn mean(track: &Track) -> f64 {
+    let n = track.iter().map(Vec::len).sum::<usize>().max(1);
+    track.iter().flatten().sum::<f64>() / n as f64
+}
+
 /// Deviation over all rows of a track, each segment about its own mean.
 pub(super) fn deviation(track: &Track, segments: &[Segment]) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
