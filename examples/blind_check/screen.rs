@@ -178,7 +178,7 @@ fn place(recording: &Recording, place: Place) -> Value {
 }
 
 /// The runs of a case; the baseline is one of them where the rig had the effect then.
-fn case(folder: &Path) -> Result<Recording, AnyError> {
+pub fn case(folder: &Path) -> Result<Recording, AnyError> {
     let about: Value = serde_json::from_slice(&std::fs::read(folder.join("case.json"))?)?;
     let rate_hz = about["rig"]["sample_rate_hz"].as_f64().ok_or("a rig without a rate")?;
     let listed = about["rig"]["channels"].as_array().ok_or("a rig without channels")?;

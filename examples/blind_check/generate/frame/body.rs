@@ -90,7 +90,7 @@ pub struct Stretch<'a> {
 }
 
 impl Frame {
-    /// Responses `[sensor][sample]` in units of the linear frame's.
+    /// Responses `[sensor][sample]`, each in units of its own deviation in the linear frame.
     pub fn respond(&self, stretch: Stretch<'_>, beyond: &Beyond) -> Vec<Vec<f64>> {
         let mut out = self.run(stretch, beyond).0;
         for (y, level) in out.iter_mut().zip(&self.levels) {
@@ -99,6 +99,13 @@ impl Frame {
         // The first sensor is the one that may err.
         out[0].iter_mut().for_each(|y| *y = beyond.law.sensed(*y, beyond.strength));
         out
+    }
+
+    /// Each sensor's deviation relative to the largest: what [`Self::respond`] has to be multiplied by, so that all
+    /// sensors have one unit and their differences are motions.
+    pub fn shares(&self) -> Vec<f64> {
+        let most = self.levels.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+        self.levels.iter().map(|level| level / most).collect()
     }
 
     /// Takes the units from a linear run.

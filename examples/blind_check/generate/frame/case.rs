@@ -123,16 +123,19 @@ impl Case {
             first += frame.driven.len();
             let process = (self.process > 0.0).then(|| coloured(own[0].len(), self.process, &mut self.rng));
             let beyond = if f == 0 { self.beyond } else { Beyond::NONE };
-            responses.extend(
-                frame.respond(Stretch { drives: own, process: process.as_deref(), steps: FINE }, &beyond),
-            );
+            let stretch = Stretch { drives: own, process: process.as_deref(), steps: FINE };
+            responses.extend(frame.respond(stretch, &beyond).into_iter().zip(frame.shares()));
         }
-        for response in &mut responses {
-            for y in response {
-                let e: f64 = StandardNormal.sample(&mut self.rng);
-                *y += self.noise * e;
-            }
-        }
+        let responses = responses
+            .into_iter()
+            .map(|(response, share)| {
+                let noisy = |y: f64| -> f64 {
+                    let e: f64 = StandardNormal.sample(&mut self.rng);
+                    share * (y + self.noise * e)
+                };
+                response.into_iter().map(noisy).collect()
+            })
+            .collect();
         Record { drives: drives.to_vec(), responses, started_s }
     }
 
@@ -293,11 +296,25 @@ mod tests {
     }
 
     #[test]
+    fn sensors_of_one_quantity_share_a_unit() {
+        let mut case = (0..20)
+            .filter_map(|seed| Case::draw(Suite::Place, 0, seed).ok())
+            .find(|case| case.frames[0].sensors.len() > 1)
+            .unwrap();
+        let drives = case.drives(10.0, 1.0);
+        let levels = case.frames[0].levels.clone();
+        let made = case.record(&drives, 0.0).responses;
+        let of = |i: usize| rms(&made[i]) / levels[i];
+        assert!((of(0) / of(1) - 1.0).abs() < 0.3, "{} {}", of(0), of(1));
+    }
+
+    #[test]
     fn a_run_that_is_made_twice_differs_by_noise_alone() {
         let mut case = Case::draw(Suite::Place, 1, 3).unwrap();
         let drives = case.drives(10.0, 1.0);
         let [a, b] = [(); 2].map(|()| case.record(&drives, 0.0).responses.swap_remove(0));
         let apart: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a - b).collect();
-        assert!((rms(&apart) / 2.0_f64.sqrt() / case.noise - 1.0).abs() < 0.05);
+        let noise = case.noise * case.frames[0].shares()[0];
+        assert!((rms(&apart) / 2.0_f64.sqrt() / noise - 1.0).abs() < 0.05);
     }
 }
