@@ -153,9 +153,8 @@ impl Bench<'_> {
             None => None,
         };
         let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(|a| self.unbent(a)).collect();
-        let fed_back = |place: Place| matches!(place, Place::Response(_) | Place::Between(..));
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
-        let fed: Vec<usize> = (0..places.len()).filter(|&i| fed_back(places[i])).collect();
+        let fed: Vec<usize> = (0..places.len()).filter(|&i| places[i].is_of_structure()).collect();
         // Whatever the signals begin with, what is fed back is fitted to what was measured.
         let extra: Vec<Track> = fed
             .iter()
@@ -173,7 +172,7 @@ impl Bench<'_> {
         let law = standing.law;
         let count = law.count();
         let mut parts = vec![
-            Part { place: argument.place, way: argument.way(law), signals: 0..count },
+            Part { place: argument.place, way: self.way(law, argument), signals: 0..count },
             Part { place: argument.place, way: Way::Plain, signals: count..count + 1 },
         ];
         if let Some(other) = other {

@@ -269,6 +269,26 @@ mod tests {
     }
 
     #[test]
+    fn modes_that_are_struck_follow_and_modes_that_are_held_back_do_not() {
+        let poles = Poles(vec![Complex64::from_polar(0.95, 1.9), Complex64::from_polar(0.98, 0.3)]);
+        // Coefficients of a sum of `p^n`, whose states are a sample late.
+        let of = |parts: [Complex64; 2]| -> Vec<f64> {
+            let late = |(part, pole): (Complex64, &Complex64)| {
+                let now = part * pole;
+                [now.re, -now.im]
+            };
+            parts.into_iter().zip(&poles.0).flat_map(late).collect()
+        };
+        let (sine, cosine) = (Complex64::new(0.0, -1.0), Complex64::new(1.0, 0.0));
+        for (parts, rates, expected) in
+            [([sine; 2], 0, 1.0), ([-sine; 2], 0, -1.0), ([cosine; 2], 1, 1.0), ([-sine; 2], 2, 1.0)]
+        {
+            assert!((poles.follows(&of(parts), rates) - expected).abs() < 1e-12, "{parts:?} {rates}");
+        }
+        assert!(poles.follows(&of([sine, -sine]), 0).abs() < 0.9);
+    }
+
+    #[test]
     fn states_and_impulse_responses_agree() {
         let poles = Poles(vec![Complex64::new(0.5, 0.0), Complex64::new(0.3, 0.6)]);
         let mut pulse = vec![0.0; 12];

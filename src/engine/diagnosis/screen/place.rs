@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::band::{Band, noisy_below};
 use super::input::{Channel, Recording};
-use super::law::{Law, Scale, Way};
+use super::law::Scale;
 use super::motion::{Limits, Motion, motion};
 use crate::Quantity;
 
@@ -36,11 +36,10 @@ pub(super) struct Argument {
     pub predicted: bool,
 }
 
-impl Argument {
-    /// How the signals of a law over it reach a response.
-    pub fn way(&self, law: Law) -> Way {
-        let of_structure = matches!(self.place, Place::Response(_) | Place::Between(..));
-        if self.predicted && of_structure { Way::Modal } else { law.way() }
+impl Place {
+    /// Whether it is a motion of the structure.
+    pub fn is_of_structure(self) -> bool {
+        matches!(self, Self::Response(_) | Self::Between(..))
     }
 }
 

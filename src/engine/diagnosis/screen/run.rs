@@ -194,7 +194,7 @@ impl Bench<'_> {
     fn run_free(
         &self,
         arguments: &[Argument],
-        standings: &mut Vec<Standing>,
+        standings: &mut [Standing],
         watch: Watch<'_>,
     ) -> Result<(), EngineError> {
         let best = standings.first().map_or(1.0, |s| s.ratio);
@@ -378,6 +378,12 @@ impl Bench<'_> {
             .collect()
     }
 
+    /// How the signals of a law over an argument reach a response.
+    pub(super) fn way(&self, law: Law, argument: &Argument) -> Way {
+        let modes = self.base.setting().poles.is_some();
+        if modes && argument.predicted && argument.place.is_of_structure() { Way::Modal } else { law.way() }
+    }
+
     pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {
         // What is predicted holds nothing of the response that it enters.
         let own = place == Place::Response(response) && way != Way::Modal;
@@ -393,7 +399,7 @@ impl Bench<'_> {
         signals: &[Track],
         companions: &[(usize, Block, HeldOut)],
     ) -> Standing {
-        let way = argument.way(law);
+        let way = self.way(law, argument);
         let shared = (way == Way::Modal).then(|| self.block(argument.place, way, signals, 0));
         let mut ratios = vec![1.0; self.entries.len()];
         let mut best: Option<AtResponse> = None;
@@ -580,7 +586,8 @@ impl Bench<'_> {
             let of_two = self.among(arguments, standing);
             let other = standing.other.and_then(|o| of_two.iter().find(|a| a.place == o));
             let signals = self.signals(standing.law, &argument, other);
-            let law = self.block(argument.place, argument.way(standing.law), &signals, standing.response);
+            let law =
+                self.block(argument.place, self.way(standing.law, &argument), &signals, standing.response);
             let companion =
                 self.block(argument.place, Way::Plain, &[self.unbent(&argument)], standing.response);
             let companion = match other {
@@ -646,13 +653,12 @@ fn contenders(standings: &[Standing]) -> Vec<Vec<usize>> {
     let best = standings.first().map_or(1.0, |s| s.ratio);
     let mut of_families: Vec<Vec<usize>> = Vec::new();
     for (at, standing) in standings.iter().enumerate() {
-        let of_structure = matches!(standing.place, Place::Response(_) | Place::Between(..));
         match of_families.iter_mut().find(|of| standings[of[0]].family == standing.family) {
             None => of_families.push(vec![at]),
             Some(of) => {
                 let seen = of.iter().any(|&other| standings[other].place == standing.place);
                 let near = standing.ratio < ELSEWHERE * best;
-                if of_structure && near && !seen && of.len() < PLACES {
+                if standing.place.is_of_structure() && near && !seen && of.len() < PLACES {
                     of.push(at);
                 }
             }

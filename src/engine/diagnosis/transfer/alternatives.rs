@@ -115,8 +115,7 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
     ];
     let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
     let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];
-    let over_a_motion =
-        standing.predicted && matches!(standing.place, Place::Response(_) | Place::Between(..));
+    let over_a_motion = standing.predicted && standing.place.is_of_structure();
     // A force at its own place moves all modes one way.
     let modes = [yes(over_a_motion), yes(over_a_motion) * standing.gain.abs().min(1.0)];
     let all: Vec<f64> = general.into_iter().chain(families).chain(physics).chain(modes).collect();

@@ -191,6 +191,8 @@ impl Of<'_> {
         let centre = mean(&by_group);
         let spread = rms(&by_group.iter().map(|c| c - centre).collect::<Vec<f64>>());
         let width = (WITHIN * spread).max(0.03 * (1.0 - closure).abs());
+        // Where nothing tells the noise, all of the rest may be noise.
+        let highest = if self.noise.is_some() { (closure + width).min(1.0) } else { 1.0 };
         let floor = if noise_rms > 0.0 { noise_rms } else { rms_after }.max(f64::MIN_POSITIVE);
         let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
         Some(HeldOut {
@@ -201,7 +203,7 @@ impl Of<'_> {
             chi2_before: floors(rms_before),
             chi2_after: floors(rms_after),
             closure,
-            closure_ci90: [closure - width, (closure + width).min(1.0)],
+            closure_ci90: [closure - width, highest],
             closure_rms: closure,
             damage_ratio_before: None,
             damage_ratio_after: None,

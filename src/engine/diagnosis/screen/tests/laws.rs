@@ -1,4 +1,4 @@
-use super::systems::{RATE_HZ, noise, oscillator, recording, run};
+use super::systems::{RATE_HZ, acceleration, noise, oscillator, pair, recording, run};
 use crate::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
 use crate::diagnosis::{Effect, Family};
 use crate::progress::unwatched;
@@ -45,6 +45,31 @@ fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
     let screening = screened(&run(N, 1.0, |y, _| -0.8 * y.clamp(-0.5, 0.5)));
     let first = leader(&screening, 0.9);
     assert_eq!((first.effect, first.place), (Effect::Clearance, Place::Response(0)));
+}
+
+#[test]
+fn a_joint_that_no_drive_acts_on_is_found_by_a_way_of_its_own_into_every_mode() {
+    let u = noise(6000, 7);
+    let motions = pair(&u, |d, _| 40.0 * d * d * d);
+    let recording =
+        recording(&[Quantity::Force], &[Quantity::Displacement; 2], vec![(vec![u], motions.to_vec())]);
+    let screening = screened(&recording);
+    let first = screening.foremost()[0];
+    assert_eq!((first.family, first.place), (Family::Stiffness, Place::Between(1, 0)), "{first:?}");
+    assert!(first.predicted && first.gain < -0.9, "it resists in every mode: {first:?}");
+    let free = first.free.as_ref().unwrap();
+    assert!(free.ratio < 0.2, "{free:?}");
+}
+
+#[test]
+fn accelerations_tell_a_damper_by_the_motion_that_the_linear_part_predicts() {
+    let u = noise(6000, 9);
+    let measured = acceleration(&oscillator(&u, |_, v| 0.02 * v * v.abs()));
+    let recording = recording(&[Quantity::Force], &[Quantity::Acceleration], vec![(vec![u], vec![measured])]);
+    let screening = screened(&recording);
+    let first = screening.foremost()[0];
+    assert_eq!((first.family, first.place), (Family::Damping, Place::Response(0)), "{first:?}");
+    assert!(first.free.as_ref().unwrap().ratio < 0.5, "{first:?}");
 }
 
 #[test]

@@ -59,6 +59,42 @@ pub fn oscillator(u: &[f64], force: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     out
 }
 
+/// Displacements of two masses in a row, the first on a spring to ground and driven by `u`, with a further `force` between
+/// them that depends on how far the second is from the first, and how fast it goes from it.
+pub fn pair(u: &[f64], force: impl Fn(f64, f64) -> f64) -> [Vec<f64>; 2] {
+    let rate = |q: [f64; 4], u: f64| {
+        let (d, v) = (q[1] - q[0], q[3] - q[2]);
+        let joint = 900.0 * (d + force(d, v)) + 1.5 * v;
+        [q[2], q[3], 400.0 * (u - q[0]) - 1.5 * q[2] + joint, -joint]
+    };
+    let h = 1.0 / (RATE_HZ * STEPS as f64);
+    let mut q = [0.0; 4];
+    let mut out = [vec![0.0], vec![0.0]];
+    for w in u.windows(2) {
+        for step in 0..STEPS {
+            let at = |part: f64| w[0] + (w[1] - w[0]) * (step as f64 + part) / STEPS as f64;
+            let moved = |k: [f64; 4], by: f64| std::array::from_fn(|i| q[i] + by * k[i]);
+            let k1 = rate(q, at(0.0));
+            let k2 = rate(moved(k1, 0.5 * h), at(0.5));
+            let k3 = rate(moved(k2, 0.5 * h), at(0.5));
+            let k4 = rate(moved(k3, h), at(1.0));
+            for i in 0..4 {
+                q[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+            }
+        }
+        out[0].push(q[0]);
+        out[1].push(q[1]);
+    }
+    out
+}
+
+/// The acceleration of a displacement.
+pub fn acceleration(y: &[f64]) -> Vec<f64> {
+    let at = |k: usize| y[k.min(y.len() - 1)];
+    let second = |k: usize| (at(k + 1) - 2.0 * y[k] + at(k.saturating_sub(1))) * RATE_HZ * RATE_HZ;
+    (0..y.len()).map(second).collect()
+}
+
 /// Drives and responses of one run, `[channel][sample]`.
 type Run = (Vec<Vec<f64>>, Vec<Vec<f64>>);
 
