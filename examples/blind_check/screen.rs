@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<(), AnyError> {
 }
 
 /// The measured sets by default requests; of those with levels also each way of using them.
-fn measured(data: &Path) -> Result<Vec<(String, Recording)>, AnyError> {
+pub fn measured(data: &Path) -> Result<Vec<(String, Recording)>, AnyError> {
     let text = |set: &str, files: &[&str], rate_hz: f64| -> Result<(String, Recording), AnyError> {
         let read = |file: &&str| -> Result<Vec<Vec<f64>>, AnyError> {
             Ok(csv::read(&std::fs::read(data.join(set).join(format!("{file}.csv")))?)?.channels)

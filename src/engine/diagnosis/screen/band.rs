@@ -19,7 +19,7 @@ const OF_NARROW: f64 = 8.0;
 /// Ratio of a drive's edges from which on it is broad.
 const BROAD: f64 = 4.0;
 /// Samples a cycle of the highest frequency kept.
-const SAMPLES_A_CYCLE: f64 = 4.8;
+const SAMPLES_A_CYCLE: f64 = 3.2;
 /// A thinned recording keeps at least as many samples.
 const FEWEST: usize = 4000;
 

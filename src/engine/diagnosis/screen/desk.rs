@@ -177,9 +177,15 @@ impl<'a> Desk<'a> {
         bases
     }
 
-    /// The modes of a linear part for other responses.
+    /// A linear part of modes for other responses, beside the lead of one for these.
     pub fn setting_of(&self, responses: &[Track], like: &Setting) -> Option<Setting> {
-        moved(like, &self.drives, responses, &self.segments)
+        let found = with_modes(&self.drives, responses, &self.segments, like.lags.lead)?;
+        Some(found.setting)
+    }
+
+    /// The modes of a linear part moved to where nearly the same responses have them.
+    pub fn moved(&self, responses: &[Track], near: &Setting) -> Option<Setting> {
+        moved(near, &self.drives, responses, &self.segments)
     }
 
     /// A linear part set alike, with further signals among the responses; `None` where it is singular to rounding.

@@ -130,8 +130,11 @@ impl Bench<'_> {
         let mut setting: Option<Setting> = None;
         for _ in 0..RELOCATIONS {
             let undisturbed = self.without_law(&aim, setting.as_ref())?;
-            let like = setting.as_ref().unwrap_or(self.base.setting());
-            let Some(next) = self.desk.setting_of(&undisturbed, like) else { break };
+            let next = match &setting {
+                None => self.desk.setting_of(&undisturbed, self.base.setting()),
+                Some(near) => self.desk.moved(&undisturbed, near),
+            };
+            let Some(next) = next else { break };
             let found = self.beside(&aim, Some(&next));
             let so_far = left(&best);
             let Some(found) = found.filter(|found| found.ratio < so_far) else { break };

@@ -10,9 +10,9 @@ const STOP: f64 = 1.2;
 /// A slider that slips at fewer deviations is dry friction.
 const DRY: f64 = 0.08;
 
-/// Stribeck's second part relative to its first: below it the force at high velocity is half as large again as that
-/// when sliding begins.
-const RISES: f64 = -0.33;
+/// Stribeck's second part relative to its first, where they take each other away so far that the force has no jump where
+/// sliding begins: whatever a linear damper adds to it, it is no friction.
+const WITHOUT_JUMP: std::ops::Range<f64> = -1.35..-0.65;
 
 /// What stands at a place: its laws have names of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,8 +36,7 @@ pub(super) fn effect(
     gain: f64,
     second: f64,
 ) -> Effect {
-    if matches!(law, Law::Stribeck { .. }) && second < RISES {
-        // A force that grows with the velocity is no friction.
+    if matches!(law, Law::Stribeck { .. }) && WITHOUT_JUMP.contains(&second) {
         return Effect::FreeDamping;
     }
     let moves = |q| matches!(q, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration);
@@ -122,6 +121,6 @@ mod tests {
         let stribeck = Law::Stribeck { smooth: 0.04, decay: 0.7 };
         let sliding = |second| effect(stribeck, Place::Response(0), length, length, -1.0, second);
         assert_eq!(sliding(0.5), Effect::StribeckFriction);
-        assert_eq!(sliding(-0.6), Effect::FreeDamping);
+        assert_eq!(sliding(-0.9), Effect::FreeDamping);
     }
 }

@@ -25,7 +25,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 23] = [
+pub const FEATURES: [&str; 21] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -47,8 +47,6 @@ pub const FEATURES: [&str; 23] = [
     "block_structure",
     "valve_flow",
     "friction_that_drives",
-    "over_a_predicted_motion",
-    "alike_in_every_mode",
 ];
 
 /// Families with a weight of their own; the others share that of `one`.
@@ -115,10 +113,7 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
     ];
     let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
     let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];
-    let over_a_motion = standing.predicted && standing.place.is_of_structure();
-    // A force at its own place moves all modes one way.
-    let modes = [yes(over_a_motion), yes(over_a_motion) * standing.gain.abs().min(1.0)];
-    let all: Vec<f64> = general.into_iter().chain(families).chain(physics).chain(modes).collect();
+    let all: Vec<f64> = general.into_iter().chain(families).chain(physics).collect();
     Some(Alternative { standing, free, features: all.try_into().ok()? })
 }
 

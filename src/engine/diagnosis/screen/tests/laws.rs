@@ -50,7 +50,7 @@ fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
 #[test]
 fn a_joint_that_no_drive_acts_on_is_found_by_a_way_of_its_own_into_every_mode() {
     let u = noise(6000, 7);
-    let motions = pair(&u, |d, _| 40.0 * d * d * d);
+    let motions = pair(&u, |d, _| 2.0 * d * d * d);
     let recording =
         recording(&[Quantity::Force], &[Quantity::Displacement; 2], vec![(vec![u], motions.to_vec())]);
     let screening = screened(&recording);
@@ -64,7 +64,7 @@ fn a_joint_that_no_drive_acts_on_is_found_by_a_way_of_its_own_into_every_mode() 
 #[test]
 fn accelerations_tell_a_damper_by_the_motion_that_the_linear_part_predicts() {
     let u = noise(6000, 9);
-    let measured = acceleration(&oscillator(&u, |_, v| 0.02 * v * v.abs()));
+    let measured = acceleration(&oscillator(&u, |_, v| 0.002 * v * v.abs()));
     let recording = recording(&[Quantity::Force], &[Quantity::Acceleration], vec![(vec![u], vec![measured])]);
     let screening = screened(&recording);
     let first = screening.foremost()[0];
