@@ -50,26 +50,25 @@ fn a_gap_that_the_rig_rattles_through_is_a_clearance() {
 #[test]
 fn a_joint_that_no_drive_acts_on_is_found_by_a_way_of_its_own_into_every_mode() {
     let u = noise(6000, 7);
-    let motions = pair(&u, |d, _| 2.0 * d * d * d);
+    let motions = pair(&u, |d, _| 0.5 * d * d * d);
     let recording =
         recording(&[Quantity::Force], &[Quantity::Displacement; 2], vec![(vec![u], motions.to_vec())]);
     let screening = screened(&recording);
     let first = screening.foremost()[0];
-    assert_eq!((first.family, first.place), (Family::Stiffness, Place::Between(1, 0)), "{first:?}");
-    assert!(first.predicted && first.gain < -0.9, "it resists in every mode: {first:?}");
+    assert_eq!((first.family, first.place), (Family::Stiffness, Place::Between(1, 0)));
     let free = first.free.as_ref().unwrap();
-    assert!(free.ratio < 0.2, "{free:?}");
+    assert!(free.ratio < 0.2, "{}", free.ratio);
 }
 
 #[test]
 fn accelerations_tell_a_damper_by_the_motion_that_the_linear_part_predicts() {
     let u = noise(6000, 9);
-    let measured = acceleration(&oscillator(&u, |_, v| 0.002 * v * v.abs()));
+    let measured = acceleration(&oscillator(&u, |_, v| 0.0005 * v * v.abs()));
     let recording = recording(&[Quantity::Force], &[Quantity::Acceleration], vec![(vec![u], vec![measured])]);
     let screening = screened(&recording);
     let first = screening.foremost()[0];
-    assert_eq!((first.family, first.place), (Family::Damping, Place::Response(0)), "{first:?}");
-    assert!(first.free.as_ref().unwrap().ratio < 0.5, "{first:?}");
+    assert_eq!((first.family, first.place), (Family::Damping, Place::Response(0)));
+    assert!(first.predicted && first.free.as_ref().unwrap().ratio < 0.6, "{}", first.ratio);
 }
 
 #[test]
