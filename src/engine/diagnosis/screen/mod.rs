@@ -10,8 +10,8 @@
 //!
 //! A law of the structure is tried once more over the motion that the linear part predicts at its place, where there is no
 //! noise, and there it moves every mode by factors of its own, as a force does that acts elsewhere than the drives. What is
-//! predicted so follows from drives alone. Another place than the first of
-//! a family stands where its free run leaves clearly less.
+//! predicted so follows from drives alone. Another place than a
+//! family's first stands where its free run leaves clearly less.
 //!
 //! A bend between two filters is a law over a drive behind a filter, whose numbers are searched; its signals leave
 //! through what the linear part has beyond that filter.
