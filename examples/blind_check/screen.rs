@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<(), AnyError> {
 }
 
 /// The measured sets by default requests; of those with levels also each way of using them.
-pub fn measured(data: &Path) -> Result<Vec<(String, Recording)>, AnyError> {
+fn measured(data: &Path) -> Result<Vec<(String, Recording)>, AnyError> {
     let text = |set: &str, files: &[&str], rate_hz: f64| -> Result<(String, Recording), AnyError> {
         let read = |file: &&str| -> Result<Vec<Vec<f64>>, AnyError> {
             Ok(csv::read(&std::fs::read(data.join(set).join(format!("{file}.csv")))?)?.channels)
@@ -178,7 +178,7 @@ fn place(recording: &Recording, place: Place) -> Value {
 }
 
 /// The runs of a case; the baseline is one of them where the rig had the effect then.
-pub fn case(folder: &Path) -> Result<Recording, AnyError> {
+fn case(folder: &Path) -> Result<Recording, AnyError> {
     let about: Value = serde_json::from_slice(&std::fs::read(folder.join("case.json"))?)?;
     let rate_hz = about["rig"]["sample_rate_hz"].as_f64().ok_or("a rig without a rate")?;
     let listed = about["rig"]["channels"].as_array().ok_or("a rig without channels")?;
