@@ -4,19 +4,14 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use rigcast::engine::diagnosis::screen::{
-    Channel, Place, Record, Recording, Screening, Standing, group, screen,
-};
-use rigcast::engine::diagnosis::{Family, Weights, alternatives};
+use rigcast::engine::diagnosis::screen::{Channel, Place, Record, Recording, Screening, group, screen};
+use rigcast::engine::diagnosis::{Family, NAMED, Ranked, ranked};
 use rigcast::engine::progress::unwatched;
 use rigcast::engine::{Quantity, Signal};
 use rigcast::formats::{csv, npy};
 use serde_json::Value;
 
 use crate::AnyError;
-
-/// Probability that any law is right from which on one is named.
-const NAMED: f64 = 0.65;
 
 /// Command line.
 #[derive(Debug, clap::Args)]
@@ -133,18 +128,18 @@ fn cases(dir: &Path) -> Result<(), AnyError> {
         };
         let is_true = |family: Family| effects().any(|e| e["family"] == serde_json::json!(family));
         count.first += usize::from(found.foremost().first().is_some_and(|f| is_true(f.family)));
-        let Some((best, likely, any)) = decided(&found) else { continue };
-        let right = is_true(best.family);
+        let Some((best, any)) = decided(&found) else { continue };
+        let right = is_true(best.standing.family);
         count.likeliest += usize::from(right);
         if any < NAMED {
             continue;
         }
         count.right += usize::from(right);
         count.wrong += usize::from(!right);
-        count.sure_and_wrong += usize::from(!right && likely >= 0.9);
+        count.sure_and_wrong += usize::from(!right && best.probability >= 0.9);
         let mut places = effects().map(|e| &e["place"]).filter(|p| right && !p.is_null()).peekable();
         count.placed += usize::from(places.peek().is_some());
-        count.at_place += usize::from(places.any(|p| *p == place(&recording, best.place)));
+        count.at_place += usize::from(places.any(|p| *p == place(&recording, best.standing.place)));
     }
     println!(
         "suite: the true family is first, likeliest, named; another is named, surely; at the true place"
@@ -158,13 +153,11 @@ fn cases(dir: &Path) -> Result<(), AnyError> {
     Ok(())
 }
 
-/// The likeliest law, its probability and that of any law.
-fn decided(found: &Screening) -> Option<(&Standing, f64, f64)> {
-    let all = alternatives(found);
-    let features: Vec<_> = all.iter().map(|a| a.features).collect();
-    let p = Weights::fitted().probabilities(&features, 1.0);
-    let best = (0..p.len()).max_by(|&a, &b| p[a].total_cmp(&p[b]))?;
-    Some((all[best].standing, p[best], p.iter().sum()))
+/// The likeliest law, and the probability of any.
+fn decided(found: &Screening) -> Option<(Ranked<'_>, f64)> {
+    let ranked = ranked(found, None);
+    let any = ranked.iter().map(|r| r.probability).sum();
+    Some((ranked.into_iter().next()?, any))
 }
 
 /// A place as labels have it.
@@ -229,8 +222,9 @@ fn print(name: &str, recording: &Recording) -> Option<Screening> {
             format!("x{:.3}{free} {} {:?}", s.ratio, s.effect.name(), s.place)
         })
         .collect();
-    let decision = decided(&found)
-        .map_or(String::new(), |(s, p, any)| format!("{} {p:.2} of {any:.2}", s.effect.name()));
+    let decision = decided(&found).map_or(String::new(), |(best, any)| {
+        format!("{} {:.2} of {any:.2}", best.standing.effect.name(), best.probability)
+    });
     println!(
         "{name}; {}; {}; {decision}; {:.1} s",
         means.join(" "),

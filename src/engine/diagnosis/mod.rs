@@ -69,5 +69,5 @@ pub use diagnose::{Diagnosis, diagnose};
 pub use effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};
 pub use report::*;
-pub use transfer::{Alternative, FEATURES, Weights, alternatives};
+pub use transfer::{Alternative, FEATURES, NAMED, Ranked, Weights, alternatives, ranked};
 pub use views::Views;

@@ -466,7 +466,7 @@ impl Forward {
         if self.step == 1 {
             return Some(x);
         }
-        let signal = Signal::new(self.rate_hz / self.step as f64, vec![x]).ok()?;
+        let signal = Signal::new(self.analysis_hz(), vec![x]).ok()?;
         let mut out = resample(&signal, self.rate_hz).ok()?.channel(0).to_vec();
         let last = out.last().copied().unwrap_or(0.0);
         out.resize(n, last);

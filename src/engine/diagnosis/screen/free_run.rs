@@ -84,8 +84,9 @@ struct Fit<'a, 'd> {
     most: usize,
 }
 
-fn left(run: &Option<FreeRun>) -> f64 {
-    run.as_ref().map_or(f64::INFINITY, |run| run.ratio)
+/// What a free run leaves; nothing leaves less than none.
+pub(super) fn left(run: Option<&FreeRun>) -> f64 {
+    run.map_or(f64::INFINITY, |run| run.ratio)
 }
 
 impl Aim {
@@ -111,32 +112,57 @@ impl Aim {
 }
 
 impl Bench<'_> {
-    /// The free run of a standing; `None` where it runs away or its place is none of these records.
-    pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<FreeRun> {
-        let mut aim = self.aim(arguments, standing)?;
-        let mut best = self.beside(&aim, None);
-        if aim.bare.feeds_back() && self.base.setting().poles.is_some() {
-            // From the motion as it was measured, what the law has made of it included, by a way of its own into every mode.
+    /// The free run of a standing beside the screen's linear part, with what was simulated; `None` where it runs away
+    /// or its place is none of these records.
+    pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<(Aim, FreeRun)> {
+        let aim = self.aim(arguments, standing)?;
+        let feeds_back = aim.bare.feeds_back();
+        let mut starts = vec![aim];
+        if feeds_back && self.base.setting().poles.is_some() {
+            // From the motion as it was measured, what the law has made of it included, by a way of its own into every
+            // mode.
             let measured = Standing { predicted: false, ..standing.clone() };
-            if let Some(of_modes) = self.aim(arguments, &measured).map(Aim::by_modes) {
-                let found = self.beside(&of_modes, None);
-                if left(&found) < left(&best) {
-                    (aim, best) = (of_modes, found);
-                }
-            }
+            starts.extend(self.aim(arguments, &measured).map(Aim::by_modes));
         }
-        if standing.predicted && aim.bare.feeds_back() && left(&best) > RUNS_WELL * standing.ratio {
+        let mut best: Option<(Aim, FreeRun)> = None;
+        for start in starts {
+            best = self.better(best, start);
+        }
+        if standing.predicted && feeds_back && left(best.as_ref().map(|b| &b.1)) > RUNS_WELL * standing.ratio
+        {
             // A law that runs away in its own motion may still do well in that of the linear part.
-            let open = aim.opened();
-            let found = self.beside(&open, None);
-            if left(&found) < left(&best) {
-                (aim, best) = (open, found);
-            }
+            let open = match &best {
+                Some((aim, _)) => aim.opened(),
+                None => self.aim(arguments, standing)?.opened(),
+            };
+            best = self.better(best, open);
         }
+        best
+    }
+
+    /// The free run of another start where it leaves less.
+    fn better(&self, best: Option<(Aim, FreeRun)>, start: Aim) -> Option<(Aim, FreeRun)> {
+        let found = self.beside(&start, None);
+        if left(found.as_ref()) < left(best.as_ref().map(|b| &b.1)) {
+            found.map(|run| (start, run))
+        } else {
+            best
+        }
+    }
+
+    /// The free run of a law beside a linear part that was found anew beside it, where that leaves less.
+    pub(super) fn free_run_beside_its_own(
+        &self,
+        arguments: &[Argument],
+        standing: &Standing,
+        aim: &Aim,
+        run: FreeRun,
+    ) -> FreeRun {
         if let Law::Block { front, .. } = standing.law {
             let bent = self.bent(arguments, standing, front);
-            return if left(&bent) < left(&best) { bent } else { best };
+            return bent.filter(|bent| bent.ratio < run.ratio).unwrap_or(run);
         }
+        let mut best = run;
         if !aim.bare.is_over_a_motion()
             || mean_square(&self.linear[standing.response].errors).sqrt() < DISTORTED
         {
@@ -145,17 +171,16 @@ impl Bench<'_> {
         // The less of the law is in the responses, the truer the modes, and the more of the law is found beside them.
         let mut setting: Option<Setting> = None;
         for _ in 0..RELOCATIONS {
-            let undisturbed = self.without_law(&aim, setting.as_ref())?;
+            let Some(undisturbed) = self.without_law(aim, setting.as_ref()) else { break };
             let next = match &setting {
                 None => self.desk.setting_of(&undisturbed, self.base.setting()),
                 Some(near) => self.desk.moved(&undisturbed, near),
             };
             let Some(next) = next else { break };
-            let found = self.beside(&aim, Some(&next));
-            let so_far = left(&best);
-            let Some(found) = found.filter(|found| found.ratio < so_far) else { break };
-            let still = found.ratio > (1.0 - GAINED) * so_far;
-            (best, setting) = (Some(found), Some(next));
+            let found = self.beside(aim, Some(&next));
+            let Some(found) = found.filter(|found| found.ratio < best.ratio) else { break };
+            let still = found.ratio > (1.0 - GAINED) * best.ratio;
+            (best, setting) = (found, Some(next));
             if still {
                 break;
             }

@@ -207,7 +207,7 @@ fn with_poles(
     WithModes { error, setting, columns, moments }
 }
 
-/// The modes of a linear part moved to where other responses have them; as [`with_modes`] where it has none.
+/// The modes of a linear part moved to where other responses have them; `None` where it has none.
 pub(super) fn moved(
     setting: &Setting,
     drives: &[Track],
@@ -215,10 +215,7 @@ pub(super) fn moved(
     segments: &[Segment],
 ) -> Option<Setting> {
     let lead = setting.lags.lead;
-    let Some(poles) = &setting.poles else {
-        return with_modes(drives, responses, segments, lead).map(|found| found.setting);
-    };
-    let poles = relocate(poles.clone(), drives, responses, segments, DIRECT)?;
+    let poles = relocate(setting.poles.clone()?, drives, responses, segments, DIRECT)?;
     let found = with_poles(&poles, drives, responses, segments, lead);
     found.error.is_finite().then_some(found.setting)
 }

@@ -8,10 +8,10 @@
 //! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
 //! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.
 //!
-//! A law of the structure is tried once more over the motion that the linear part predicts at its place, where there is no
-//! noise, and there it moves every mode by factors of its own, as a force does that acts elsewhere than the drives. What is
-//! predicted so follows from drives alone. Another place than a
-//! family's first stands where its free run leaves clearly less.
+//! A law of the structure is tried once more over the motion that the linear part predicts at its place, where there
+//! is no noise, and there it moves every mode by factors of its own, as a force does that acts elsewhere than the
+//! drives. What is predicted so follows from drives alone. Another place than a family's first stands where its free
+//! run leaves clearly less.
 //!
 //! A bend between two filters is a law over a drive behind a filter, whose numbers are searched; its signals leave
 //! through what the linear part has beyond that filter.
@@ -26,6 +26,7 @@ mod candidates;
 mod correlate;
 mod desk;
 mod entry;
+mod foremost;
 mod forward;
 mod free_run;
 mod front;
@@ -41,6 +42,8 @@ mod motion;
 mod naming;
 mod period;
 mod place;
+mod predicted;
+mod refine;
 mod regressors;
 mod report;
 mod run;

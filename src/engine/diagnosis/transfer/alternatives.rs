@@ -119,8 +119,7 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
 
 /// Whether a law of dry friction or hysteresis goes with the motion instead of against it.
 fn drives(standing: &Standing) -> bool {
-    let of_structure = matches!(standing.place, Place::Response(_) | Place::Between(..));
-    of_structure && standing.family == Family::FrictionHysteresis && standing.gain > 0.0
+    standing.place.is_of_structure() && standing.family == Family::FrictionHysteresis && standing.gain > 0.0
 }
 
 /// Factor of the odds that no law is right where repeats tell the noise, `noise` being its share of what the linear

@@ -13,7 +13,7 @@ use crate::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
 const SUREST: f64 = 0.97;
 /// Probability that any law is right from which on laws are named at all, and that of one from which on it is named
 /// alone: to blame the wrong part costs a lab more than another run.
-const NAMED: f64 = 0.65;
+pub const NAMED: f64 = 0.65;
 const ALONE: f64 = 0.6;
 /// Below this share of the foremost a rival is none.
 const NO_RIVAL: f64 = 0.12;
@@ -23,14 +23,18 @@ const ALIKE: f64 = 1.03;
 const LEFT: f64 = 0.1;
 
 /// The foremost law of a family with the probability that it is the right one.
-pub(super) struct Ranked<'a> {
+#[derive(Debug, Clone)]
+pub struct Ranked<'a> {
+    /// The law at its place.
     pub standing: &'a Standing,
+    /// Its free run.
     pub free: &'a FreeRun,
+    /// Probability.
     pub probability: f64,
 }
 
 /// Families, the likeliest first. `noise` is the RMS of each response's noise by repeats, relative to the response.
-pub(super) fn ranked<'a>(screening: &'a Screening, noise: Option<&[f64]>) -> Vec<Ranked<'a>> {
+pub fn ranked<'a>(screening: &'a Screening, noise: Option<&[f64]>) -> Vec<Ranked<'a>> {
     let alternatives = alternatives(screening);
     let features: Vec<_> = alternatives.iter().map(|a| a.features).collect();
     let none = noise.map_or(1.0, |noise| {

@@ -16,6 +16,7 @@ mod words;
 
 pub(super) use added::Added;
 pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
+pub use decide::{NAMED, Ranked, ranked};
 pub(super) use words::sentence;
 
 use super::augmented::Augmented;

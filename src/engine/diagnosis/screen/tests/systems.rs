@@ -39,53 +39,41 @@ pub fn white(seed: u64) -> impl FnMut() -> f64 {
 /// Displacement and velocity of `y'' + 2 y' + 625 (y + force(y, y')) = 625 u`, `u` straight between samples.
 pub fn oscillator(u: &[f64], force: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     let rate = |q: [f64; 2], u: f64| [q[1], OMEGA * OMEGA * (u - q[0] - force(q[0], q[1])) - DAMPING * q[1]];
+    states(u, rate).into_iter().map(|q| q[0]).collect()
+}
+
+/// States at every sample of `q' = rate(q, u)` from rest, `u` straight between samples.
+fn states<const N: usize>(u: &[f64], rate: impl Fn([f64; N], f64) -> [f64; N]) -> Vec<[f64; N]> {
     let h = 1.0 / (RATE_HZ * STEPS as f64);
-    let mut q = [0.0; 2];
-    let mut out = vec![0.0];
+    let mut q = [0.0; N];
+    let mut out = vec![q];
     for w in u.windows(2) {
         for step in 0..STEPS {
             let at = |part: f64| w[0] + (w[1] - w[0]) * (step as f64 + part) / STEPS as f64;
-            let moved = |k: [f64; 2], by: f64| [q[0] + by * k[0], q[1] + by * k[1]];
+            let moved = |k: [f64; N], by: f64| std::array::from_fn(|i| q[i] + by * k[i]);
             let k1 = rate(q, at(0.0));
             let k2 = rate(moved(k1, 0.5 * h), at(0.5));
             let k3 = rate(moved(k2, 0.5 * h), at(0.5));
             let k4 = rate(moved(k3, h), at(1.0));
-            for i in 0..2 {
+            for i in 0..N {
                 q[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
             }
         }
-        out.push(q[0]);
+        out.push(q);
     }
     out
 }
 
-/// Displacements of two masses in a row, the first on a spring to ground and driven by `u`, with a further `force` between
-/// them that depends on how far the second is from the first, and how fast it goes from it.
+/// Displacements of two masses in a row, the first on a spring to ground and driven by `u`, with a further `force`
+/// between them that depends on how far the second is from the first, and how fast it goes from it.
 pub fn pair(u: &[f64], force: impl Fn(f64, f64) -> f64) -> [Vec<f64>; 2] {
     let rate = |q: [f64; 4], u: f64| {
         let (d, v) = (q[1] - q[0], q[3] - q[2]);
         let joint = 900.0 * (d + force(d, v)) + 1.5 * v;
         [q[2], q[3], 400.0 * (u - q[0]) - 1.5 * q[2] + joint, -joint]
     };
-    let h = 1.0 / (RATE_HZ * STEPS as f64);
-    let mut q = [0.0; 4];
-    let mut out = [vec![0.0], vec![0.0]];
-    for w in u.windows(2) {
-        for step in 0..STEPS {
-            let at = |part: f64| w[0] + (w[1] - w[0]) * (step as f64 + part) / STEPS as f64;
-            let moved = |k: [f64; 4], by: f64| std::array::from_fn(|i| q[i] + by * k[i]);
-            let k1 = rate(q, at(0.0));
-            let k2 = rate(moved(k1, 0.5 * h), at(0.5));
-            let k3 = rate(moved(k2, 0.5 * h), at(0.5));
-            let k4 = rate(moved(k3, h), at(1.0));
-            for i in 0..4 {
-                q[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
-            }
-        }
-        out[0].push(q[0]);
-        out[1].push(q[1]);
-    }
-    out
+    let states = states(u, rate);
+    [0, 1].map(|mass| states.iter().map(|q| q[mass]).collect())
 }
 
 /// The acceleration of a displacement.
