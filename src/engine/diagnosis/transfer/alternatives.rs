@@ -17,6 +17,9 @@ use super::evidence::root_mean_square;
 const LEAST_LEFT: f64 = -4.0;
 const MOST_LEFT: f64 = 0.2;
 const LEAST_ERROR: f64 = -7.0;
+/// Below this a regression over measured motions tells no more: where a strong law has moved them, wrong laws leave
+/// little too, and only free runs tell them apart.
+const LEAST_BY_REGRESSION: f64 = 0.5;
 /// Spread of a law's gains from which on its numbers hold nowhere.
 const WIDEST: f64 = 1.5;
 
@@ -25,7 +28,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 21] = [
+pub const FEATURES: [&str; 24] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -37,6 +40,9 @@ pub const FEATURES: [&str; 21] = [
     "over_the_output",
     "between_two_responses",
     "left_by_free_run_at_one_level",
+    "over_a_predicted_motion",
+    "alike_in_every_mode",
+    "error_of_linear_part_squared",
     "friction_hysteresis",
     "damping",
     "actuator",
@@ -97,19 +103,25 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
     let kept = |ratio: f64| ratio.max(f64::MIN_POSITIVE).ln().clamp(LEAST_LEFT, MOST_LEFT);
     let yes = |is: bool| f64::from(u8::from(is));
     let error = root_mean_square(&screening.linear.errors[standing.response]);
+    let error = error.max(f64::MIN_POSITIVE).ln().clamp(LEAST_ERROR, 0.0);
     let one_level = matches!(screening.transfer, Transfer::Runs | Transfer::Stretches);
+    // The linear part's modes tell how a law over what it predicts moves each of them.
+    let by_modes = standing.predicted && standing.place.is_of_structure() && screening.linear.modes.is_some();
     let general = [
         1.0,
-        kept(standing.ratio),
+        kept(standing.ratio.max(LEAST_BY_REGRESSION)),
         kept(free.ratio),
         kept(free.worst),
-        error.max(f64::MIN_POSITIVE).ln().clamp(LEAST_ERROR, 0.0),
+        error,
         standing.spread().map_or(WIDEST, |spread| spread.min(WIDEST)),
         f64::from(standing.law.count() as u32).ln(),
         yes(matches!(standing.place, Place::Drive(_))),
         yes(matches!(standing.place, Place::Output(_))),
         yes(matches!(standing.place, Place::Between(..))),
         yes(one_level) * kept(free.ratio),
+        yes(by_modes),
+        yes(by_modes) * standing.gain.abs(),
+        error * error,
     ];
     let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
     let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];
