@@ -88,7 +88,7 @@ fn recording(
     let responses = channels.split_off(drives);
     let record = |(i, mut run): (usize, Vec<Vec<f64>>)| -> Result<Record, AnyError> {
         let response = Signal::new(rate_hz, run.split_off(drives))?;
-        Ok(Record { drive: Signal::new(rate_hz, run)?, response, started_s: 1e3 * i as f64 })
+        Ok(Record { drive: Signal::new(rate_hz, run)?, response, added: None, started_s: 1e3 * i as f64 })
     };
     let records = runs.into_iter().enumerate().map(record).collect::<Result<_, _>>()?;
     Ok(Recording { drives: channels, responses, records })
@@ -192,7 +192,7 @@ fn case(folder: &Path) -> Result<Recording, AnyError> {
         let response = Signal::new(rate_hz, channels.split_off(drives.len()))?;
         let started: jiff::Timestamp = run["started_at"].as_str().ok_or("a run without a time")?.parse()?;
         let drive = Signal::new(rate_hz, channels)?;
-        records.push(Record { drive, response, started_s: started.as_second() as f64 });
+        records.push(Record { drive, response, added: None, started_s: started.as_second() as f64 });
     }
     Ok(Recording { drives, responses, records })
 }

@@ -228,6 +228,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         records.push(Record {
             drive: Signal::new(RATE_HZ, drive)?,
             response: Signal::new(RATE_HZ, rig.measured(made.responses, rng))?,
+            added: None,
             started_s: 100.0 * at as f64,
         });
     }

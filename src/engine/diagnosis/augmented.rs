@@ -69,8 +69,8 @@ impl Member {
 
 impl Augmented {
     /// A law that was found by transfer between runs.
-    pub(super) fn of_transfer(added: Added) -> Self {
-        Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects: false }
+    pub(super) fn of_transfer(added: Added, on_effects: bool) -> Self {
+        Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects }
     }
 
     /// Takes out the taps of a law that was found by transfer; empty of any other. What is left is small text.
@@ -92,13 +92,18 @@ impl Augmented {
         added.forward.attach_taps(taps).map_err(|what| EngineError::Weights(format!("effect: {what}")))
     }
 
-    /// Responses with the effect, `[response][sample]`; `None` where the free run diverges.
-    pub(super) fn predict(&self, drives: &[Vec<f64>], simulated: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    /// Responses with the effect, `[response][sample]`, as [`Augmented::apply`]; `None` where the free run diverges.
+    pub(super) fn predict(
+        &self,
+        drives: &[Vec<f64>],
+        simulated: &[Vec<f64>],
+        before: Option<&[Vec<f64>]>,
+    ) -> Option<Vec<Vec<f64>>> {
         if let Some(added) = &self.added {
-            return added.predict(drives, simulated);
+            return added.predict(drives, simulated, before);
         }
         let mut out = simulated.to_vec();
-        let found = self.run(drives.to_vec(), simulated.to_vec(), None, Member::predict)?;
+        let found = self.run(drives.to_vec(), simulated.to_vec(), before, Member::predict)?;
         for (member, predicted) in self.members.iter().zip(found) {
             out[member.plant.response] = predicted;
         }
@@ -139,7 +144,8 @@ impl Augmented {
         before: Option<&Signal>,
     ) -> Result<Signal, EngineError> {
         if let Some(added) = &self.added {
-            let found = added.predict(self.drives_of(drive, simulated)?, simulated.channels());
+            let before = self.before(before, simulated)?;
+            let found = added.predict(self.drives_of(drive, simulated)?, simulated.channels(), before);
             return Signal::new(drive.sample_rate_hz(), found.ok_or_else(|| self.runaway())?);
         }
         let mut channels = simulated.channels().to_vec();
@@ -158,7 +164,7 @@ impl Augmented {
         before: Option<&Signal>,
     ) -> Result<Signal, EngineError> {
         if let Some(added) = &self.added {
-            let found = added.addition(self.drives_of(drive, simulated)?);
+            let found = added.addition(self.drives_of(drive, simulated)?, self.before(before, simulated)?);
             return Signal::new(drive.sample_rate_hz(), found.ok_or_else(|| self.runaway())?);
         }
         let mut channels = vec![vec![0.0; simulated.n_samples()]; simulated.n_channels()];
@@ -166,6 +172,19 @@ impl Augmented {
             channels[response] = added;
         }
         Signal::new(drive.sample_rate_hz(), channels)
+    }
+
+    /// What effects that were adopted earlier add, where this one was found beside them.
+    fn before<'a>(
+        &self,
+        before: Option<&'a Signal>,
+        simulated: &Signal,
+    ) -> Result<Option<&'a [Vec<f64>]>, EngineError> {
+        let before = before.filter(|_| self.on_effects);
+        if let Some(before) = before {
+            belongs("adopted effects", before, simulated.n_channels(), simulated.n_samples())?;
+        }
+        Ok(before.map(Signal::channels))
     }
 
     fn runaway(&self) -> EngineError {
@@ -176,22 +195,8 @@ impl Augmented {
     fn drives_of<'a>(&self, drive: &'a Signal, simulated: &Signal) -> Result<&'a [Vec<f64>], EngineError> {
         let Some(added) = &self.added else { return Ok(drive.channels()) };
         let (drives, responses) = added.forward.channels();
-        for (what, signal, expected) in
-            [("drive", drive, drives), ("simulated response", simulated, responses)]
-        {
-            if signal.n_channels() != expected {
-                return Err(EngineError::ChannelCount { what, expected, found: signal.n_channels() });
-            }
-        }
-        if simulated.n_samples() != drive.n_samples() {
-            let (expected, found) = (drive.n_samples(), simulated.n_samples());
-            return Err(EngineError::UnequalLength {
-                what: "simulated response",
-                channel: 0,
-                expected,
-                found,
-            });
-        }
+        belongs("drive", drive, drives, drive.n_samples())?;
+        belongs("simulated response", simulated, responses, drive.n_samples())?;
         Ok(drive.channels())
     }
 
@@ -205,23 +210,9 @@ impl Augmented {
     ) -> Result<Vec<(usize, Vec<f64>)>, EngineError> {
         let plant = &self.members[0].plant;
         let (drives, responses) = (plant.drive_peak.len(), plant.other_scale.len());
-        if drive.n_channels() != drives {
-            let found = drive.n_channels();
-            return Err(EngineError::ChannelCount { what: "drive", expected: drives, found });
-        }
-        let before = before.filter(|_| self.on_effects);
-        for (what, signal) in [("simulated response", Some(simulated)), ("adopted effects", before)] {
-            let Some(signal) = signal else { continue };
-            if signal.n_channels() != responses {
-                let found = signal.n_channels();
-                return Err(EngineError::ChannelCount { what, expected: responses, found });
-            }
-            if signal.n_samples() != drive.n_samples() {
-                let (expected, found) = (drive.n_samples(), signal.n_samples());
-                return Err(EngineError::UnequalLength { what, channel: 0, expected, found });
-            }
-        }
-        let before = before.map(Signal::channels);
+        belongs("drive", drive, drives, drive.n_samples())?;
+        belongs("simulated response", simulated, responses, drive.n_samples())?;
+        let before = self.before(before, simulated)?;
         let found = self.run(drive.channels().to_vec(), simulated.channels().to_vec(), before, of);
         let responses = self.members.iter().map(|member| member.plant.response);
         Ok(responses.zip(found.ok_or_else(|| self.runaway())?).collect())
@@ -290,4 +281,16 @@ impl Augmented {
             - end.iter().fold(f64::INFINITY, |m, y| m.min(*y));
         all < BOUND * reference && swing < 0.5 * reference
     }
+}
+
+/// Checks the shape of a signal.
+fn belongs(what: &'static str, signal: &Signal, channels: usize, samples: usize) -> Result<(), EngineError> {
+    if signal.n_channels() != channels {
+        return Err(EngineError::ChannelCount { what, expected: channels, found: signal.n_channels() });
+    }
+    if signal.n_samples() != samples {
+        let found = signal.n_samples();
+        return Err(EngineError::UnequalLength { what, channel: 0, expected: samples, found });
+    }
+    Ok(())
 }

@@ -55,8 +55,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     let without = || overview.without_candidates(input);
     // A model that was fitted on the rig has taken in what is linear of the effect: a cause is what holds beside a
     // linear part of its own on runs that it was not fitted to. Repeats tell what is noise.
-    // Transfer knows nothing of effects that the model has already; free runs that start from them do.
-    if input.mode == Mode::InSitu && !(prepared.from_repeats && input.has_adopted()) {
+    if input.mode == Mode::InSitu {
         if let Some(verdict) = prepared.from_repeats.then(without).flatten() {
             return finish(input, &prepared, &overview, verdict, None, watch);
         }

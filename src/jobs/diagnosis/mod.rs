@@ -87,18 +87,22 @@ async fn load(
             let span = |sample: u64| usize::try_from(sample.min(part.run.samples)).unwrap_or(usize::MAX);
             let whole = halves(&plan, &sim, &part.run, signal)?;
             let range = span(part.from_sample)..span(part.to_sample);
-            let simulated = match &*sim {
-                // Only a model from before a change is held against its own runs.
-                Sim::Model(predictor, effects) if plan.request.mode == Mode::External => {
-                    let (simulated, _) = predicted(predictor, effects, &whole.x)
+            // Only a model from before a change is held against its own runs. In situ these are searched too, beside
+            // what adopted effects add to them.
+            let external = plan.request.mode == Mode::External;
+            let (simulated, added) = match &*sim {
+                Sim::Model(predictor, effects) if external || !effects.is_empty() => {
+                    let (simulated, added) = predicted(predictor, effects, &whole.x)
                         .map_err(|error| diverged(&error, &plan, &part.run))?;
-                    Some(simulated.slice(range.clone()))
+                    (external.then_some(simulated), added.filter(|_| !external))
                 }
-                _ => None,
+                _ => (None, None),
             };
-            let kept = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range) };
-            let measured = measured(&plan, &sim, &part.run, &kept)?;
-            Ok::<_, JobError>(diagnosis::Run { simulated, ..measured })
+            let kept = |signal: Option<Signal>| signal.map(|signal| signal.slice(range.clone()));
+            let (simulated, added) = (kept(simulated), kept(added));
+            let cut = Pair { x: whole.x.slice(range.clone()), y: whole.y.slice(range.clone()) };
+            let measured = measured(&plan, &sim, &part.run, &cut)?;
+            Ok::<_, JobError>(diagnosis::Run { simulated, added, ..measured })
         };
         baseline.push(context.compute.run(Class::Fit, None, cut).await??);
         step(control, "loading runs", baseline.len() as f64 / steps)?;

@@ -12,9 +12,9 @@ use super::linear_part::{LEAD, Setting, choose, longest, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
 use super::motion::Limits;
-use super::place::limits;
+use super::place::{Argument, Seen, limits};
 use super::regressors::Regressors;
-use super::track::{Segment, Track, delayed, deviation};
+use super::track::{Segment, Track, delayed, deviation, less};
 
 /// Most rows that are fitted and judged: more cost time and tell little more.
 const MOST_ROWS: usize = 48_000;
@@ -35,7 +35,10 @@ pub(super) struct Desk<'a> {
     pub used: Vec<usize>,
     pub segments: Vec<Segment>,
     pub drives: Vec<Track>,
+    /// Without what known effects add to them.
     pub responses: Vec<Track>,
+    /// What these add to each; empty without any.
+    pub added: Vec<Track>,
     /// The programme's time of each record's first and last sample, from 0 to 1.
     pub clocks: Vec<[f64; 2]>,
 }
@@ -82,6 +85,17 @@ impl<'a> Desk<'a> {
         };
         let drives = tracks(true, recording.drives.len());
         let mut responses = tracks(false, recording.responses.len());
+        let known = recording.records.iter().any(|record| record.added.is_some());
+        let count = if known { recording.responses.len() } else { 0 };
+        let of_record = |c: usize, r: usize| match &records[r].added {
+            Some(added) => thin(added.channel(c), r),
+            None => vec![0.0; drives[0][r].len()],
+        };
+        let added: Vec<Track> =
+            (0..count).map(|c| (0..records.len()).map(|r| of_record(c, r)).collect()).collect();
+        for (response, added) in responses.iter_mut().zip(&added) {
+            *response = less(response, added);
+        }
         responses.iter_mut().for_each(still);
         let mut desk = Self {
             recording,
@@ -93,6 +107,7 @@ impl<'a> Desk<'a> {
             segments,
             drives,
             responses,
+            added,
             clocks: clocks(recording),
         };
         desk.leave_out_the_start();
@@ -206,6 +221,20 @@ impl<'a> Desk<'a> {
         };
         let centred = centred(&responses, &self.segments);
         Base::new(&moments, &self.segments, centred, regressors, setting.clone())
+    }
+
+    /// What known effects make of the motion of an argument, at the rate of the analysis; `None` without any.
+    pub fn added_to(&self, argument: &Argument) -> Option<Track> {
+        if self.added.is_empty() {
+            return None;
+        }
+        let (seen, rate) = (Seen::of(argument), self.recording.sample_rate_hz());
+        let of = |(record, drive): (usize, &Vec<f64>)| {
+            let Some(added) = &self.recording.records[record].added else { return vec![0.0; drive.len()] };
+            let used: Vec<&[f64]> = added.channels().iter().map(|x| &x[..self.used[record]]).collect();
+            self.thinner.thin(&seen.displacement(&used, rate))
+        };
+        Some(self.drives[0].iter().enumerate().map(of).collect())
     }
 
     /// A signal at the rate of the analysis.

@@ -4,6 +4,8 @@
 //! a response, or the difference of two, its value follows from the drives and from what the law did before, sample
 //! by sample; where it is a drive, nothing is fed back.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::super::linear::dot;
@@ -12,7 +14,7 @@ use super::correlate::Filter;
 use super::law::{Instant, Law, Scale};
 use super::memory::Memory;
 use super::motion::{Limits, Motion, motion};
-use super::place::Place;
+use super::place::{Place, Seen};
 use crate::resample::resample;
 use crate::{Quantity, Signal};
 
@@ -156,6 +158,9 @@ pub struct Forward {
     /// Number of responses; further outputs are arguments.
     pub(super) responses: usize,
     pub(super) outputs: Vec<Output>,
+    /// How the outputs that are arguments follow from responses, for a law beside known effects.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) seen: Vec<Seen>,
 }
 
 /// Drives of one record.
@@ -166,6 +171,17 @@ pub(super) struct Course<'a> {
     pub thin: Vec<&'a [f64]>,
     /// The programme's time of its first and last sample.
     pub clock: [f64; 2],
+    /// What known effects add to each output, at the rate of the analysis; empty without any.
+    pub added: Vec<Cow<'a, [f64]>>,
+}
+
+impl Course<'_> {
+    /// Adds what known effects do to an output.
+    fn add(&self, output: usize, to: &mut [f64]) {
+        if let Some(added) = self.added.get(output) {
+            to.iter_mut().zip(added.iter()).for_each(|(x, added)| *x += added);
+        }
+    }
 }
 
 /// A free run at the rate of the analysis.
@@ -341,6 +357,7 @@ impl Forward {
                 let of = &self.outputs[output];
                 let mut d = self.linear(&of.before, course);
                 d.iter_mut().for_each(|d| *d += of.offset_before);
+                course.add(output, &mut d);
                 let limits = Limits { low_hz: 0.0, high_hz: self.analysis_hz() };
                 motion(&d, Quantity::Displacement, self.analysis_hz(), limits)
             }
@@ -354,6 +371,7 @@ impl Forward {
                     .sum();
                 let mut d = self.linear(&self.outputs[response].before, course);
                 d.iter_mut().for_each(|d| *d -= level);
+                course.add(response, &mut d);
                 let v = std::iter::once(0.0).chain(d.windows(2).map(|w| w[1] - w[0])).collect();
                 Motion { d, v }
             }
@@ -386,10 +404,11 @@ impl Forward {
             let drive = matches!(source, Source::Drive { .. });
             return Feed::Known(if drive { Thinner::new(self.step).thin(&known) } else { known });
         };
-        let output = &self.outputs[output];
-        let mut linear = self.linear(&output.linear, course);
-        linear.iter_mut().for_each(|y| *y += output.offset);
-        Feed::Fed(Fed { linear, past: output.kernels.iter().map(Kernel::past).collect() })
+        let of = &self.outputs[output];
+        let mut linear = self.linear(&of.linear, course);
+        linear.iter_mut().for_each(|y| *y += of.offset);
+        course.add(output, &mut linear);
+        Feed::Fed(Fed { linear, past: of.kernels.iter().map(Kernel::past).collect() })
     }
 
     /// Signals of a law whose argument depends on them.
@@ -436,10 +455,11 @@ impl Forward {
     }
 
     /// The responses to drives at the recording's rate, `[drive][sample]`, at the programme's end; `None` where the
-    /// free run diverges.
-    pub fn simulate(&self, drives: &[Vec<f64>]) -> Option<Vec<Simulated>> {
+    /// free run diverges. `before`, `[response][sample]`, is what known effects add: the law sees it, and it is no part
+    /// of what is returned.
+    pub fn simulate(&self, drives: &[Vec<f64>], before: Option<&[Vec<f64>]>) -> Option<Vec<Simulated>> {
         let thin = self.thinned(drives);
-        let course = at_the_end(drives, &thin);
+        let course = self.at_the_end(drives, &thin, before);
         let run = self.run(&course)?;
         let n = drives.first().map_or(0, Vec::len);
         let responses = run.outputs.into_iter().zip(&self.outputs).take(self.responses);
@@ -453,6 +473,27 @@ impl Forward {
                 })
             })
             .collect()
+    }
+
+    /// Drives at the programme's end, with the same at the rate of the analysis.
+    fn at_the_end<'a>(
+        &self,
+        drives: &'a [Vec<f64>],
+        thin: &'a [Vec<f64>],
+        before: Option<&[Vec<f64>]>,
+    ) -> Course<'a> {
+        let added = before.map_or_else(Vec::new, |before| {
+            let responses: Vec<&[f64]> = before.iter().map(Vec::as_slice).collect();
+            let fed = self.seen.iter().map(|seen| seen.displacement(&responses, self.rate_hz));
+            let all: Vec<Vec<f64>> = before.iter().cloned().chain(fed).collect();
+            self.thinned(&all).into_iter().map(Cow::Owned).collect()
+        });
+        Course {
+            whole: drives.iter().map(Vec::as_slice).collect(),
+            thin: thin.iter().map(Vec::as_slice).collect(),
+            clock: [1.0, 1.0],
+            added,
+        }
     }
 
     /// Drives at the rate of the analysis.
@@ -475,9 +516,14 @@ impl Forward {
 
     /// What the law does in terms of the drive that moves a response most: its signals, each by the gain with which
     /// it goes the drive's way. `None` where it diverges.
-    pub fn as_drive(&self, response: usize, drives: &[Vec<f64>]) -> Option<AsDrive> {
+    pub fn as_drive(
+        &self,
+        response: usize,
+        drives: &[Vec<f64>],
+        before: Option<&[Vec<f64>]>,
+    ) -> Option<AsDrive> {
         let thin = self.thinned(drives);
-        let course = at_the_end(drives, &thin);
+        let course = self.at_the_end(drives, &thin, before);
         let output = &self.outputs[response];
         let power = |h: &Kernel| dot(&h.taps, &h.taps);
         let drive = match self.place {
@@ -609,6 +655,12 @@ impl Forward {
             Place::Response(r) | Place::Output(r) => r < responses,
             Place::Between(a, b) => a < responses && b < responses,
         };
+        if !self.seen.is_empty() && self.seen.len() != self.outputs.len() - responses {
+            return Err(format!("seen: {} entries", self.seen.len()));
+        }
+        if !self.seen.iter().all(|seen| seen.is_among(responses)) {
+            return Err("seen: responses of the model".into());
+        }
         let source = |source: Source| match source {
             Source::Drive { channel, .. } => channel < drives,
             Source::Linear(r) | Source::Output(r) => r < self.outputs.len(),
@@ -649,15 +701,6 @@ impl Forward {
             return Err(format!("law: {kinks} kinks, 2 to {MOST_KINKS}"));
         }
         finite(&self.law.values())
-    }
-}
-
-/// Drives at the programme's end, with the same at the rate of the analysis.
-fn at_the_end<'a>(drives: &'a [Vec<f64>], thin: &'a [Vec<f64>]) -> Course<'a> {
-    Course {
-        whole: drives.iter().map(Vec::as_slice).collect(),
-        thin: thin.iter().map(Vec::as_slice).collect(),
-        clock: [1.0, 1.0],
     }
 }
 

@@ -4,6 +4,8 @@
 //! the argument is simulated. The coefficients are fitted to the signals of a free run, the next free run follows
 //! from them, until nothing changes; then every group is simulated with coefficients fitted to the others.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::entry::Entry;
@@ -11,10 +13,10 @@ use super::forward::{Course, Forward, Kernel, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
 use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
-use super::place::{Argument, Place};
+use super::place::{Argument, Place, Seen};
 use super::report::Standing;
 use super::run::{Bench, geometric_mean, mean_square};
-use super::track::{Segment, Track, delayed, mean};
+use super::track::{Segment, Track, delayed, less, mean};
 
 /// Rounds of simulation and fit.
 const ROUNDS: usize = 8;
@@ -71,6 +73,8 @@ pub(super) struct Aim {
     /// Arguments that are fed back, and the place of each.
     extra: Vec<Track>,
     fed: Vec<Place>,
+    /// What known effects add to the responses, then to these; empty without any.
+    added: Vec<Track>,
 }
 
 /// One candidate on its linear part with the arguments among the outputs.
@@ -200,10 +204,20 @@ impl Bench<'_> {
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
         let fed: Vec<usize> = (0..places.len()).filter(|&i| places[i].is_of_structure()).collect();
         // Whatever the signals begin with, what is fed back is fitted to what was measured.
-        let extra: Vec<Track> = fed
+        let seen: Vec<&Argument> =
+            fed.iter().map(|&i| arguments.iter().find(|a| a.place == places[i])).collect::<Option<_>>()?;
+        let of_fed: Vec<Track> = seen.iter().filter_map(|a| self.desk.added_to(a)).collect();
+        let extra: Vec<Track> = seen
             .iter()
-            .map(|&i| Some(self.unbent(arguments.iter().find(|a| a.place == places[i])?)))
-            .collect::<Option<_>>()?;
+            .enumerate()
+            .map(|(i, a)| {
+                let measured = self.unbent(a);
+                match of_fed.get(i) {
+                    Some(added) => less(&measured, added),
+                    None => measured,
+                }
+            })
+            .collect();
         let source = |i: usize| match (places[i], fed.iter().position(|&f| f == i)) {
             (_, Some(at)) => Source::Output(self.entries.len() + at),
             (Place::Drive(channel), _) => {
@@ -235,12 +249,14 @@ impl Bench<'_> {
             drive_mean: desk.drives.iter().map(mean).collect(),
             responses: self.entries.len(),
             outputs: Vec::new(),
+            seen: if of_fed.is_empty() { Vec::new() } else { seen.iter().map(|a| Seen::of(a)).collect() },
         };
         Some(Aim {
             fed: fed.iter().map(|&i| places[i]).collect(),
             parts,
             signals: self.signals(law, argument, other).into_iter().chain(unbent).collect(),
             extra,
+            added: desk.added.iter().cloned().chain(of_fed).collect(),
             bare,
         })
     }
@@ -435,6 +451,7 @@ impl Fit<'_, '_> {
             whole: drive.channels().iter().map(|u| &u[..desk.used[record]]).collect(),
             thin: desk.drives.iter().map(|d| d[record].as_slice()).collect(),
             clock: desk.clocks[record],
+            added: self.aim.added.iter().map(|added| Cow::Borrowed(added[record].as_slice())).collect(),
         }
     }
 

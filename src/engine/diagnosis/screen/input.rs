@@ -20,6 +20,9 @@ pub struct Record {
     pub drive: Signal,
     /// Measured responses, `[response, sample]`.
     pub response: Signal,
+    /// What effects that are known already add to each response, `[response, sample]`: laws are sought beside it, over
+    /// the motion that holds it. `None` without any.
+    pub added: Option<Signal>,
     /// Its place in time, seconds after any fixed instant.
     pub started_s: f64,
 }
@@ -33,6 +36,17 @@ pub struct Recording {
     pub responses: Vec<Channel>,
     /// At least one run.
     pub records: Vec<Record>,
+}
+
+impl Record {
+    /// A response without what known effects add to it.
+    pub fn beside_added(&self, response: usize) -> Vec<f64> {
+        let y = self.response.channel(response);
+        match &self.added {
+            Some(added) => y.iter().zip(added.channel(response)).map(|(y, added)| y - added).collect(),
+            None => y.to_vec(),
+        }
+    }
 }
 
 impl Recording {
@@ -59,7 +73,8 @@ impl Recording {
                 ("drive of a run", &record.drive, self.drives.len()),
                 ("response of a run", &record.response, self.responses.len()),
             ];
-            for (what, signal, expected) in signals {
+            let added = record.added.iter().map(|s| ("adopted effects of a run", s, self.responses.len()));
+            for (what, signal, expected) in signals.into_iter().chain(added) {
                 if signal.n_channels() != expected {
                     let found = signal.n_channels();
                     return Err(EngineError::ChannelCount { what, expected, found });

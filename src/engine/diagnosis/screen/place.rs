@@ -32,6 +32,8 @@ pub(super) struct Argument {
     /// `[record]`.
     pub motion: Vec<Motion>,
     pub scale: Scale,
+    /// Limits of what was integrated and differentiated.
+    pub limits: Limits,
     /// Whether it is what the linear part makes of the drives, at the rate of the analysis, and not what was measured.
     pub predicted: bool,
 }
@@ -40,6 +42,40 @@ impl Place {
     /// Whether it is a motion of the structure.
     pub fn is_of_structure(self) -> bool {
         matches!(self, Self::Response(_) | Self::Between(..))
+    }
+}
+
+/// How the displacement at a place of the structure follows from the responses.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Seen {
+    place: Place,
+    quantity: Quantity,
+    limits: Limits,
+}
+
+impl Seen {
+    /// That of an argument.
+    pub fn of(argument: &Argument) -> Self {
+        Self { place: argument.place, quantity: argument.quantity, limits: argument.limits }
+    }
+
+    /// The displacement, at the rate of the responses.
+    pub fn displacement(&self, responses: &[&[f64]], rate_hz: f64) -> Vec<f64> {
+        let of = |r: usize| motion(responses[r], self.quantity, rate_hz, self.limits).d;
+        match self.place {
+            Place::Drive(_) => Vec::new(),
+            Place::Response(r) | Place::Output(r) => of(r),
+            Place::Between(a, b) => of(a).iter().zip(of(b)).map(|(x, y)| x - y).collect(),
+        }
+    }
+
+    /// Whether it is a place among so many responses.
+    pub fn is_among(&self, responses: usize) -> bool {
+        match self.place {
+            Place::Drive(_) => false,
+            Place::Response(r) | Place::Output(r) => r < responses,
+            Place::Between(a, b) => a < responses && b < responses,
+        }
     }
 }
 
@@ -72,7 +108,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     let mut out = Vec::new();
     for (i, channel) in recording.drives.iter().enumerate() {
         let motion = of(true, i, channel.quantity, limits);
-        out.extend(argument(Place::Drive(i), channel.quantity, motion));
+        out.extend(argument(Place::Drive(i), channel.quantity, limits, motion));
     }
     // What noise makes of an acceleration's displacement at low frequencies is no motion.
     let above_noise = |r: usize, quantity: Quantity| -> Limits {
@@ -90,7 +126,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
         let own = above_noise(r, channel.quantity);
         let motion = of(false, r, channel.quantity, own);
-        if let Some(argument) = argument(Place::Response(r), channel.quantity, motion) {
+        if let Some(argument) = argument(Place::Response(r), channel.quantity, own, motion) {
             out.push(argument);
             seen.push((r, channel.quantity, own));
         }
@@ -109,7 +145,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
             };
             let (x, y) = (cut(a, *i, own), cut(b, *j, its));
             let motion = x.iter().zip(y.iter()).map(|(x, y)| less(x, y)).collect();
-            between.extend(argument(Place::Between(*i, *j), *quantity, motion));
+            between.extend(argument(Place::Between(*i, *j), *quantity, both, motion));
         }
     }
     out.extend(between);
@@ -122,7 +158,12 @@ fn less(x: &Motion, y: &Motion) -> Motion {
 }
 
 /// A place that moves, with its scale; `None` of one that is at rest.
-pub(super) fn argument(place: Place, quantity: Quantity, motion: Vec<Motion>) -> Option<Argument> {
+pub(super) fn argument(
+    place: Place,
+    quantity: Quantity,
+    limits: Limits,
+    motion: Vec<Motion>,
+) -> Option<Argument> {
     let all = |f: fn(&Motion) -> &[f64]| motion.iter().flat_map(f).copied();
     let n = motion.iter().map(|m| m.d.len()).sum::<usize>().max(1) as f64;
     let mean = all(|m| &m.d).sum::<f64>() / n;
@@ -138,6 +179,7 @@ pub(super) fn argument(place: Place, quantity: Quantity, motion: Vec<Motion>) ->
         quantity,
         motion,
         scale: Scale { centre: if of_rig { 0.0 } else { mean }, d, v },
+        limits,
         predicted: false,
     })
 }

@@ -9,7 +9,7 @@ use super::law::Law;
 use super::motion::{Limits, Motion, motion};
 use super::place::{Argument, Place, argument};
 use super::run::Bench;
-use super::track::{Track, mean};
+use super::track::{Track, add, less, mean};
 use crate::Quantity;
 
 /// Predicted motions over which all laws are tried at most, and the laws by which they are chosen.
@@ -21,13 +21,22 @@ const PROBES: [Law; 5] = [
     Law::Slider { limit: 0.15 },
     Law::QuadraticDamping,
 ];
+
 /// Motions of the structure, of the places that were measured.
 pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument]) -> Vec<Argument> {
     let responses: Vec<&Argument> =
         measured.iter().filter(|a| matches!(a.place, Place::Response(_))).collect();
+    let added: Vec<Option<Track>> = responses.iter().map(|a| desk.added_to(a)).collect();
     let tracks: Vec<Track> = responses
         .iter()
-        .map(|a| desk.thinned(&a.motion.iter().map(|m| m.d.clone()).collect::<Vec<_>>()))
+        .zip(&added)
+        .map(|(a, added)| {
+            let moving = desk.thinned(&a.motion.iter().map(|m| m.d.clone()).collect::<Vec<_>>());
+            match added {
+                Some(added) => less(&moving, added),
+                None => moving,
+            }
+        })
         .collect();
     if tracks.is_empty() {
         return Vec::new();
@@ -40,6 +49,9 @@ pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument])
             let mut d = Entry::new(&with_motions, first + at, &desk.drives).output;
             let level = mean(&tracks[at]) - mean(&d);
             d.iter_mut().flatten().for_each(|d| *d += level);
+            if let Some(added) = &added[at] {
+                add(&mut d, added);
+            }
             d
         })
         .collect();
@@ -47,18 +59,14 @@ pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument])
     let limits = Limits { low_hz: 0.0, high_hz: rate };
     let moving = |place: Place, quantity: Quantity, d: &Track| {
         let motion = d.iter().map(|d| motion(d, Quantity::Displacement, rate, limits)).collect();
-        argument(place, quantity, motion).map(|found| Argument { predicted: true, ..found })
+        argument(place, quantity, limits, motion).map(|found| Argument { predicted: true, ..found })
     };
     let at = |r: usize| responses.iter().position(|a| a.place == Place::Response(r));
     measured
         .iter()
         .filter_map(|a| match a.place {
             Place::Response(r) => moving(a.place, a.quantity, &linear[at(r)?]),
-            Place::Between(i, j) => {
-                let less = |(x, y): (&Vec<f64>, &Vec<f64>)| x.iter().zip(y).map(|(x, y)| x - y).collect();
-                let d: Track = linear[at(i)?].iter().zip(&linear[at(j)?]).map(less).collect();
-                moving(a.place, a.quantity, &d)
-            }
+            Place::Between(i, j) => moving(a.place, a.quantity, &less(&linear[at(i)?], &linear[at(j)?])),
             _ => None,
         })
         .collect()
@@ -71,8 +79,12 @@ impl Bench<'_> {
             v: std::iter::once(0.0).chain(d.windows(2).map(|w| w[1] - w[0])).collect(),
             d: d.clone(),
         };
-        let motion = self.entries[response].output.iter().map(moving).collect();
-        let found = argument(Place::Output(response), Quantity::Other, motion)?;
+        let mut output = self.entries[response].output.clone();
+        if let Some(added) = self.desk.added.get(response) {
+            add(&mut output, added);
+        }
+        let motion = output.iter().map(moving).collect();
+        let found = argument(Place::Output(response), Quantity::Other, self.desk.limits, motion)?;
         Some(Argument { predicted: true, ..found })
     }
 

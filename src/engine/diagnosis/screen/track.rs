@@ -40,6 +40,17 @@ pub(super) fn mean(track: &Track) -> f64 {
     track.iter().flatten().sum::<f64>() / n as f64
 }
 
+/// One track less another.
+pub(super) fn less(track: &Track, other: &Track) -> Track {
+    let of = |(x, y): (&Vec<f64>, &Vec<f64>)| x.iter().zip(y).map(|(x, y)| x - y).collect();
+    track.iter().zip(other).map(of).collect()
+}
+
+/// Adds a track to another.
+pub(super) fn add(to: &mut Track, more: &Track) {
+    to.iter_mut().flatten().zip(more.iter().flatten()).for_each(|(x, more)| *x += more);
+}
+
 /// Deviation over all rows of a track, each segment about its own mean.
 pub(super) fn deviation(track: &Track, segments: &[Segment]) -> f64 {
     let (mut sum, mut count) = (0.0, 0);

@@ -185,3 +185,52 @@ fn a_model_that_errs_on_a_linear_rig_is_no_effect() {
     assert_eq!(verdict.kind, VerdictKind::NoneOfCatalogue, "{verdict:?}");
     assert!(verdict.because.iter().any(|b| b.contains("the model errs")), "{verdict:?}");
 }
+
+/// A spring and dry friction at the same place.
+fn stiffening_and_sliding(x: f64, v: f64) -> f64 {
+    stiffening_a_little(x, v) + 60.0 * (2.0 * v).tanh()
+}
+
+/// The rig's response with the spring alone, what the spring adds to the linear rig, and the rig's with both.
+fn of_two(drive: &[f64]) -> [Signal; 3] {
+    let signal = |y: Vec<f64>| Signal::new(super::rig::RATE, vec![y]).unwrap();
+    let [linear, spring, both] =
+        [none, stiffening_a_little, stiffening_and_sliding as Force].map(|force| respond(drive, force));
+    let added = spring.iter().zip(&linear).map(|(s, l)| s - l).collect();
+    [signal(spring), signal(added), signal(both)]
+}
+
+#[test]
+fn a_second_effect_is_sought_beside_an_adopted_one_without_repeats() {
+    let mut input = at_level(0.5, stiffening_and_sliding, 0.002);
+    for run in input.runs.iter_mut().chain(&mut input.baseline) {
+        let [spring, added, _] = of_two(run.drive.channel(0));
+        (run.simulated, run.added) = (Some(spring), Some(added));
+    }
+    let found = diagnose(&input, &unwatched).unwrap();
+    let verdict = &found.report.verdict;
+    assert!(verdict.kind.blames(), "{verdict:?}");
+    assert_eq!(verdict.equivalence_set[0].family(), Family::FrictionHysteresis, "{verdict:?}");
+    let second = &found.augmented[0];
+    assert!(second.on_effects());
+    let stored = serde_json::to_value(second).unwrap();
+    assert_eq!(serde_json::from_value::<Augmented>(stored.clone()).unwrap(), *second);
+    assert!(second.check(1, 1, super::rig::RATE).is_ok());
+
+    let drive = noise_drive(12.0, 0.5, 78);
+    let [spring, added, both] = of_two(&drive);
+    let drive = Signal::new(super::rig::RATE, vec![drive]).unwrap();
+    let error = |y: &Signal| -> f64 {
+        let pairs = both.channel(0)[1000..].iter().zip(&y.channel(0)[1000..]);
+        pairs.map(|(t, y)| (t - y).powi(2)).sum::<f64>().sqrt()
+    };
+    let of_both = error(&second.apply(&drive, &spring, Some(&added)).unwrap());
+    assert!(of_both < 0.4 * error(&spring), "{of_both} of {}", error(&spring));
+    // The law slides in the motion that the spring has part in.
+    assert!(of_both < error(&second.apply(&drive, &spring, None).unwrap()));
+
+    let mut broken = stored;
+    broken["added"]["forward"]["seen"][0]["place"]["response"] = serde_json::json!(1);
+    let broken: Augmented = serde_json::from_value(broken).unwrap();
+    assert!(matches!(broken.check(1, 1, super::rig::RATE), Err(EngineError::Weights(_))));
+}

@@ -21,16 +21,21 @@ pub struct Added {
 }
 
 impl Added {
-    /// The sim's responses with the law; `None` where the free run diverges.
+    /// The sim's responses with the law; `None` where the free run diverges. `before` is what effects that were adopted
+    /// earlier add, of a law that was found beside them.
     pub(in crate::diagnosis) fn predict(
         &self,
         drives: &[Vec<f64>],
         simulated: &[Vec<f64>],
+        before: Option<&[Vec<f64>]>,
     ) -> Option<Vec<Vec<f64>>> {
-        let found = self.forward.simulate(drives)?;
+        let found = self.forward.simulate(drives, before)?;
         let of = |(r, s): (usize, Simulated)| {
             if self.alone[r] {
-                return s.augmented;
+                return match before {
+                    Some(before) => s.augmented.iter().zip(&before[r]).map(|(y, more)| y + more).collect(),
+                    None => s.augmented,
+                };
             }
             let added = s.augmented.iter().zip(&s.linear).zip(&simulated[r]);
             added.map(|((augmented, linear), sim)| sim + augmented - linear).collect()
@@ -39,9 +44,13 @@ impl Added {
     }
 
     /// What the law adds to its linear part.
-    pub(in crate::diagnosis) fn addition(&self, drives: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    pub(in crate::diagnosis) fn addition(
+        &self,
+        drives: &[Vec<f64>],
+        before: Option<&[Vec<f64>]>,
+    ) -> Option<Vec<Vec<f64>>> {
         let of = |s: Simulated| s.augmented.iter().zip(&s.linear).map(|(a, l)| a - l).collect();
-        Some(self.forward.simulate(drives)?.into_iter().map(of).collect())
+        Some(self.forward.simulate(drives, before)?.into_iter().map(of).collect())
     }
 
     /// Whether the free run stays bounded for drives scaled so that each reaches its limit.
@@ -51,7 +60,7 @@ impl Added {
             drive.iter().map(|u| u * limit / peak).collect()
         });
         let scaled: Vec<Vec<f64>> = scaled.collect();
-        let Some(found) = self.forward.simulate(&scaled) else { return false };
+        let Some(found) = self.forward.simulate(&scaled, None) else { return false };
         let moved = |y: &[f64]| {
             let mean = y.iter().sum::<f64>() / y.len().max(1) as f64;
             rms(&y.iter().map(|y| y - mean).collect::<Vec<f64>>())

@@ -101,7 +101,9 @@ pub(super) fn verdict(
              missing; fit it again with these runs",
             100.0 * evidence.linear(r)
         ));
-        bare(VerdictKind::NoneOfCatalogue, 0.9, because)
+        // A law that is likely there all the same may have more to it than these runs show.
+        let there: f64 = ranked.iter().map(|r| r.probability).sum();
+        bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because)
     } else {
         named(input, screening, ranked, listed, because, bare)
     };

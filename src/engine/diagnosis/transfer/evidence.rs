@@ -18,22 +18,25 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
+    /// `shares` are those of each response that the laws were sought in.
     pub fn of(
         overview: &Overview,
         screening: &Screening,
         noise: &Option<Vec<f64>>,
         listed: &[Listed],
+        shares: &[f64],
     ) -> Self {
         let level: Vec<f64> =
             overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
         let whole: Vec<f64> =
             overview.power.iter().zip(&level).map(|(p, level)| p.rms_error / level).collect();
+        let relative = |errors: &[f64], r: usize| shares[r] * root_mean_square(errors);
         let linear: Vec<f64> =
-            screening.linear.errors.iter().map(|errors| root_mean_square(errors)).collect();
+            screening.linear.errors.iter().enumerate().map(|(r, errors)| relative(errors, r)).collect();
         let best = (0..whole.len())
             .map(|r| {
                 let of_laws =
-                    listed.iter().map(|l| l.errors.get(r).map_or(f64::INFINITY, |e| root_mean_square(e)));
+                    listed.iter().map(|l| l.errors.get(r).map_or(f64::INFINITY, |e| relative(e, r)));
                 of_laws.fold(linear[r].min(whole[r]), f64::min)
             })
             .collect();

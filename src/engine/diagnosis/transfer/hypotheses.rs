@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use super::added::Added;
 use super::decide::Ranked;
 use super::evidence::root_mean_square;
+use super::recording::shares;
 use super::words;
+use crate::Signal;
 use crate::diagnosis::augmented::Augmented;
 use crate::diagnosis::input::{Input, Run};
 use crate::diagnosis::linear::{mean, rms};
@@ -40,10 +42,12 @@ pub(super) fn all(
     ranked: &[Ranked<'_>],
     noise: &Option<Vec<f64>>,
 ) -> Vec<Listed> {
+    let shares = &shares(recording);
     ranked
         .par_iter()
         .filter_map(|ranked| {
-            Of { input, overview, recording, screening, grouping, ranked, free: ranked.free, noise }.listed()
+            Of { input, overview, recording, screening, grouping, ranked, free: ranked.free, noise, shares }
+                .listed()
         })
         .collect()
 }
@@ -58,6 +62,8 @@ struct Of<'a> {
     ranked: &'a Ranked<'a>,
     free: &'a FreeRun,
     noise: &'a Option<Vec<f64>>,
+    /// Share of each response that the laws are sought in.
+    shares: &'a [f64],
 }
 
 impl Of<'_> {
@@ -83,7 +89,7 @@ impl Of<'_> {
         let held_out = responses[standing.response].held_out.clone();
         responses.swap(0, standing.response);
         let (at, between) = words::place(self.input, standing.place);
-        let (strength, shape) = self.strength(drives);
+        let (strength, shape) = self.strength(loudest);
         let left = (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
         Some(Listed {
             hypothesis: Hypothesis {
@@ -103,7 +109,7 @@ impl Of<'_> {
                 responses,
                 stable_over_envelope,
             },
-            augmented: Augmented::of_transfer(added),
+            augmented: Augmented::of_transfer(added, self.input.has_adopted()),
             errors: self.free.errors.clone(),
         })
     }
@@ -138,7 +144,7 @@ impl Of<'_> {
     /// RMS of what the law on its own linear part leaves of groups that it was not fitted to.
     fn held_out_alone(&self, r: usize) -> f64 {
         let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
-        level * root_mean_square(&self.free.errors[r])
+        level * self.shares[r] * root_mean_square(&self.free.errors[r])
     }
 
     /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where
@@ -147,7 +153,8 @@ impl Of<'_> {
         let mut left = vec![Vec::new(); self.input.responses.len()];
         for run in &self.input.runs {
             let simulated = run.simulated.as_ref()?.channels();
-            let made = added.predict(run.drive.channels(), simulated)?;
+            let before = run.added.as_ref().map(Signal::channels);
+            let made = added.predict(run.drive.channels(), simulated, before)?;
             for (r, left) in left.iter_mut().enumerate() {
                 left.extend(errors(run, r, &made[r]));
             }
@@ -243,9 +250,11 @@ impl Of<'_> {
     }
 
     /// How strong the law is in terms of a drive, and its curve.
-    fn strength(&self, drives: &[Vec<f64>]) -> (Option<Strength>, Option<Shape>) {
+    fn strength(&self, loudest: &Run) -> (Option<Strength>, Option<Shape>) {
         let standing = self.ranked.standing;
-        let Some(force) = self.free.forward.as_drive(standing.response, drives) else { return (None, None) };
+        let before = loudest.added.as_ref().map(Signal::channels);
+        let force = self.free.forward.as_drive(standing.response, loudest.drive.channels(), before);
+        let Some(force) = force else { return (None, None) };
         let drive = &self.input.drives[force.drive];
         let strength = Strength {
             rms: rms(&force.samples),
@@ -288,7 +297,7 @@ impl Of<'_> {
             let (mut drive, mut count) = (0.0, 0);
             for s in stretches {
                 let record = &self.recording.records[s.record];
-                let y = &record.response.channel(r)[s.samples.clone()];
+                let y = &record.beside_added(r)[s.samples.clone()];
                 let centre = mean(y);
                 samples.extend(y.iter().map(|y| y - centre));
                 for u in record.drive.channels() {

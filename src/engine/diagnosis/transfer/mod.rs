@@ -61,7 +61,8 @@ pub(super) fn by_transfer(
         noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
     let ranked = decide::ranked(&screening, relative.as_deref());
     let listed = hypotheses::all(input, overview, &recording, &grouping, &screening, &ranked, &noise);
-    let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed);
+    let shares = recording::shares(&recording);
+    let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed, &shares);
     let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
     report(watch, "next experiment", 0.9)?;
     let next = next::experiment(input, &recording, &screening, &ranked, &listed, &verdict);

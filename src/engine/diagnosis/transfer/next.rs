@@ -2,6 +2,7 @@
 
 use super::decide::Ranked;
 use super::hypotheses::Listed;
+use crate::Signal;
 use crate::diagnosis::input::{Input, Run};
 use crate::diagnosis::linear::{mean, rms};
 use crate::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
@@ -42,6 +43,8 @@ pub(super) fn experiment(
     let [first, second, ..] = listed else { return Some(plain(drive("noise", LEVELS[0]))) };
     let level = |run: &Run| run.drive.channels().iter().map(|d| rms(d)).sum::<f64>();
     let loudest = input.runs.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
+    // What adopted effects do at another level is not known here.
+    let level_known = |scale: f64| !input.has_adopted() || scale == 1.0;
     let allowed = |scale: f64| {
         let limits = input.drive_limit.as_ref();
         limits.is_none_or(|limits| {
@@ -57,8 +60,9 @@ pub(super) fn experiment(
         let drives: Vec<Vec<f64>> =
             loudest.drive.channels().iter().map(|u| u.iter().map(|u| scale * u).collect()).collect();
         let nothing = vec![vec![0.0; loudest.drive.n_samples()]; recording.responses.len()];
-        let (a, b) =
-            (first.augmented.predict(&drives, &nothing)?, second.augmented.predict(&drives, &nothing)?);
+        let before = loudest.added.as_ref().map(Signal::channels);
+        let of = |law: &Listed| law.augmented.predict(&drives, &nothing, before);
+        let (a, b) = (of(first)?, of(second)?);
         let apart = (0..recording.responses.len()).map(|r| {
             let difference: Vec<f64> = a[r].iter().zip(&b[r]).map(|(a, b)| a - b).collect();
             let centre = mean(&difference);
@@ -70,7 +74,7 @@ pub(super) fn experiment(
         });
         Some(apart.fold(0.0, f64::max)).filter(|s| s.is_finite())
     };
-    let menu = LEVELS.into_iter().filter(|scale| allowed(*scale));
+    let menu = LEVELS.into_iter().filter(|scale| allowed(*scale) && level_known(*scale));
     let (scale, expected) =
         menu.filter_map(|scale| Some((scale, separation(scale)?))).max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(NextExperiment {

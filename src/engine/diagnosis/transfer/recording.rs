@@ -4,14 +4,18 @@ use crate::diagnosis::input::{Input, Mode, Run};
 use crate::diagnosis::linear::mean;
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording};
 
-/// The runs to explain; in situ also the baseline, which the rig drove with the effect in it.
+/// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects only
+/// what these add to a baseline run makes it of use.
 pub(super) fn of(input: &Input) -> Recording {
     let channel = |c: &crate::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
     let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
-    let baseline = input.baseline.iter().filter(|run| input.mode == Mode::InSitu && !again(run));
+    let known = |run: &Run| !input.has_adopted() || run.added.is_some();
+    let baseline =
+        input.baseline.iter().filter(|run| input.mode == Mode::InSitu && known(run) && !again(run));
     let record = |run: &Run| Record {
         drive: run.drive.clone(),
         response: run.response.clone(),
+        added: run.added.clone(),
         started_s: run.started_s,
     };
     Recording {
@@ -19,6 +23,24 @@ pub(super) fn of(input: &Input) -> Recording {
         responses: input.responses.iter().map(channel).collect(),
         records: input.runs.iter().chain(baseline).map(record).collect(),
     }
+}
+
+/// Of each response the RMS of what adopted effects leave of it, which laws are sought in, relative to its own; 1
+/// without any.
+pub(super) fn shares(recording: &Recording) -> Vec<f64> {
+    let about_mean = |y: &[f64]| {
+        let centre = mean(y);
+        y.iter().map(|y| (y - centre) * (y - centre)).sum::<f64>()
+    };
+    let of = |r: usize| {
+        let (mut rest, mut all) = (0.0, 0.0);
+        for record in &recording.records {
+            all += about_mean(record.response.channel(r));
+            rest += about_mean(&record.beside_added(r));
+        }
+        if all > 0.0 { f64::sqrt(rest / all) } else { 1.0 }
+    };
+    (0..recording.responses.len()).map(of).collect()
 }
 
 /// RMS of the noise of each response as its repeats tell it: half of the mean square by which they differ, what a

@@ -19,7 +19,12 @@ fn recording(rate_hz: f64, runs: Vec<Vec<Vec<f64>>>, quantities: &[Quantity]) ->
         .enumerate()
         .map(|(i, mut run)| {
             let response = Signal::new(rate_hz, run.split_off(1)).unwrap();
-            Record { drive: Signal::new(rate_hz, run).unwrap(), response, started_s: 1e3 * i as f64 }
+            Record {
+                drive: Signal::new(rate_hz, run).unwrap(),
+                response,
+                added: None,
+                started_s: 1e3 * i as f64,
+            }
         })
         .collect();
     Recording { drives: channels, responses, records }

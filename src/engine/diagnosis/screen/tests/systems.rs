@@ -105,6 +105,7 @@ pub fn recording(drives: &[Quantity], responses: &[Quantity], runs: Vec<Run>) ->
             Record {
                 drive: Signal::new(RATE_HZ, drive).unwrap(),
                 response: Signal::new(RATE_HZ, response).unwrap(),
+                added: None,
                 started_s: 100.0 * i as f64,
             }
         })
