@@ -54,10 +54,12 @@ impl Row {
         }
     }
 
-    /// Whether the bar is reached; `None` without one. A figure that could not be measured misses it.
+    /// Whether the bar is reached; `None` without one, and where nothing could exceed it for want of cases. Any other
+    /// figure that could not be measured misses it.
     pub fn passes(&self) -> Option<bool> {
         let reached = |test: &dyn Fn(f64) -> bool| Some(self.value().is_some_and(test));
         match self.bar {
+            Bar::AtMost(_) if matches!(self.figure, Figure::Share(share) if share.all == 0) => None,
             Bar::AtLeast(bar) => reached(&|v| v >= bar),
             Bar::AtMost(bar) => reached(&|v| v <= bar),
             Bar::Below(bar) => reached(&|v| v < bar),
@@ -102,5 +104,17 @@ impl Row {
         let detail = if let Figure::Share(s) = self.figure { share(s) } else { Value::Null };
         json!({"suite": self.suite, "figure": self.name, "value": self.value(), "share": detail,
                "bar": self.cells()[3], "passes": self.passes()})
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_cases_nothing_exceeds_a_bar_and_nothing_reaches_one() {
+        let of = |bar| Row::share("place", "blamed", Share { of: 0, all: 0 }, bar).passes();
+        assert_eq!([of(Bar::AtMost(0.03)), of(Bar::AtLeast(0.85))], [None, Some(false)]);
+        assert_eq!(Row::number("time", "a case, s", None, Bar::AtMost(5.0)).passes(), Some(false));
     }
 }
