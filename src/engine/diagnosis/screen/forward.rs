@@ -650,11 +650,6 @@ impl Forward {
         if !(responses..=responses + 2).contains(&self.outputs.len()) {
             return Err(format!("outputs: {}", self.outputs.len()));
         }
-        let place = |place: Place| match place {
-            Place::Drive(d) => d < drives,
-            Place::Response(r) | Place::Output(r) => r < responses,
-            Place::Between(a, b) => a < responses && b < responses,
-        };
         if !self.seen.is_empty() && self.seen.len() != self.outputs.len() - responses {
             return Err(format!("seen: {} entries", self.seen.len()));
         }
@@ -668,7 +663,8 @@ impl Forward {
         let arguments = || std::iter::once(self.argument).chain(self.second);
         let two = matches!(self.law, Law::ValveFlow | Law::CrossAxisKinematic);
         let all =
-            std::iter::once(self.place).chain(self.other).all(place) && arguments().all(|a| source(a.0));
+            std::iter::once(self.place).chain(self.other).all(|place| place.is_among(drives, responses))
+                && arguments().all(|a| source(a.0));
         if !all || self.other.is_some() != two || self.second.is_some() != two {
             return Err("place: channels of the model".into());
         }

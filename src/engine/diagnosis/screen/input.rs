@@ -1,5 +1,7 @@
 //! What the screen is given: channels and records.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{EngineError, Quantity, Signal};
@@ -39,11 +41,11 @@ pub struct Recording {
 }
 
 impl Record {
-    /// A response without what known effects add to it.
-    pub fn beside_added(&self, response: usize) -> Vec<f64> {
-        let y = self.response.channel(response);
+    /// Samples of a response without what known effects add to it.
+    pub fn beside_added(&self, response: usize, samples: Range<usize>) -> Vec<f64> {
+        let y = &self.response.channel(response)[samples.clone()];
         match &self.added {
-            Some(added) => y.iter().zip(added.channel(response)).map(|(y, added)| y - added).collect(),
+            Some(added) => y.iter().zip(&added.channel(response)[samples]).map(|(y, a)| y - a).collect(),
             None => y.to_vec(),
         }
     }

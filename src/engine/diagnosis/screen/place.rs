@@ -43,6 +43,15 @@ impl Place {
     pub fn is_of_structure(self) -> bool {
         matches!(self, Self::Response(_) | Self::Between(..))
     }
+
+    /// Whether its channels are among so many drives and responses.
+    pub(super) fn is_among(self, drives: usize, responses: usize) -> bool {
+        match self {
+            Self::Drive(d) => d < drives,
+            Self::Response(r) | Self::Output(r) => r < responses,
+            Self::Between(a, b) => a < responses && b < responses,
+        }
+    }
 }
 
 /// How the displacement at a place of the structure follows from the responses.
@@ -71,11 +80,7 @@ impl Seen {
 
     /// Whether it is a place among so many responses.
     pub fn is_among(&self, responses: usize) -> bool {
-        match self.place {
-            Place::Drive(_) => false,
-            Place::Response(r) | Place::Output(r) => r < responses,
-            Place::Between(a, b) => a < responses && b < responses,
-        }
+        self.place.is_among(0, responses)
     }
 }
 

@@ -1,6 +1,7 @@
 //! How large the gap is, and how much of it is none.
 
 use super::hypotheses::Listed;
+use super::recording::Runs;
 use crate::diagnosis::overview::Overview;
 use crate::diagnosis::report::Gap;
 use crate::diagnosis::screen::Screening;
@@ -18,19 +19,12 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// `shares` are those of each response that the laws were sought in.
-    pub fn of(
-        overview: &Overview,
-        screening: &Screening,
-        noise: &Option<Vec<f64>>,
-        listed: &[Listed],
-        shares: &[f64],
-    ) -> Self {
+    pub fn of(overview: &Overview, screening: &Screening, runs: &Runs, listed: &[Listed]) -> Self {
         let level: Vec<f64> =
             overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
         let whole: Vec<f64> =
             overview.power.iter().zip(&level).map(|(p, level)| p.rms_error / level).collect();
-        let relative = |errors: &[f64], r: usize| shares[r] * root_mean_square(errors);
+        let relative = |errors: &[f64], r: usize| runs.shares[r] * root_mean_square(errors);
         let linear: Vec<f64> =
             screening.linear.errors.iter().enumerate().map(|(r, errors)| relative(errors, r)).collect();
         let best = (0..whole.len())
@@ -40,7 +34,8 @@ impl Evidence {
                 of_laws.fold(linear[r].min(whole[r]), f64::min)
             })
             .collect();
-        let noise = noise
+        let noise = runs
+            .noise
             .as_ref()
             .map(|n| n.iter().zip(&level).zip(&whole).map(|((n, l), w)| (n / l).min(*w)).collect());
         Self { whole, best, noise, linear }

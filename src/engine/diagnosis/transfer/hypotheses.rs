@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::added::Added;
 use super::decide::Ranked;
 use super::evidence::root_mean_square;
-use super::recording::shares;
+use super::recording::Runs;
 use super::words;
 use crate::Signal;
 use crate::diagnosis::augmented::Augmented;
@@ -15,7 +15,7 @@ use crate::diagnosis::overview::Overview;
 use crate::diagnosis::report::{
     ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };
-use crate::diagnosis::screen::{FreeRun, Grouping, Number, NumberOf, Place, Recording, Screening};
+use crate::diagnosis::screen::{FreeRun, Number, NumberOf, Place, Screening};
 
 /// Normal deviation that 90 % of all lie within.
 const WITHIN: f64 = 1.645;
@@ -36,19 +36,13 @@ pub(super) struct Listed {
 pub(super) fn all(
     input: &Input,
     overview: &Overview,
-    recording: &Recording,
-    grouping: &Grouping,
+    runs: &Runs,
     screening: &Screening,
     ranked: &[Ranked<'_>],
-    noise: &Option<Vec<f64>>,
 ) -> Vec<Listed> {
-    let shares = &shares(recording);
     ranked
         .par_iter()
-        .filter_map(|ranked| {
-            Of { input, overview, recording, screening, grouping, ranked, free: ranked.free, noise, shares }
-                .listed()
-        })
+        .filter_map(|ranked| Of { input, overview, runs, screening, ranked, free: ranked.free }.listed())
         .collect()
 }
 
@@ -56,14 +50,10 @@ pub(super) fn all(
 struct Of<'a> {
     input: &'a Input,
     overview: &'a Overview,
-    recording: &'a Recording,
+    runs: &'a Runs,
     screening: &'a Screening,
-    grouping: &'a Grouping,
     ranked: &'a Ranked<'a>,
     free: &'a FreeRun,
-    noise: &'a Option<Vec<f64>>,
-    /// Share of each response that the laws are sought in.
-    shares: &'a [f64],
 }
 
 impl Of<'_> {
@@ -144,7 +134,7 @@ impl Of<'_> {
     /// RMS of what the law on its own linear part leaves of groups that it was not fitted to.
     fn held_out_alone(&self, r: usize) -> f64 {
         let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
-        level * self.shares[r] * root_mean_square(&self.free.errors[r])
+        level * self.runs.shares[r] * root_mean_square(&self.free.errors[r])
     }
 
     /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where
@@ -180,7 +170,7 @@ impl Of<'_> {
             let after = if added.alone[r] { self.held_out_alone(r) } else { of_bare?[r] };
             (rms(&of_sim), after)
         };
-        let noise_rms = self.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
+        let noise_rms = self.runs.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
         let above = |rms: f64| (rms * rms - noise_rms * noise_rms).max(0.0);
         let closed = |before: f64, after: f64| {
             let gap = above(before);
@@ -199,7 +189,7 @@ impl Of<'_> {
         let spread = rms(&by_group.iter().map(|c| c - centre).collect::<Vec<f64>>());
         let width = (WITHIN * spread).max(0.03 * (1.0 - closure).abs());
         // Where nothing tells the noise, all of the rest may be noise.
-        let highest = if self.noise.is_some() { (closure + width).min(1.0) } else { 1.0 };
+        let highest = if self.runs.noise.is_some() { (closure + width).min(1.0) } else { 1.0 };
         let floor = if noise_rms > 0.0 { noise_rms } else { rms_after }.max(f64::MIN_POSITIVE);
         let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
         Some(HeldOut {
@@ -292,13 +282,13 @@ impl Of<'_> {
         };
         let linear = &self.screening.linear.errors[r];
         let of_group = |g: usize| {
-            let stretches = self.grouping.stretches.iter().filter(|s| s.group == g);
+            let stretches = self.runs.grouping.stretches.iter().filter(|s| s.group == g);
             let (mut runs, mut samples) = (Vec::new(), Vec::new());
             let (mut drive, mut count) = (0.0, 0);
             for s in stretches {
-                let record = &self.recording.records[s.record];
-                let y = &record.beside_added(r)[s.samples.clone()];
-                let centre = mean(y);
+                let record = &self.runs.recording.records[s.record];
+                let y = record.beside_added(r, s.samples.clone());
+                let centre = mean(&y);
                 samples.extend(y.iter().map(|y| y - centre));
                 for u in record.drive.channels() {
                     let u = &u[s.samples.clone()];
@@ -319,7 +309,7 @@ impl Of<'_> {
                 parameters_alone: self.ranked.standing.gains.get(g).copied().flatten().into_iter().collect(),
             }
         };
-        (0..linear.len().min(self.grouping.groups)).map(of_group).collect()
+        (0..linear.len().min(self.runs.grouping.groups)).map(of_group).collect()
     }
 }
 

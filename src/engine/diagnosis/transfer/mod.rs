@@ -19,12 +19,14 @@ pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub use decide::{NAMED, Ranked, ranked};
 pub(super) use words::sentence;
 
+use recording::Runs;
+
 use super::augmented::Augmented;
 use super::effect::Effect;
 use super::input::Input;
 use super::overview::Overview;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
-use super::screen::{group, screen};
+use super::screen::screen;
 use crate::EngineError;
 use crate::progress::{Progress, Watch, report};
 
@@ -49,23 +51,20 @@ pub(super) fn by_transfer(
     overview: &Overview,
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
-    let recording = recording::of(input);
-    let grouping = group(&recording, &input.repeats);
+    let runs = Runs::of(input);
     let screened = |p: Progress<'_>| watch(p.within(&(0.15..0.8)));
-    let mut screening = screen(&recording, &grouping, &screened)?;
+    let mut screening = screen(&runs.recording, &runs.grouping, &screened)?;
     screening.standings.retain(|standing| input.catalogue.contains(&standing.effect));
     report(watch, "decision", 0.8)?;
-    let noise = recording::noise(&recording, &grouping);
     let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
     let relative: Option<Vec<f64>> =
-        noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
+        runs.noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
     let ranked = decide::ranked(&screening, relative.as_deref());
-    let listed = hypotheses::all(input, overview, &recording, &grouping, &screening, &ranked, &noise);
-    let shares = recording::shares(&recording);
-    let evidence = evidence::Evidence::of(overview, &screening, &noise, &listed, &shares);
+    let listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
+    let evidence = evidence::Evidence::of(overview, &screening, &runs, &listed);
     let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
     report(watch, "next experiment", 0.9)?;
-    let next = next::experiment(input, &recording, &screening, &ranked, &listed, &verdict);
+    let next = next::experiment(input, &runs.recording, &screening, &ranked, &listed, &verdict);
     let mut warnings = Vec::new();
     if screening.transfer == super::screen::Transfer::OneDrive {
         warnings.push("one_drive".to_owned());
@@ -73,7 +72,7 @@ pub(super) fn by_transfer(
     Ok(Found {
         verdict,
         gap: evidence.gap(),
-        noise: match (&noise, input.repeats.is_empty()) {
+        noise: match (&runs.noise, input.repeats.is_empty()) {
             (None, _) => NoiseSource::Bounded,
             (Some(_), true) => NoiseSource::FoundRepeats,
             (Some(_), false) => NoiseSource::Repeats,

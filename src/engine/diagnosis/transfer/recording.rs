@@ -2,11 +2,30 @@
 
 use crate::diagnosis::input::{Input, Mode, Run};
 use crate::diagnosis::linear::mean;
-use crate::diagnosis::screen::{Channel, Grouping, Record, Recording};
+use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
+
+/// What the runs tell before any law is tried.
+pub(super) struct Runs {
+    pub recording: Recording,
+    pub grouping: Grouping,
+    /// RMS of each response's noise, where repeats tell it.
+    pub noise: Option<Vec<f64>>,
+    /// Share of each response that laws are sought in.
+    pub shares: Vec<f64>,
+}
+
+impl Runs {
+    pub fn of(input: &Input) -> Self {
+        let recording = of(input);
+        let grouping = group(&recording, &input.repeats);
+        let (noise, shares) = (noise(&recording, &grouping), shares(&recording));
+        Self { recording, grouping, noise, shares }
+    }
+}
 
 /// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects only
 /// what these add to a baseline run makes it of use.
-pub(super) fn of(input: &Input) -> Recording {
+fn of(input: &Input) -> Recording {
     let channel = |c: &crate::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
     let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
     let known = |run: &Run| !input.has_adopted() || run.added.is_some();
@@ -27,7 +46,7 @@ pub(super) fn of(input: &Input) -> Recording {
 
 /// Of each response the RMS of what adopted effects leave of it, which laws are sought in, relative to its own; 1
 /// without any.
-pub(super) fn shares(recording: &Recording) -> Vec<f64> {
+fn shares(recording: &Recording) -> Vec<f64> {
     let about_mean = |y: &[f64]| {
         let centre = mean(y);
         y.iter().map(|y| (y - centre) * (y - centre)).sum::<f64>()
@@ -36,7 +55,7 @@ pub(super) fn shares(recording: &Recording) -> Vec<f64> {
         let (mut rest, mut all) = (0.0, 0.0);
         for record in &recording.records {
             all += about_mean(record.response.channel(r));
-            rest += about_mean(&record.beside_added(r));
+            rest += about_mean(&record.beside_added(r, 0..record.response.n_samples()));
         }
         if all > 0.0 { f64::sqrt(rest / all) } else { 1.0 }
     };
@@ -45,7 +64,7 @@ pub(super) fn shares(recording: &Recording) -> Vec<f64> {
 
 /// RMS of the noise of each response as its repeats tell it: half of the mean square by which they differ, what a
 /// difference of their drives does included. `None` without repeats.
-pub(super) fn noise(recording: &Recording, grouping: &Grouping) -> Option<Vec<f64>> {
+fn noise(recording: &Recording, grouping: &Grouping) -> Option<Vec<f64>> {
     let responses = recording.responses.len();
     let mut sums = vec![(0.0, 0.0); responses];
     let mut add = |a: &[f64], b: &[f64], r: usize| {
