@@ -5,7 +5,7 @@
 
 Each line is one blind case: {"kind": the verdict's kind, "probability": what it stated, "right":
 whether the verdict as stated was right}. Prints the constants `STATED` of
-src/engine/diagnosis/decide.rs, per group of kinds [a, b] of the logistic 1 / (1 + exp(-(a + b
+src/engine/diagnosis/search/decide.rs, per group of kinds [a, b] of the logistic 1 / (1 + exp(-(a + b
 logit(p)))), by Newton's method with a weak prior on no correction; and, before and after, the
 expected calibration error over ten bins and the Brier score. Run it on a build whose constants are
 [0, 1], on seeds that are used for nothing else.

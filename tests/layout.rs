@@ -85,10 +85,17 @@ fn modules() -> Vec<(String, PathBuf, String)> {
 
 /// Top-level modules that the code names: `crate::a`, `crate::{a, b::c}`, `rigcast::a`.
 fn named(code: &str) -> BTreeSet<String> {
+    let mut names = after(code, "crate::");
+    names.append(&mut after(code, "rigcast::"));
+    names
+}
+
+/// Names after a prefix, in lists too.
+fn after(code: &str, prefix: &str) -> BTreeSet<String> {
     let word =
         |text: &str| -> String { text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
     let mut names = BTreeSet::new();
-    for (at, prefix) in code.match_indices("crate::").chain(code.match_indices("rigcast::")) {
+    for (at, _) in code.match_indices(prefix) {
         let rest = &code[at + prefix.len()..];
         let Some(list) = rest.strip_prefix('{') else {
             names.insert(word(rest));
@@ -163,6 +170,57 @@ fn every_sql_string_is_in_storage() {
         let holds_sql = SQL.iter().any(|word| code.contains(&format!("\"{word}")));
         if module != "storage" && holds_sql {
             wrong.push(path.display().to_string());
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Rooms of the diagnosis from the bottom up.
+const ROOMS: &[&str] = &[
+    "numerics",
+    "core",
+    "effects",
+    "input",
+    "report",
+    "data",
+    "fit",
+    "search",
+    "screen",
+    "augmented",
+    "transfer",
+    "findings",
+    "verdict",
+    "views",
+    "diagnose",
+];
+
+#[test]
+fn no_room_of_the_diagnosis_names_one_above_it() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/engine/diagnosis");
+    let rank = |room: &str| ROOMS.iter().position(|name| *name == room);
+    let mut wrong = Vec::new();
+    for path in sources(&root) {
+        let inside: Vec<&str> =
+            path.strip_prefix(&root).unwrap().iter().map(|part| part.to_str().unwrap()).collect();
+        let room = inside[0].trim_end_matches(".rs");
+        if inside == ["mod.rs"] || inside.contains(&"tests") || path.ends_with("tests.rs") {
+            continue;
+        }
+        let own = rank(room).unwrap_or_else(|| panic!("{room} has no rank: add it to ROOMS"));
+        let code = code(&path);
+        let mut names = after(&code, "crate::diagnosis::");
+        // What is above a room's own module, or beside a file of the floor.
+        if inside.len() == 1 || inside[1..] == ["mod.rs"] {
+            names.append(&mut after(&code, "super::"));
+        }
+        let inner = |name: &String| inside.len() > 1 && root.join(room).join(format!("{name}.rs")).exists();
+        for name in names.into_iter().filter(|name| name != room && !inner(name)) {
+            if rank(&name).is_none_or(|other| other > own) {
+                wrong.push(format!("{} names {name}", path.display()));
+            }
+        }
+        if code.contains("super::super::") {
+            wrong.push(format!("{} leaves its room by super::super", path.display()));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

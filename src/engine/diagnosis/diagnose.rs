@@ -3,27 +3,27 @@
 use rayon::prelude::*;
 
 use super::augmented::Augmented;
-use super::contest::{Outcome, contest};
-use super::decide::Ranked;
-use super::effect::{Effect, Tier};
-use super::fingerprint;
-use super::held_out::Place;
-use super::hypothesis::{closes_most, hypothesis};
 use super::input::{Input, Mode, Role};
-use super::locate;
-use super::next::next_experiment;
-use super::overview::{Overview, gaps};
-use super::prepare::{Prepared, prepare};
 use super::report::{
     DataSplit, Fingerprints, Gap, Hypothesis, NoiseSource, Remaining, Report, RunPart, SecondEffect, Verdict,
     VerdictKind,
 };
-use super::second::second_effect;
 use super::transfer::{Found, by_transfer, sentence};
 use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
-use super::whereabouts::location;
 use crate::EngineError;
+use crate::diagnosis::data::locate;
+use crate::diagnosis::data::overview::{Overview, gaps};
+use crate::diagnosis::data::prepare::{Prepared, prepare};
+use crate::diagnosis::effects::effect::{Effect, Tier};
+use crate::diagnosis::findings::fingerprint;
+use crate::diagnosis::findings::held_out::Place;
+use crate::diagnosis::findings::hypothesis::{closes_most, hypothesis};
+use crate::diagnosis::findings::next::next_experiment;
+use crate::diagnosis::findings::second::second_effect;
+use crate::diagnosis::findings::whereabouts::location;
+use crate::diagnosis::search::contest::{Outcome, contest};
+use crate::diagnosis::search::decide::Ranked;
 use crate::progress::{Progress, Watch, report};
 
 /// Hypotheses in the report.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::effect::Effect;
+use crate::diagnosis::effects::effect::Effect;
 use crate::{EngineError, Quantity, Signal};
 
 /// A channel as the report names it.

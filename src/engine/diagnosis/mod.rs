@@ -7,66 +7,47 @@
 //! it leaves on runs it was not fitted to. Errors count in noise floors inside the band in which the
 //! core was identified: `chi2 = 1` means that nothing is left.
 //!
+//! The rooms, from the bottom up; each names those below it only (`tests/layout.rs`):
+//!
+//! - `numerics`: least squares, noise models, splines, errors counted in noise floors.
+//! - `core`: the linear core of a response.
+//! - `effects`: the catalogue's names, their laws and maps, and a core with them as a free run.
+//! - `data`: a request's runs, prepared: one problem a response, its noise, and where the gap lies.
+//! - `fit`: from a candidate to its best free run.
+//! - `search`: every effect of the catalogue fitted, scored and ranked, where repeats tell the noise or the model is
+//!   from before the change.
+//! - `screen`: every law beside a linear part of its own, judged by runs that it was not fitted to.
+//! - `augmented`: the sim with an effect in it.
+//! - `transfer`: from the screen to a verdict, where the model was fitted on the rig or nothing tells the noise.
+//! - `findings`: hypotheses, closure on unseen runs, numbers in the rig's units, a second effect, the next experiment.
+//! - `views`: what the report's page draws.
+//!
+//! [`diagnose`] goes through them.
+//!
 //! Lengths and velocities inside the laws are in units of the response's own RMS, time in units of
 //! the whole programme, frequencies of bands in cycles a sample.
 
-mod adopted;
-mod ar;
 mod augmented;
-mod beside;
-mod candidate;
-mod catalogue;
-mod contest;
 mod core;
-mod decide;
+mod data;
 mod diagnose;
-mod disturbance;
-mod echo;
-mod effect;
-mod fingerprint;
-mod fitting;
-mod held_out;
-mod hosts;
-mod hypothesis;
+mod effects;
+mod findings;
+mod fit;
 mod input;
-mod input_map;
-mod kernel;
-mod law;
-mod levmar;
-mod linear;
-mod locate;
-mod modes;
-mod naming;
-mod next;
-mod noise;
-mod output_map;
-mod overview;
-mod pairs;
-mod parameters;
-mod prepare;
-mod problem;
+mod numerics;
 mod report;
-mod rows;
-mod score;
 pub mod screen;
-mod second;
-mod seldom;
-mod spline;
-mod split;
-mod start;
-mod tangent;
+mod search;
 #[cfg(test)]
 pub(crate) mod tests;
-mod tolerance;
 mod transfer;
-mod twins;
 mod verdict;
 pub mod views;
-mod whereabouts;
 
 pub use augmented::Augmented;
 pub use diagnose::{Diagnosis, diagnose};
-pub use effect::{Effect, Family};
+pub use effects::effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};
 pub use report::*;
 pub use transfer::{Alternative, FEATURES, NAMED, Ranked, Weights, alternatives, ranked};

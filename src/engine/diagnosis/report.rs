@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::effect::{Effect, Family};
 use super::input::Mode;
+use crate::diagnosis::effects::effect::{Effect, Family};
 
 /// Where the noise floor comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,14 +1,14 @@
 //! From the contest's outcome to the stated verdict.
 
-use super::contest::Outcome;
-use super::decide::{NOISE_LEFT, Ranked, Ruling, rule};
-use super::effect::{Effect, Tier};
-use super::hypothesis::{axis, closes_most, place};
 use super::input::{Input, Mode};
-use super::overview::Overview;
-use super::prepare::Prepared;
 use super::report::{Hypothesis, Verdict, VerdictKind};
-use super::second::Two;
+use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::effects::effect::{Effect, Tier};
+use crate::diagnosis::findings::hypothesis::{axis, closes_most, place};
+use crate::diagnosis::findings::second::Two;
+use crate::diagnosis::search::contest::Outcome;
+use crate::diagnosis::search::decide::{NOISE_LEFT, Ranked, Ruling, rule};
 
 /// Below this probability two effects together are no answer.
 pub(super) const SURE_OF_TWO: f64 = 0.7;

@@ -2,7 +2,7 @@
 
 use rigcast_numerics::fft::RealFftPlanner;
 
-use super::super::rows::fast_len;
+use crate::diagnosis::numerics::rows::fast_len;
 
 /// Share of the drive's power that lies inside the band.
 const SHARE: f64 = 0.995;
@@ -11,7 +11,7 @@ const REACHES_ZERO: f64 = 0.04;
 
 /// First and last frequency, cycles a sample, between which 99.5 % of the drives' power lies, each
 /// drive counted alike; `[stretch][drive]` samples. `None` if no drive moves.
-pub(in super::super) fn drive_band(stretches: &[Vec<&[f64]>]) -> Option<[f64; 2]> {
+pub(in crate::diagnosis) fn drive_band(stretches: &[Vec<&[f64]>]) -> Option<[f64; 2]> {
     const BINS: usize = 2048;
     let drives = stretches.first()?.len();
     let mut power = vec![0.0; BINS + 1];

@@ -11,14 +11,14 @@
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 
-use super::super::ar::Ar;
-use super::super::linear::{dot, eigenvalues, least_squares, mean};
-use super::super::modes::Modes;
-use super::super::rows::Rows;
 use super::Core;
+use super::modes::Modes;
 use super::refine::refine;
 use super::thin::thin;
 use crate::EngineError;
+use crate::diagnosis::numerics::ar::Ar;
+use crate::diagnosis::numerics::linear::{dot, eigenvalues, least_squares, mean};
+use crate::diagnosis::numerics::rows::Rows;
 
 /// Orders that are tried.
 const ORDERS: [usize; 10] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12];
@@ -36,14 +36,14 @@ const SETTLING: f64 = 0.1;
 
 /// Simultaneous samples of all drives and one response.
 #[derive(Clone)]
-pub(in super::super) struct Stretch<'a> {
+pub(in crate::diagnosis) struct Stretch<'a> {
     pub drives: Vec<&'a [f64]>,
     pub response: &'a [f64],
 }
 
 /// A core and what it leaves.
 #[derive(Debug, Clone)]
-pub(in super::super) struct CoreFit {
+pub(in crate::diagnosis) struct CoreFit {
     pub core: Core,
     /// Noise that the core leaves in the stretches, in the response's unit.
     pub noise: Ar,
@@ -54,7 +54,7 @@ pub(in super::super) struct CoreFit {
 ///
 /// # Errors
 /// Stretches too short for any order.
-pub(in super::super) fn fit(
+pub(in crate::diagnosis) fn fit(
     stretches: &[Stretch<'_>],
     sample_rate_hz: f64,
     band: [f64; 2],

@@ -7,12 +7,13 @@ use serde::{Deserialize, Serialize};
 
 mod band;
 mod fit;
+pub(super) mod modes;
 mod refine;
 #[cfg(test)]
 mod tests;
 mod thin;
 
-use super::modes::{Modes, natural};
+use modes::{Modes, natural};
 
 pub(super) use band::drive_band;
 pub(super) use fit::{CoreFit, Stretch, fit};

@@ -2,9 +2,9 @@
 //! exact derivatives. Steiglitz and McBride's iteration stops near this optimum, not at it, and what
 //! it leaves would grow with the drive.
 
-use super::super::linear::{dot, norm, solve_spd};
-use super::super::modes::{Modes, Pole};
 use super::fit::{Linear, Part};
+use super::modes::{Modes, Pole};
+use crate::diagnosis::numerics::linear::{dot, norm, solve_spd};
 
 /// Jacobians.
 const ROUNDS: usize = 12;

@@ -1,7 +1,7 @@
 //! Long runs made short enough to search them.
 
-use super::super::problem::smooth;
 use super::fit::Stretch;
+use crate::diagnosis::numerics::smooth::smooth;
 
 /// Samples in all on which the order and its poles are searched: more cost time and tell no more.
 const SEARCHED: usize = 60_000;

@@ -122,9 +122,9 @@ impl Filter {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::linear::dot;
     use super::super::track::delayed;
     use super::*;
+    use crate::diagnosis::numerics::linear::dot;
 
     #[test]
     fn products_by_blocks_are_those_of_lags_written_out() {

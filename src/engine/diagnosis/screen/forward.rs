@@ -8,13 +8,13 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use super::super::linear::dot;
 use super::band::Thinner;
 use super::correlate::Filter;
 use super::law::{Instant, Law, Scale};
 use super::memory::Memory;
 use super::motion::{Limits, Motion, motion};
 use super::place::{Place, Seen};
+use crate::diagnosis::numerics::linear::dot;
 use crate::resample::resample;
 use crate::{Quantity, Signal};
 

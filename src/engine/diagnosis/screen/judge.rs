@@ -159,7 +159,7 @@ impl<'a> Base<'a> {
             for c in 0..m {
                 let column = x.col_as_slice(c);
                 target[segment.group][(c, 0)] +=
-                    super::super::linear::dot(column, &self.responses[at][response]);
+                    crate::diagnosis::numerics::linear::dot(column, &self.responses[at][response]);
             }
             self.regressors.add(x, at, segment.weight, &mut cross[segment.group]);
             gram[segment.group] += x.transpose() * x;
@@ -174,7 +174,8 @@ impl<'a> Base<'a> {
         let mut target = vec![Mat::zeros(block.width(), 1); self.n_groups()];
         for (at, (segment, x)) in self.segments.iter().zip(&block.columns).enumerate() {
             for c in 0..x.ncols() {
-                let with = super::super::linear::dot(x.col_as_slice(c), &self.responses[at][response]);
+                let with =
+                    crate::diagnosis::numerics::linear::dot(x.col_as_slice(c), &self.responses[at][response]);
                 target[segment.group][(c, 0)] += with;
             }
         }

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 use rigcast_numerics::decompose::Cholesky;
 
-use super::super::linear::eigenvalues;
 use super::track::{Segment, Track, delayed};
+use crate::diagnosis::numerics::linear::eigenvalues;
 
 /// Rounds of relocation at a time.
 const ROUNDS: usize = 4;

@@ -6,8 +6,8 @@
 use faer::Mat;
 use rayon::prelude::*;
 
-use super::super::linear::dot;
 use super::track::{Segment, Track, delayed};
+use crate::diagnosis::numerics::linear::dot;
 
 /// Lags of every drive: from `-lead` on, `span` of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

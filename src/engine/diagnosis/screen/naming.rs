@@ -3,7 +3,7 @@
 use super::law::Law;
 use super::place::Place;
 use crate::Quantity;
-use crate::diagnosis::Effect;
+use crate::diagnosis::effects::effect::Effect;
 
 /// Kinks beyond so many deviations are stops; a gap inside is one that the rig rattles through.
 const STOP: f64 = 1.2;

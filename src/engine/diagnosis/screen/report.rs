@@ -6,7 +6,7 @@ use super::free_run::FreeRun;
 use super::groups::Transfer;
 use super::law::Law;
 use super::place::Place;
-use crate::diagnosis::{Effect, Family};
+use crate::diagnosis::effects::effect::{Effect, Family};
 
 /// The linear part, and the laws that predict what it leaves, best first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

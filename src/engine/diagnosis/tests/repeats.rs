@@ -1,11 +1,11 @@
 use std::sync::Arc;
 
 use super::rig::{few, hardening, request};
-use crate::diagnosis::candidate::{Candidate, Part};
-use crate::diagnosis::law::Law;
-use crate::diagnosis::output_map::OutputMap;
-use crate::diagnosis::prepare::prepare;
-use crate::diagnosis::problem::{Stretch, firsts};
+use crate::diagnosis::data::prepare::prepare;
+use crate::diagnosis::data::problem::{Stretch, firsts};
+use crate::diagnosis::effects::candidate::{Candidate, Part};
+use crate::diagnosis::effects::law::Law;
+use crate::diagnosis::effects::output_map::OutputMap;
 use crate::diagnosis::{Effect, Input};
 
 /// Drives that are another's own, so that nothing is shared.

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use crate::diagnosis::effect::{Effect, Family};
+use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
 
 use super::evidence::root_mean_square;

@@ -4,7 +4,7 @@ use super::alternatives::{Weights, alternatives, odds_of_none};
 use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
 use super::words;
-use crate::diagnosis::effect::{Effect, Family};
+use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::input::Input;
 use crate::diagnosis::report::{Verdict, VerdictKind};
 use crate::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};

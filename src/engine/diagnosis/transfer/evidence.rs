@@ -2,7 +2,7 @@
 
 use super::hypotheses::Listed;
 use super::recording::Runs;
-use crate::diagnosis::overview::Overview;
+use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::report::Gap;
 use crate::diagnosis::screen::Screening;
 

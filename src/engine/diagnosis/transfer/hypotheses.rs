@@ -2,16 +2,16 @@
 
 use rayon::prelude::*;
 
-use super::added::Added;
 use super::decide::Ranked;
 use super::evidence::root_mean_square;
 use super::recording::Runs;
 use super::words;
 use crate::Signal;
+use crate::diagnosis::augmented::Added;
 use crate::diagnosis::augmented::Augmented;
+use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::input::{Input, Run};
-use crate::diagnosis::linear::{mean, rms};
-use crate::diagnosis::overview::Overview;
+use crate::diagnosis::numerics::linear::{mean, rms};
 use crate::diagnosis::report::{
     ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };

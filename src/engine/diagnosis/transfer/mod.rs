@@ -5,7 +5,6 @@
 //! leave elsewhere than where they were fitted, and is `undecided` where nothing is left to carry a law to, or where
 //! nothing carries over.
 
-mod added;
 mod alternatives;
 mod decide;
 mod evidence;
@@ -14,7 +13,6 @@ mod next;
 mod recording;
 mod words;
 
-pub(super) use added::Added;
 pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub use decide::{NAMED, Ranked, ranked};
 pub(super) use words::sentence;
@@ -22,12 +20,12 @@ pub(super) use words::sentence;
 use recording::Runs;
 
 use super::augmented::Augmented;
-use super::effect::Effect;
 use super::input::Input;
-use super::overview::Overview;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
 use super::screen::screen;
 use crate::EngineError;
+use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::effects::effect::Effect;
 use crate::progress::{Progress, Watch, report};
 
 /// What follows from transfer between runs.
@@ -86,5 +84,5 @@ pub(super) fn by_transfer(
 
 /// Whether an effect is one of the linear part.
 fn linear(effect: Effect) -> bool {
-    effect.tier() <= super::effect::Tier::Linear
+    effect.tier() <= crate::diagnosis::effects::effect::Tier::Linear
 }

@@ -4,7 +4,7 @@ use super::decide::Ranked;
 use super::hypotheses::Listed;
 use crate::Signal;
 use crate::diagnosis::input::{Input, Run};
-use crate::diagnosis::linear::{mean, rms};
+use crate::diagnosis::numerics::linear::{mean, rms};
 use crate::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
 use crate::diagnosis::screen::{Recording, Screening, Transfer};
 

@@ -1,7 +1,7 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
 use crate::diagnosis::input::{Input, Mode, Run};
-use crate::diagnosis::linear::mean;
+use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// What the runs tell before any law is tried.
@@ -26,7 +26,8 @@ impl Runs {
 /// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects only
 /// what these add to a baseline run makes it of use.
 fn of(input: &Input) -> Recording {
-    let channel = |c: &crate::diagnosis::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
+    let channel =
+        |c: &crate::diagnosis::input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
     let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
     let known = |run: &Run| !input.has_adopted() || run.added.is_some();
     let baseline =

@@ -2,7 +2,7 @@
 
 use super::decide::Ranked;
 use super::evidence::Evidence;
-use crate::diagnosis::effect::Effect;
+use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::report::{Hypothesis, Verdict, VerdictKind};
 use crate::diagnosis::screen::{Place, Standing};

@@ -9,19 +9,20 @@ use serde::{Deserialize, Serialize};
 
 use super::inverse::{SPOILT, divided};
 use super::{short, shorten};
-use crate::diagnosis::candidate::Part;
-use crate::diagnosis::catalogue::own_drive;
-use crate::diagnosis::fitting::Fitted;
+use crate::diagnosis::data::noise::Noise;
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::problem::{Problem, Stretch};
+use crate::diagnosis::effects::candidate::Part;
+use crate::diagnosis::effects::input_map::InputMap;
+use crate::diagnosis::effects::kernel::{Clock, along};
+use crate::diagnosis::effects::law::{self, Instant, Memory};
+use crate::diagnosis::effects::output_map::OutputMap;
+use crate::diagnosis::fit::fitting::Fitted;
 use crate::diagnosis::input::Input;
-use crate::diagnosis::input_map::InputMap;
-use crate::diagnosis::kernel::{Clock, along};
-use crate::diagnosis::law::{self, Instant, Memory};
-use crate::diagnosis::linear::{dot, rms};
-use crate::diagnosis::noise::Noise;
-use crate::diagnosis::output_map::OutputMap;
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::problem::{Problem, Stretch, smooth};
-use crate::diagnosis::rows::fast_len;
+use crate::diagnosis::numerics::linear::{dot, rms};
+use crate::diagnosis::numerics::rows::fast_len;
+use crate::diagnosis::numerics::smooth::smooth;
+use crate::diagnosis::search::catalogue::own_drive;
 
 /// Points of the cloud.
 const POINTS: usize = 1500;

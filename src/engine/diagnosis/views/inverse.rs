@@ -3,7 +3,7 @@
 use realfft::num_complex::Complex64;
 use rigcast_numerics::fft::RealFftPlanner;
 
-use crate::diagnosis::ar::Ar;
+use crate::diagnosis::numerics::ar::Ar;
 
 /// Share of a stretch at each end that the taper and the unknown past spoil.
 pub(super) const SPOILT: f64 = 0.06;

@@ -4,11 +4,11 @@ use rigcast_numerics::fft::RealFftPlanner;
 use serde::{Deserialize, Serialize};
 
 use super::shorten;
-use crate::diagnosis::ar::Ar;
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::problem::Stretch;
 use crate::diagnosis::input::Input;
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::problem::Stretch;
-use crate::diagnosis::rows::fast_len;
+use crate::diagnosis::numerics::ar::Ar;
+use crate::diagnosis::numerics::rows::fast_len;
 
 /// Lines that the core's band is resolved into.
 const LINES: f64 = 160.0;

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::spectra::Welch;
 use super::{short, shorten};
-use crate::diagnosis::fitting::Fitted;
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::problem::{Problem, Stretch};
+use crate::diagnosis::fit::fitting::Fitted;
 use crate::diagnosis::input::Input;
-use crate::diagnosis::prepare::Prepared;
-use crate::diagnosis::problem::{Problem, Stretch};
 
 /// Swings of the response that the window holds.
 const SWINGS: usize = 24;

@@ -1,0 +1,11 @@
+//! The runs of a request, prepared: one problem a response, its noise, and where the gap lies.
+
+pub mod disturbance;
+pub mod locate;
+pub mod noise;
+pub mod overview;
+pub mod prepare;
+pub mod problem;
+pub mod seldom;
+pub mod split;
+pub mod tolerance;

@@ -1,0 +1,431 @@
+//! From a request to one problem per response.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::noise::{self, Noise, Pair};
+use super::overview::NOISE_ONLY;
+use super::problem::{Problem, Stretch, share};
+use super::seldom::{self, PLAIN_GAP};
+use super::split::{Piece, Split, in_quarters, quarter, split};
+use super::tolerance::Tolerance;
+use crate::diagnosis::core::{self, Core, CoreFit};
+use crate::diagnosis::effects::kernel::{Clock, Scales};
+use crate::diagnosis::effects::plant::{Course, Plant};
+use crate::diagnosis::input::{Input, Mode, Role, Run};
+use crate::diagnosis::numerics::linear::{dot, mean, rms};
+use crate::diagnosis::numerics::rows::Rows;
+use crate::diagnosis::numerics::smooth::smooth;
+use crate::{EngineError, Signal};
+
+/// A request made ready.
+pub struct Prepared {
+    pub problems: Vec<Problem>,
+    pub noises: Vec<Noise>,
+    /// Whether repeats gave the noise; else it is the core's own residual.
+    pub from_repeats: bool,
+    pub pieces: Vec<Piece>,
+    pub warnings: Vec<String>,
+    /// Whether the effect acts so seldom that it is chosen on what it is fitted to.
+    pub pooled: bool,
+    /// The core's band, cycles a sample.
+    pub band: [f64; 2],
+    /// Whether the core stands for the sim, by response.
+    pub stands: Vec<bool>,
+    /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not and stands
+    /// for it: relative to the response, by response.
+    pub sim_errs: Vec<Option<f64>>,
+    /// What the baseline leaves of each core: the noise before the change.
+    pub baseline_noise: Vec<crate::diagnosis::numerics::ar::Ar>,
+}
+
+/// Cores, noise and stretches of every response.
+///
+/// # Errors
+/// A request that does not hold together, drives that do not move, runs too short for the core.
+pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
+    input.check()?;
+    let baseline: Vec<Vec<&[f64]>> =
+        input.baseline.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect();
+    let band = core::drive_band(&baseline)
+        .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })?;
+    let Split { mut pieces, mut warnings, cut: by_drive } = split(input);
+    for role in [Role::Fit, Role::Select, Role::Test] {
+        if !pieces.iter().any(|p| p.role == role) {
+            return Err(EngineError::TooShort {
+                what: "runs of the diagnosis: fit, select and test each need one",
+                needed: 1,
+                found: 0,
+            });
+        }
+    }
+    let fitted: Vec<CoreFit> = (0..input.responses.len())
+        .into_par_iter()
+        .map(|r| fit_core(input, &baseline, r, band))
+        .collect::<Result<_, _>>()?;
+    // One lead-in for all: an effect at one response is carried to the others sample by sample.
+    let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
+    let sim_errs: Vec<Option<f64>> =
+        fitted.iter().enumerate().map(|(r, fit)| own_error(input, &fit.core, r)).collect();
+    let stands: Vec<bool> =
+        sim_errs.iter().enumerate().map(|(r, errs)| errs.is_some() || input.core_stands(r)).collect();
+    let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
+    warnings.extend(other_sim(input, &cut.simulated, &stands));
+    let mut noises = Vec::new();
+    let mut from_repeats = true;
+    for (r, fit) in fitted.iter().enumerate() {
+        let noise = cut.repeats(&pieces, &fit.core, r);
+        from_repeats &= noise.is_some();
+        // A rig that changed between its repeats leaves more in their difference than the regression
+        // can take out: the noise before the change is then the better floor, where it is lower.
+        let noise = noise.map(|n| {
+            let changed =
+                n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
+            if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
+        });
+        noises.push(noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 }));
+    }
+    // Quarters too short to be scored by themselves keep the usual roles.
+    let of_quarter =
+        |groups: &[Vec<usize>], q| cut.largest_gap(&quarter(input, groups, q), &fitted, &noises).ok();
+    if let Some(groups) = by_drive
+        && let [Some(a), Some(b), Some(c), Some(d)] = [0, 1, 2, 3].map(|q| of_quarter(&groups, q))
+        && let Some(roles) = seldom::roles([a, b, c, d])
+    {
+        pieces = in_quarters(input, &groups, roles);
+    }
+    let mut problems = Vec::new();
+    for (r, (fit, noise)) in fitted.iter().zip(&noises).enumerate() {
+        problems.push(cut.problem(&pieces, &fit.core, r, noise)?);
+    }
+    let pooled = pool(&mut problems);
+    if pooled {
+        warnings.push("acts_seldom".into());
+    }
+    let baseline_noise = fitted.into_iter().map(|f| f.noise).collect();
+    Ok(Prepared {
+        problems,
+        noises,
+        from_repeats,
+        pieces,
+        warnings,
+        pooled,
+        band,
+        stands,
+        sim_errs,
+        baseline_noise,
+    })
+}
+
+/// Where only the fit or only the select stretches hold a gap, both are used for both: what acts a few
+/// times in a programme may do so in any of them, and neither alone could tell what it is.
+fn pool(problems: &mut [Problem]) -> bool {
+    let largest =
+        |of: fn(&Problem) -> &[Stretch]| problems.iter().map(|p| p.chi2_none(of(p))).fold(0.0, f64::max);
+    let (fit, select) = (largest(|p| &p.fit), largest(|p| &p.select));
+    let pooled = fit.min(select) < NOISE_ONLY && fit.max(select) >= PLAIN_GAP;
+    if pooled {
+        for problem in problems {
+            problem.fit.extend(problem.select.iter().cloned());
+            problem.select.clone_from(&problem.fit);
+        }
+    }
+    pooled
+}
+
+fn fit_core(
+    input: &Input,
+    drives: &[Vec<&[f64]>],
+    response: usize,
+    band: [f64; 2],
+) -> Result<CoreFit, EngineError> {
+    let stretches: Vec<core::Stretch<'_>> = input
+        .baseline
+        .iter()
+        .zip(drives)
+        .map(|(run, drives)| core::Stretch {
+            drives: drives.clone(),
+            response: run.response.channel(response),
+        })
+        .collect();
+    if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {
+        return Err(EngineError::DeadChannel { what: "response of the baseline runs", channel: response });
+    }
+    // From before the change the rig is its own linear self; in situ low-level runs bend too.
+    core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External)
+}
+
+/// Of a sim from before the change: what it errs by on the baseline runs beyond what the core does, relative to the
+/// response, where that is half of what matters or more. What such a sim leaves of later runs is its own error and the
+/// change's together, which no law of the rig can tell apart.
+fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
+    if input.mode == Mode::InSitu || input.sim_is_linear || input.has_adopted() {
+        return None;
+    }
+    let (mut of_sim, mut of_core, mut size) = (0.0, 0.0, 0.0);
+    for run in &input.baseline {
+        let sim = run.simulated.as_ref()?.channel(response);
+        let (y, core) = (run.response.channel(response), core.simulate(run.drive.channels()));
+        // The beginning is the core's ring-in from rest.
+        let from = y.len() / 5;
+        let power = |other: &[f64]| -> f64 {
+            y[from..].iter().zip(&other[from..]).map(|(y, o)| (y - o) * (y - o)).sum()
+        };
+        let centre = mean(&y[from..]);
+        of_sim += power(sim);
+        of_core += power(&core);
+        size += y[from..].iter().map(|y| (y - centre) * (y - centre)).sum::<f64>();
+    }
+    let own = ((of_sim - of_core).max(0.0) / size.max(f64::MIN_POSITIVE)).sqrt();
+    (own > 0.5 * input.material_gap).then_some(own)
+}
+
+/// What the sim says of every run, `[run][response][sample]`.
+fn simulate_all(input: &Input, fitted: &[CoreFit], stands: &[bool]) -> Vec<Arc<Vec<Vec<f64>>>> {
+    input
+        .runs
+        .par_iter()
+        .map(|run| {
+            let of = |(r, fit): (usize, &CoreFit)| match &run.simulated {
+                Some(simulated) if !stands[r] => simulated.channel(r).to_vec(),
+                _ => free_run(&fit.core, run, r),
+            };
+            Arc::new(fitted.iter().enumerate().map(of).collect())
+        })
+        .collect()
+}
+
+/// The core's free run of a whole run, with what adopted effects of the sim add to it.
+fn free_run(core: &Core, run: &Run, response: usize) -> Vec<f64> {
+    let mut y = core.simulate(run.drive.channels());
+    if let Some(added) = &run.added {
+        y.iter_mut().zip(added.channel(response)).for_each(|(y, added)| *y += added);
+    }
+    y
+}
+
+/// A warning for each response at which the sim differs from the core that stands for it by more than
+/// `material_gap` of the response.
+fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>], stands: &[bool]) -> Vec<String> {
+    let differs = |r: &usize| {
+        let stands = stands[*r];
+        let (mut difference, mut size) = (0.0, 0.0);
+        for (run, core) in input.runs.iter().zip(simulated) {
+            let Some(sim) = run.simulated.as_ref().filter(|_| stands) else { continue };
+            let (sim, core) = (sim.channel(*r), &core[*r]);
+            // The beginning is the core's ring-in from rest.
+            let from = sim.len() / 5;
+            let centre = mean(&core[from..]);
+            difference += sim[from..].iter().zip(&core[from..]).map(|(s, c)| (s - c) * (s - c)).sum::<f64>();
+            size += core[from..].iter().map(|c| (c - centre) * (c - centre)).sum::<f64>();
+        }
+        difference > input.material_gap * input.material_gap * size
+    };
+    let responses = (0..input.responses.len()).filter(differs);
+    responses.map(|r| format!("core_stands_for_sim: {}", input.responses[r].name)).collect()
+}
+
+/// A request cut into its stretches.
+struct Cut<'a> {
+    input: &'a Input,
+    /// `[run][response][sample]`
+    simulated: Vec<Arc<Vec<Vec<f64>>>>,
+    /// Whether the core stands for the sim, by response.
+    stands: &'a [bool],
+    band: [f64; 2],
+    /// Samples that the slowest core remembers.
+    memory: usize,
+}
+
+impl<'a> Cut<'a> {
+    /// Samples at the start of a run that its unknown state before may still colour.
+    fn lead(&self, samples: usize) -> usize {
+        self.memory.min(samples / 5)
+    }
+
+    fn repeats(&self, pieces: &[Piece], core: &Core, response: usize) -> Option<Noise> {
+        let mut pairs = Vec::new();
+        for (i, a) in pieces.iter().enumerate() {
+            let Some(b) = pieces[i + 1..].iter().find(|b| b.group == a.group) else { continue };
+            let range = a.from..a.to.min(b.to);
+            let (run_a, run_b) = (&self.input.runs[a.run], &self.input.runs[b.run]);
+            let (ya, yb) = (run_a.response.channel(response), run_b.response.channel(response));
+            pairs.push(Pair {
+                difference: ya[range.clone()].iter().zip(&yb[range.clone()]).map(|(a, b)| a - b).collect(),
+                drives: run_a.drive.channels().iter().map(|d| &d[range.clone()]).collect(),
+                simulated: &self.simulated[a.run][response][range.clone()],
+                lead: if a.from == 0 { self.lead(range.len()) } else { 0 },
+            });
+        }
+        noise::from_repeats(&pairs, core, self.band)
+    }
+
+    /// A piece of a run as a stretch of one response.
+    fn stretch(
+        &self,
+        piece: &Piece,
+        core: &Core,
+        response: usize,
+        noise: &Noise,
+    ) -> Result<Stretch, EngineError> {
+        let (rate, runs) = (self.input.sample_rate_hz(), &self.input.runs);
+        let begin = runs.iter().map(|r| r.started_s).fold(f64::INFINITY, f64::min);
+        let end = runs.iter().map(|r| r.started_s + r.drive.duration_s()).fold(f64::NEG_INFINITY, f64::max);
+        let span = (end - begin).max(1e-9);
+        let run = &runs[piece.run];
+        // A piece inside a run is simulated from before its start; at a run's start there is no before.
+        let start = piece.from.saturating_sub(self.memory);
+        let lead = if piece.from > 0 { piece.from - start } else { self.lead(piece.to) };
+        let scored = piece.to - start - lead;
+        if scored < 64 {
+            return Err(EngineError::TooShort { what: "run of the diagnosis", needed: 64, found: scored });
+        }
+        let mut rows = Rows::new(scored, self.band, &noise.ar);
+        if lead < self.memory {
+            rows = rows.without(&core.modes.decays(scored));
+        }
+        let cut = |signal: &[Vec<f64>]| -> Vec<Vec<f64>> {
+            signal.iter().map(|x| x[start..piece.to].to_vec()).collect()
+        };
+        Ok(Stretch {
+            run: piece.run,
+            from: start,
+            group: piece.group,
+            measured: Arc::new(run.response.channel(response)[start..piece.to].to_vec()),
+            lead,
+            rows: Arc::new(rows),
+            course: Course {
+                simulated: Arc::new(cut(&self.simulated[piece.run])),
+                // With all of the run before it, as the sim has it too.
+                core: Arc::new(free_run(core, run, response)[start..piece.to].to_vec()),
+                clock: Clock {
+                    start: (run.started_s - begin + start as f64 / rate) / span,
+                    step: 1.0 / (rate * span),
+                },
+                carried: Arc::default(),
+                drives: Arc::new(cut(run.drive.channels())),
+            },
+        })
+    }
+
+    /// What the sim leaves of these pieces at the response where it leaves most, in noise floors squared.
+    fn largest_gap(
+        &self,
+        pieces: &[Piece],
+        fitted: &[CoreFit],
+        noises: &[Noise],
+    ) -> Result<f64, EngineError> {
+        let mut largest = 0.0_f64;
+        for (r, (fit, noise)) in fitted.iter().zip(noises).enumerate() {
+            let mut rows = Vec::new();
+            for piece in pieces {
+                let stretch = self.stretch(piece, &fit.core, r, noise)?;
+                stretch.extend(&stretch.gap(r), &mut rows);
+            }
+            largest = largest.max(dot(&rows, &rows) / rows.len().max(1) as f64);
+        }
+        Ok(largest)
+    }
+
+    /// What the baseline runs say against a retune of the core, where that is the sim.
+    fn tolerance(&self, plant: &Plant, noise: &Noise) -> Option<Tolerance> {
+        let stands = self.input.sim_is_linear || self.stands[plant.response];
+        let is_sim = stands || self.input.runs.iter().all(|run| run.simulated.is_none());
+        if self.input.mode == Mode::InSitu || !is_sim {
+            return None;
+        }
+        let scored = |drive: &'a Signal| {
+            let n = drive.n_samples();
+            let lead = self.lead(n);
+            (drive.channels(), Rows::new((n - lead).max(2), self.band, &noise.ar), lead)
+        };
+        Tolerance::new(plant, &self.input.baseline.iter().map(|run| scored(&run.drive)).collect::<Vec<_>>())
+    }
+
+    fn problem(
+        &self,
+        pieces: &[Piece],
+        core: &Core,
+        response: usize,
+        noise: &Noise,
+    ) -> Result<Problem, EngineError> {
+        let stretches = |role: Role| -> Result<Vec<Stretch>, EngineError> {
+            let pieces = pieces.iter().filter(|p| p.role == role);
+            let mut stretches: Vec<Stretch> = pieces
+                .map(|piece| self.stretch(piece, core, response, noise))
+                .collect::<Result<_, EngineError>>()?;
+            share(&mut stretches);
+            Ok(stretches)
+        };
+        let (fit, select, test) = (stretches(Role::Fit)?, stretches(Role::Select)?, stretches(Role::Test)?);
+        let drives = Drives::of(&fit);
+        if drives.peak.iter().all(|&p| p == 0.0) {
+            return Err(EngineError::DeadChannel { what: "drives of the fit runs", channel: 0 });
+        }
+        let y_mean = core.response_mean;
+        let measured: Vec<f64> = fit.iter().flat_map(|s| s.measured.iter().map(|y| y - y_mean)).collect();
+        let change: Vec<f64> = fit
+            .iter()
+            .flat_map(|s| {
+                let smooth = smooth(&s.measured, self.band[1]);
+                smooth.windows(2).map(|w| w[1] - w[0]).collect::<Vec<f64>>()
+            })
+            .collect();
+        let (y, dy) = (rms(&measured), rms(&change));
+        if !(y > 0.0 && dy > 0.0) {
+            return Err(EngineError::DeadChannel { what: "response of the fit runs", channel: response });
+        }
+        let mut other_mean = Vec::new();
+        let mut other_scale = Vec::new();
+        for r in 0..self.input.responses.len() {
+            let samples: Vec<f64> = fit.iter().flat_map(|s| s.simulated[r].iter().copied()).collect();
+            let centre = mean(&samples);
+            other_mean.push(centre);
+            other_scale.push(rms(&samples.iter().map(|s| s - centre).collect::<Vec<f64>>()));
+        }
+        let plant = Plant {
+            response,
+            core: core.clone(),
+            scales: Scales { y_mean, y, dy },
+            other_scale,
+            other_mean,
+            drive_peak: drives.peak,
+        };
+        Ok(Problem {
+            tolerance: self.tolerance(&plant, noise).map(Arc::new),
+            plant,
+            drive_quantiles: drives.quantiles,
+            drive_slope: drives.slope,
+            band_end: self.band[1],
+            fit,
+            select,
+            test,
+        })
+    }
+}
+
+/// Levels of each drive over the fit stretches.
+struct Drives {
+    peak: Vec<f64>,
+    quantiles: Vec<[f64; 6]>,
+    slope: Vec<f64>,
+}
+
+impl Drives {
+    fn of(fit: &[Stretch]) -> Self {
+        let mut out = Self { peak: Vec::new(), quantiles: Vec::new(), slope: Vec::new() };
+        for d in 0..fit[0].drives.len() {
+            let samples: Vec<f64> = fit.iter().flat_map(|s| s.drives[d].iter().copied()).collect();
+            let peak = samples.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
+            let mut sorted: Vec<f64> = samples.iter().map(|u| u.abs() / peak.max(1e-300)).collect();
+            sorted.sort_by(f64::total_cmp);
+            let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize].max(1e-6);
+            out.quantiles.push([0.3, 0.6, 0.8, 0.95, 0.99, 0.998].map(at));
+            let change: f64 = samples.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
+            out.slope.push((change / (samples.len().max(2) - 1) as f64 / peak.max(1e-300)).max(1e-9));
+            out.peak.push(peak);
+        }
+        out
+    }
+}

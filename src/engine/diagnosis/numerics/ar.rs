@@ -1,0 +1,118 @@
+//! Autoregressive noise: a smooth spectrum from few numbers.
+
+use realfft::num_complex::Complex64;
+
+/// `x_k + sum_i a_i x_(k-i) = e_k` with the variance of `e`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ar {
+    /// `a_1, a_2, ...`; none for white noise.
+    pub coefficients: Vec<f64>,
+    /// Variance of the innovation, unit^2.
+    pub variance: f64,
+}
+
+impl Ar {
+    /// White noise.
+    pub fn white(variance: f64) -> Self {
+        Self { coefficients: Vec::new(), variance }
+    }
+
+    /// Power per sample at `frequency` (cycles a sample): its mean over all frequencies is the
+    /// variance of the signal.
+    pub fn power(&self, frequency: f64) -> f64 {
+        let w = std::f64::consts::TAU * frequency;
+        let mut sum = Complex64::new(1.0, 0.0);
+        for (i, a) in self.coefficients.iter().enumerate() {
+            sum += Complex64::from_polar(*a, -w * (i + 1) as f64);
+        }
+        self.variance / sum.norm_sqr()
+    }
+
+    /// Fits stretches of one process by Levinson and Durbin's recursion, the order up to
+    /// `max_order` by Akaike's criterion (Ljung, System Identification, section 16.4).
+    ///
+    /// Samples that are all zero give the smallest white noise that is still positive.
+    pub fn fit(stretches: &[&[f64]], max_order: usize) -> Self {
+        let total: usize = stretches.iter().map(|s| s.len()).sum();
+        let max_order = max_order.min(total / 10);
+        let mut r = vec![0.0; max_order + 1];
+        for stretch in stretches {
+            for (lag, r) in r.iter_mut().enumerate() {
+                *r += stretch.iter().zip(stretch.get(lag..).unwrap_or(&[])).map(|(a, b)| a * b).sum::<f64>();
+            }
+        }
+        let n = total.max(1) as f64;
+        r.iter_mut().for_each(|r| *r /= n);
+        if r[0] <= 0.0 {
+            return Self::white(f64::MIN_POSITIVE.sqrt());
+        }
+        // A trace of white noise bounds the depth of the spectrum's valleys.
+        r[0] *= 1.0 + 1e-9;
+        let mut best = Self::white(r[0]);
+        let mut best_aic = n * r[0].ln();
+        let (mut a, mut variance) = (Vec::<f64>::new(), r[0]);
+        for order in 1..=max_order {
+            let reflection =
+                -(r[order] + a.iter().enumerate().map(|(i, a)| a * r[order - 1 - i]).sum::<f64>()) / variance;
+            if reflection.is_nan() || reflection.abs() >= 1.0 {
+                break;
+            }
+            let previous = a.clone();
+            for (i, a) in a.iter_mut().enumerate() {
+                *a += reflection * previous[order - 2 - i];
+            }
+            a.push(reflection);
+            variance *= 1.0 - reflection * reflection;
+            let aic = n * variance.ln() + 2.0 * order as f64;
+            if aic < best_aic {
+                best_aic = aic;
+                best = Self { coefficients: a.clone(), variance };
+            }
+        }
+        best
+    }
+
+    /// Mean power per sample over a band, cycles a sample.
+    pub fn mean_power(&self, band: [f64; 2]) -> f64 {
+        const POINTS: usize = 200;
+        let step = (band[1] - band[0]) / POINTS as f64;
+        (0..POINTS).map(|i| self.power(band[0] + (i as f64 + 0.5) * step)).sum::<f64>() / POINTS as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    #[test]
+    fn a_second_order_process_is_found_again() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut x = vec![0.0; 60_000];
+        for k in 2..x.len() {
+            let e: f64 = StandardNormal.sample(&mut rng);
+            x[k] = 1.5 * x[k - 1] - 0.8 * x[k - 2] + 0.5 * e;
+        }
+        let ar = Ar::fit(&[&x[1000..]], 12);
+        let truth = Ar { coefficients: vec![-1.5, 0.8], variance: 0.25 };
+        for f in [0.0, 0.05, 0.1, 0.2, 0.45] {
+            assert!(
+                (ar.power(f) / truth.power(f)).ln().abs() < 0.15,
+                "{f}: {} {}",
+                ar.power(f),
+                truth.power(f)
+            );
+        }
+    }
+
+    #[test]
+    fn white_noise_keeps_its_variance_and_silence_stays_positive() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let x: Vec<f64> = (0..20_000).map(|_| StandardNormal.sample(&mut rng)).collect();
+        let mean: f64 = (0..100).map(|i| Ar::fit(&[&x], 8).power(f64::from(i) * 0.005)).sum::<f64>() / 100.0;
+        assert!((mean - 1.0).abs() < 0.05, "{mean}");
+        assert!(Ar::fit(&[&[0.0; 100]], 8).power(0.1) > 0.0);
+    }
+}

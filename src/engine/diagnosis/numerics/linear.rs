@@ -1,0 +1,143 @@
+//! Least squares, eigenvalues and small solves: the linear algebra that the diagnosis needs.
+
+use faer::Mat;
+use realfft::num_complex::Complex64;
+use rigcast_numerics::decompose::{self, Cholesky};
+
+/// Share of a scaled column below which its direction is rounding: keeps parallel columns harmless.
+const RIDGE: f64 = 1e-7;
+
+/// Minimises `|target - sum_c x_c column_c|^2` with columns scaled to unit length and a ridge of
+/// rounding's size; a column of zeros gets 0.
+pub fn least_squares(columns: &[&[f64]], target: &[f64]) -> Vec<f64> {
+    let (rows, p) = (target.len(), columns.len());
+    if p == 0 {
+        return Vec::new();
+    }
+    let norms: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
+    let scale: Vec<f64> =
+        norms.iter().map(|&n| if n > 0.0 && n.is_finite() { 1.0 / n } else { 0.0 }).collect();
+    let matrix = Mat::from_fn(rows + p, p, |i, j| {
+        if i < rows {
+            columns[j][i] * scale[j]
+        } else if i - rows == j {
+            RIDGE
+        } else {
+            0.0
+        }
+    });
+    let rhs = Mat::from_fn(rows + p, 1, |i, _| if i < rows { target[i] } else { 0.0 });
+    let x = decompose::least_squares(&matrix, &rhs);
+    (0..p).map(|j| if x[(j, 0)].is_finite() { x[(j, 0)] * scale[j] } else { 0.0 }).collect()
+}
+
+/// Solves the symmetric positive definite system `matrix x = rhs`, `matrix[i][j]`; `None` where it
+/// is singular to rounding.
+pub fn solve_spd(matrix: &[Vec<f64>], rhs: &[f64]) -> Option<Vec<f64>> {
+    let n = rhs.len();
+    let a = Mat::from_fn(n, n, |i, j| matrix[i][j]);
+    let b = Mat::from_fn(n, 1, |i, _| rhs[i]);
+    let x = Cholesky::new(&a)?.solve(&b);
+    let x: Vec<f64> = (0..n).map(|i| x[(i, 0)]).collect();
+    x.iter().all(|v| v.is_finite()).then_some(x)
+}
+
+/// Upper triangle `u` with `u^T u = matrix`, `u[i][j]`, of a symmetric positive definite matrix; `None` where
+/// it is singular to rounding.
+pub fn cholesky(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    let n = matrix.len();
+    let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].sqrt()).collect();
+    if !scale.iter().all(|s| *s > 0.0 && s.is_finite()) {
+        return None;
+    }
+    // Of unit diagonal, so that units do not matter.
+    let unit = |i: usize, j: usize| matrix[i][j] / (scale[i] * scale[j]) + if i == j { RIDGE } else { 0.0 };
+    let factor = Cholesky::new(&Mat::from_fn(n, n, unit))?;
+    let lower = factor.lower();
+    Some(
+        (0..n)
+            .map(|i| (0..n).map(|j| if j < i { 0.0 } else { lower[(j, i)] * scale[j] }).collect())
+            .collect(),
+    )
+}
+
+/// Inverse of a symmetric positive definite matrix, if it has one.
+pub fn inverse_spd(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+    let n = matrix.len();
+    (0..n)
+        .map(|j| {
+            let unit: Vec<f64> = (0..n).map(|i| if i == j { 1.0 } else { 0.0 }).collect();
+            solve_spd(matrix, &unit)
+        })
+        .collect()
+}
+
+/// Eigenvalues of a square real matrix, `matrix[i][j]`; `None` where the iteration fails.
+pub fn eigenvalues(matrix: &[Vec<f64>]) -> Option<Vec<Complex64>> {
+    let n = matrix.len();
+    if n == 0 {
+        return Some(Vec::new());
+    }
+    let values = decompose::eigenvalues(&Mat::from_fn(n, n, |i, j| matrix[i][j]))?;
+    values.iter().all(|z| z.re.is_finite() && z.im.is_finite()).then_some(values)
+}
+
+/// Euclidean length.
+pub fn norm(x: &[f64]) -> f64 {
+    dot(x, x).sqrt()
+}
+
+/// Inner product of two equally long slices.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    // Four sums run side by side: one alone would wait for each addition.
+    let mut sums = [0.0; 4];
+    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest: f64 = a4.remainder().iter().zip(b4.remainder()).map(|(a, b)| a * b).sum();
+    for (a, b) in a4.zip(b4) {
+        for k in 0..4 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    sums[0] + sums[1] + sums[2] + sums[3] + rest
+}
+
+/// Root mean square; 0 for no samples.
+pub fn rms(x: &[f64]) -> f64 {
+    if x.is_empty() { 0.0 } else { (dot(x, x) / x.len() as f64).sqrt() }
+}
+
+/// Mean; 0 for no samples.
+pub fn mean(x: &[f64]) -> f64 {
+    if x.is_empty() { 0.0 } else { x.iter().sum::<f64>() / x.len() as f64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_squares_finds_the_weights_of_columns_of_very_different_size() {
+        let a: Vec<f64> = (0..50).map(|i| (f64::from(i) * 0.3).sin() * 1e6).collect();
+        let b: Vec<f64> = (0..50).map(|i| (f64::from(i) * 0.7).cos() * 1e-6).collect();
+        let zero = vec![0.0; 50];
+        let target: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 2e-6 * a - 3e6 * b).collect();
+        let x = least_squares(&[&a, &b, &zero], &target);
+        assert!((x[0] / 2e-6 - 1.0).abs() < 1e-9 && (x[1] / -3e6 - 1.0).abs() < 1e-9 && x[2] == 0.0, "{x:?}");
+    }
+
+    #[test]
+    fn eigenvalues_of_a_rotation_are_its_conjugate_pair() {
+        let (s, c) = 0.4_f64.sin_cos();
+        let mut z = eigenvalues(&[vec![c, -s], vec![s, c]]).unwrap();
+        z.sort_by(|a, b| a.im.total_cmp(&b.im));
+        assert!((z[1] - Complex64::new(c, s)).norm() < 1e-14 && (z[0] - z[1].conj()).norm() < 1e-14);
+    }
+
+    #[test]
+    fn a_matrix_times_its_inverse_is_one_and_a_singular_one_has_none() {
+        let m = vec![vec![4.0, 1.0], vec![1.0, 3.0]];
+        let inverse = inverse_spd(&m).unwrap();
+        assert!((inverse[0][0] - 3.0 / 11.0).abs() < 1e-14 && (inverse[0][1] + 1.0 / 11.0).abs() < 1e-14);
+        assert!(inverse_spd(&[vec![1.0, 1.0], vec![1.0, 1.0]]).is_none_or(|i| i[0][0].abs() > 1e10));
+    }
+}

@@ -1,0 +1,8 @@
+//! What the steps of a diagnosis compute with.
+
+pub mod ar;
+pub mod levmar;
+pub mod linear;
+pub mod rows;
+pub mod smooth;
+pub mod spline;

@@ -1,0 +1,164 @@
+//! An effect at one response as the others feel it, and the score of all together.
+//!
+//! The effect's own free run runs at its host. What its laws do there is carried to every other
+//! response, where it enters by a path `E` of that response's own: linear, so one regression fits
+//! it. A drive that is mapped is mapped for all.
+
+use std::sync::Arc;
+
+use super::score::{Scored, blocks, remaining};
+use crate::diagnosis::data::overview::{Overview, gaps};
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::problem::{Problem, Stretch, scored_rows};
+use crate::diagnosis::effects::candidate::Candidate;
+use crate::diagnosis::effects::effect::Effect;
+use crate::diagnosis::effects::plant::Course;
+use crate::diagnosis::fit::fitting::{Effort, Fitted, fit, improve};
+use crate::diagnosis::fit::start::Regression;
+
+/// The same effect at another response.
+#[derive(Debug, Clone)]
+pub struct Echo {
+    /// Index of the response.
+    pub response: usize,
+    pub fitted: Fitted,
+    /// Mean square in noise floors that it leaves of the select stretches.
+    pub chi2: f64,
+}
+
+impl Problem {
+    /// The same response with what an effect at `host` does carried to it; `None` where the effect's
+    /// free run runs away.
+    pub fn carrying(&self, host: &Self, fitted: &Fitted) -> Option<Self> {
+        let carried = |own: &[Stretch], of_host: &[Stretch]| -> Option<Vec<Stretch>> {
+            let carry = |s: &Stretch| fitted.candidate.carry(host, s, &fitted.p).map(Arc::new);
+            let laws = fitted.candidate.of_each(of_host, carry)?;
+            let carrying = |(own, laws): (&Stretch, _)| {
+                let course = Course { carried: laws, ..own.course.clone() };
+                Stretch { course, ..own.clone() }
+            };
+            Some(own.iter().zip(laws).map(carrying).collect())
+        };
+        Some(Self {
+            fit: carried(&self.fit, &host.fit)?,
+            select: carried(&self.select, &host.select)?,
+            test: carried(&self.test, &host.test)?,
+            plant: self.plant.clone(),
+            drive_quantiles: self.drive_quantiles.clone(),
+            drive_slope: self.drive_slope.clone(),
+            band_end: self.band_end,
+            tolerance: self.tolerance.clone(),
+        })
+    }
+}
+
+impl Candidate {
+    /// The same effects as another response sees them; `None` where they are the host's sensor's.
+    pub fn echo(&self) -> Option<Self> {
+        let mut laws = 0;
+        let parts = self
+            .parts
+            .iter()
+            .map(|part| {
+                let echo = part.echo(laws)?;
+                laws += part.forces.len() + usize::from(part.sandwich);
+                Some(echo)
+            })
+            .collect::<Option<Vec<_>>>()?;
+        Some(Self { parts, retune: self.retune })
+    }
+}
+
+/// Fits the echo of one effect at another response.
+fn echo(host: &Problem, fitted: &Fitted, other: &Problem) -> Option<Echo> {
+    let problem = other.carrying(host, fitted)?;
+    // What a linear part may move by is known of the host alone.
+    let candidate = Candidate { retune: host.retunes_freely(&fitted.candidate), ..fitted.candidate.echo()? };
+    let regression = Regression::new(&problem, candidate.retune);
+    let fitted = if candidate.parts[0].effect == Effect::LinearChange {
+        fit(&problem, &regression, &candidate, &[], Effort { rounds: 10 })?
+    } else {
+        let map = candidate.parts[0].input.as_ref().map_or(0, |map| map.parameters());
+        let start = regression.echo(&candidate, &fitted.p[..map])?;
+        // Without a retune all that is free is linear, and fitted.
+        let rounds = if candidate.retune { 8 } else { 0 };
+        improve(&problem, &candidate, &start, Effort { rounds })?
+    };
+    let predictions = fitted.candidate.predictions(&problem, &problem.select, &fitted.p)?;
+    Some(Echo { response: other.response, chi2: problem.chi2(&problem.select, &predictions), fitted })
+}
+
+/// What every response leaves without any effect, ready to be summed.
+pub struct Silence {
+    /// Responses with a systematic gap.
+    seen: Vec<usize>,
+    /// Rows of each response's select stretches.
+    pub rows: f64,
+    /// Mean square over all of them, in noise floors.
+    pub chi2: f64,
+    of_response: Vec<(f64, Vec<f64>)>,
+}
+
+impl Silence {
+    pub fn of(prepared: &Prepared, overview: &Overview, rate_hz: f64) -> Self {
+        let seen = overview.seen.clone();
+        let of_response: Vec<(f64, Vec<f64>)> = seen
+            .iter()
+            .map(|&r| {
+                let problem = &prepared.problems[r];
+                (
+                    overview.chi2_select[r],
+                    blocks(&problem.select, &gaps(problem, &problem.select), rate_hz).sums,
+                )
+            })
+            .collect();
+        let rows = scored_rows(&prepared.problems[0].select);
+        let chi2 = of_response.iter().map(|r| r.0).sum::<f64>() / seen.len().max(1) as f64;
+        Self { rows: rows * seen.len() as f64, chi2, seen, of_response }
+    }
+
+    /// The effect with its echoes at all responses with a gap, scored over all of them.
+    pub fn join(&self, prepared: &Prepared, mut host: Scored, rate_hz: f64, echoes: bool) -> Scored {
+        if self.seen.len() < 2 && self.seen.first() == Some(&host.problem) {
+            return host;
+        }
+        let (mut chi2, mut sums) = (0.0, vec![0.0; host.blocks.len()]);
+        let mut add = |of: f64, blocks: &[f64]| {
+            chi2 += of / self.seen.len() as f64;
+            sums.iter_mut().zip(blocks).for_each(|(s, b)| *s += b);
+        };
+        for (&r, silent) in self.seen.iter().zip(&self.of_response) {
+            if r == host.problem {
+                add(host.chi2, &host.blocks);
+                continue;
+            }
+            let (own, other) = (&prepared.problems[host.problem], &prepared.problems[r]);
+            let found = if echoes { echo(own, &host.fitted, other) } else { None };
+            // An echo that makes things worse on what it was not fitted to is none.
+            let Some(found) = found.filter(|f| f.chi2 < silent.0) else {
+                add(silent.0, &silent.1);
+                continue;
+            };
+            let residuals = residuals(own, &host.fitted, other, &found.fitted);
+            match residuals {
+                Some((problem, left)) => add(found.chi2, &blocks(&problem.select, &left, rate_hz).sums),
+                None => add(silent.0, &silent.1),
+            }
+            host.echoes.push(found);
+        }
+        host.host_chi2 = host.chi2;
+        Scored { chi2, remaining: remaining(chi2, self.chi2), blocks: sums, ..host }
+    }
+}
+
+fn residuals(
+    host: &Problem,
+    of_host: &Fitted,
+    other: &Problem,
+    fitted: &Fitted,
+) -> Option<(Problem, Vec<Vec<f64>>)> {
+    let problem = other.carrying(host, of_host)?;
+    let predictions = fitted.candidate.predictions(&problem, &problem.select, &fitted.p)?;
+    let left = problem.select.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
+    Some((problem, left))
+}
