@@ -87,7 +87,7 @@ pub fn share(stretches: &mut [Stretch]) {
 
 /// For each stretch the first whose free runs, of laws that may ask for the `time`, and whose rows of them
 /// are its own too.
-pub fn firsts(stretches: &[Stretch], time: bool) -> Vec<usize> {
+pub fn first_equivalent(stretches: &[Stretch], time: bool) -> Vec<usize> {
     let alike = |a: &Stretch, b: &Stretch| Arc::ptr_eq(&a.rows, &b.rows) && a.course.same(&b.course, time);
     (0..stretches.len())
         .map(|i| stretches[..i].iter().position(|s| alike(s, &stretches[i])).unwrap_or(i))

@@ -115,7 +115,7 @@ impl Part {
 
     /// The same effect as another response sees it: drives are mapped alike, forces arrive by a path
     /// of its own. `None` where the effect is the first response's sensor's.
-    pub fn echo(&self, laws_before: usize) -> Option<Self> {
+    pub fn propagated(&self, laws_before: usize) -> Option<Self> {
         let carried = self.forces.len() + usize::from(self.sandwich);
         let forces = (laws_before..laws_before + carried).map(Law::Carried).collect();
         (self.output.is_none()).then(|| Self { forces, sandwich: false, other: None, ..self.clone() })

@@ -6,7 +6,7 @@ use crate::diagnosis::data::problem::Problem;
 use crate::diagnosis::fit::fitting::Fitted;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::report::{ChannelHeldOut, HeldOut};
-use crate::diagnosis::search::echo::Echo;
+use crate::diagnosis::search::propagation::Propagation;
 use crate::diagnosis::search::score::{Scored, blocks, closure_interval, remaining};
 use crate::fatigue::{DamageSettings, damage};
 
@@ -24,11 +24,11 @@ impl Scored {
         let host = &prepared.problems[self.problem];
         let mut places =
             vec![Place { problem: host.clone(), fitted: self.fitted.clone(), chi2: self.host_chi2 }];
-        let echo = |echo: &Echo| {
-            let problem = prepared.problems[echo.response].carrying(host, &self.fitted)?;
-            Some(Place { problem, fitted: echo.fitted.clone(), chi2: echo.chi2 })
+        let propagated = |propagated: &Propagation| {
+            let problem = prepared.problems[propagated.response].carrying(host, &self.fitted)?;
+            Some(Place { problem, fitted: propagated.fitted.clone(), chi2: propagated.chi2 })
         };
-        places.extend(self.echoes.iter().filter_map(echo));
+        places.extend(self.propagations.iter().filter_map(propagated));
         places
     }
 }

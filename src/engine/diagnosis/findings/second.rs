@@ -16,8 +16,8 @@ use crate::diagnosis::report::SecondEffect;
 use crate::diagnosis::search::catalogue::{FreeRanges, parts};
 use crate::diagnosis::search::contest::Outcome;
 use crate::diagnosis::search::decide::{Ranked, charged, of_two};
-use crate::diagnosis::search::hosts::Hosts;
 use crate::diagnosis::search::pairs::best_pair;
+use crate::diagnosis::search::placement::Placement;
 use crate::diagnosis::search::score::{Scored, remaining, score};
 
 /// Above this, in noise floors squared, a second effect is tried; beside a shape that bends to what it
@@ -29,10 +29,15 @@ const FITTED: usize = 6;
 const CLOSES: f64 = 0.5;
 
 /// The response with the largest rest, and what is known of the first effect there.
-fn place(prepared: &Prepared, overview: &Overview, hosts: &Hosts, first: &Scored) -> Option<(Place, bool)> {
+fn place(
+    prepared: &Prepared,
+    overview: &Overview,
+    placement: &Placement,
+    first: &Scored,
+) -> Option<(Place, bool)> {
     let mut places = first.places(prepared);
-    places.retain(|p| p.problem.response == first.problem || hosts.motion.contains(&p.problem.response));
-    let untouched = hosts.motion.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
+    places.retain(|p| p.problem.response == first.problem || placement.motion.contains(&p.problem.response));
+    let untouched = placement.motion.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
     let bare = |&r: &usize| {
         let retune = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
         let candidate = Candidate { parts: Vec::new(), retune };
@@ -66,8 +71,8 @@ pub fn second_effect(
 ) -> Option<Two> {
     let ranked = &outcome.ranked;
     let first = &ranked.first()?.scored;
-    let hosts = Hosts::of(input, prepared, overview);
-    let (rest, acts) = place(prepared, overview, &hosts, first)?;
+    let placement = Placement::of(input, prepared, overview);
+    let (rest, acts) = place(prepared, overview, &placement, first)?;
     if rest.problem.response == first.problem {
         let (_, regression) = outcome.regressions.iter().find(|(r, _)| *r == first.problem)?;
         if let Some(two) = together(input, prepared, regression, ranked, named) {
@@ -120,7 +125,7 @@ fn together(
     };
     let held = held_out(input, prepared, problem, &pair.fitted)?;
     // Two of one family bend to almost anything, and friction that drives the rig is no friction.
-    let believable = members[0].effect.family() != members[1].effect.family() && !pair.misplaced;
+    let believable = members[0].effect.family() != members[1].effect.family() && !pair.not_collocated;
     Some(Two {
         first,
         probability: if believable { of_two(left, none, rows) } else { 0.0 },

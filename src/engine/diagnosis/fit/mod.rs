@@ -1,7 +1,7 @@
 //! From a candidate to its best free run.
 
 pub mod fitting;
+pub mod jacobian;
 pub mod predict;
 pub mod start;
-pub mod tangent;
 pub mod twins;

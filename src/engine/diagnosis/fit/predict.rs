@@ -1,17 +1,17 @@
 //! Free runs of a candidate over stretches, and what they leave.
 
-use crate::diagnosis::data::problem::{Problem, Stretch, firsts};
+use crate::diagnosis::data::problem::{Problem, Stretch, first_equivalent};
 use crate::diagnosis::effects::candidate::Candidate;
 
 impl Candidate {
     /// What each stretch gives, repeats that give the same only once.
-    pub fn of_each<T: Clone>(
+    pub fn map_unique<T: Clone>(
         &self,
         stretches: &[Stretch],
         of: impl Fn(&Stretch) -> Option<T>,
     ) -> Option<Vec<T>> {
         let mut out: Vec<T> = Vec::with_capacity(stretches.len());
-        for (i, first) in firsts(stretches, self.asks_for_time()).into_iter().enumerate() {
+        for (i, first) in first_equivalent(stretches, self.asks_for_time()).into_iter().enumerate() {
             let found = if first < i { out[first].clone() } else { of(&stretches[i])? };
             out.push(found);
         }
@@ -20,7 +20,7 @@ impl Candidate {
 
     /// Predictions of several stretches, `[stretch][sample]`.
     pub fn predictions(&self, problem: &Problem, stretches: &[Stretch], p: &[f64]) -> Option<Vec<Vec<f64>>> {
-        self.of_each(stretches, |s| self.predict(problem, s, p))
+        self.map_unique(stretches, |s| self.predict(problem, s, p))
     }
 
     /// Rows that the candidate leaves; `None` if a free run runs away.

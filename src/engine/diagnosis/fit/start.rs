@@ -113,9 +113,9 @@ impl<'a> Regression<'a> {
         starts
     }
 
-    /// The start of an echo (see [`Part::echo`]): its input map as `map` has it, its paths by least
+    /// The start of a propagation (see [`Part::propagated`]): its input map as `map` has it, its paths by least
     /// squares.
-    pub fn echo(&self, candidate: &Candidate, map: &[f64]) -> Option<Start> {
+    pub fn propagated(&self, candidate: &Candidate, map: &[f64]) -> Option<Start> {
         let part = candidate.parts.last()?;
         let shapes = vec![Vec::new(); part.forces.len()];
         self.regress(candidate, part, &[], &Guess { input: map.to_vec(), shapes, ..Guess::default() })

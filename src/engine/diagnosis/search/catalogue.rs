@@ -1,6 +1,6 @@
 //! Which candidates the catalogue gives on one response.
 
-use super::hosts::reach;
+use super::placement::reach;
 use crate::diagnosis::data::problem::Problem;
 use crate::diagnosis::effects::candidate::{Candidate, Other, Part};
 use crate::diagnosis::effects::effect::Effect;

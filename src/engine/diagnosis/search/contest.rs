@@ -4,12 +4,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::beside::beside_linear_change;
 use super::catalogue::{FreeRanges, parts};
 use super::decide::{Ranked, allowed, rank};
-use super::echo::Silence;
-use super::hosts::Hosts;
+use super::placement::Placement;
+use super::propagation::BaselineScore;
 use super::score::{Scored, score};
+use super::with_linear_change::remaining_with_linear_change;
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
@@ -21,8 +21,8 @@ use crate::diagnosis::fit::twins::exchange;
 use crate::diagnosis::input::{Input, Mode};
 use crate::progress::{Watch, report};
 
-/// Candidates of one host whose echoes at other responses are fitted.
-const ECHOED: usize = 8;
+/// Candidates of one host whose propagation to other responses is fitted.
+const PROPAGATED: usize = 8;
 
 /// Jacobians of a candidate's first fit; only those that come near the best are fitted to their end.
 const FIRST: usize = 8;
@@ -55,7 +55,7 @@ pub fn contest<'p>(
 ) -> Result<Outcome<'p>, EngineError> {
     let in_situ = input.mode == Mode::InSitu;
     let rate = input.sample_rate_hz();
-    let hosts = Hosts::of(input, prepared, overview);
+    let placement = Placement::of(input, prepared, overview);
     let regressions: Vec<(usize, Regression<'p>)> =
         overview.seen.par_iter().map(|&r| (r, Regression::new(&prepared.problems[r], true))).collect();
     let mut tasks = Vec::new();
@@ -63,7 +63,7 @@ pub fn contest<'p>(
         let problem = &prepared.problems[*r];
         let ranges = FreeRanges::of(problem, &regression.smooth);
         for part in parts(problem, &input.catalogue, in_situ, ranges) {
-            if hosts.seek(part.effect, part.drive, *r) {
+            if placement.seek(part.effect, part.drive, *r) {
                 tasks.push((*r, regression, Candidate::of(part, in_situ)));
             }
         }
@@ -94,7 +94,7 @@ pub fn contest<'p>(
         .map(|(r, fitted)| score(r, &prepared.problems[r], fitted, overview.chi2_select[r], rate))
         .collect();
     report(watch, "other responses", 0.6)?;
-    let silence = Silence::of(prepared, overview, rate);
+    let baseline = BaselineScore::of(prepared, overview, rate);
     let mut by_host: Vec<Vec<Scored>> = vec![Vec::new(); prepared.problems.len()];
     for scored in scored.into_iter().flatten() {
         by_host[scored.problem].push(scored);
@@ -102,21 +102,21 @@ pub fn contest<'p>(
     let mut to_join = Vec::new();
     for mut of_host in by_host {
         of_host.sort_by(|a, b| a.remaining.total_cmp(&b.remaining));
-        to_join.extend(of_host.into_iter().enumerate().map(|(place, scored)| (scored, place < ECHOED)));
+        to_join.extend(of_host.into_iter().enumerate().map(|(place, scored)| (scored, place < PROPAGATED)));
     }
     let joined: Vec<Scored> = to_join
         .into_par_iter()
-        .map(|(scored, echoes)| silence.join(prepared, scored, rate, echoes))
+        .map(|(scored, propagates)| baseline.join(prepared, scored, rate, propagates))
         .collect();
     report(watch, "other responses", 0.8)?;
     // A retune, or a path to every further response, errs a little of its own.
     let plain = overview.sim_is_core && !in_situ && overview.seen.len() == 1;
-    let rank = |scored| rank(scored, silence.chi2, silence.rows, allowed(plain));
+    let rank = |scored| rank(scored, baseline.chi2, baseline.rows, allowed(plain));
     let mut ranked = rank(joined);
-    if let Some(scored) = beside_linear_change(prepared, &ranked) {
+    if let Some(scored) = remaining_with_linear_change(prepared, &ranked) {
         ranked = rank(scored);
     }
-    Ok(Outcome { ranked, regressions, chi2_none: silence.chi2, rows: silence.rows })
+    Ok(Outcome { ranked, regressions, chi2_none: baseline.chi2, rows: baseline.rows })
 }
 
 /// Fits what comes near the best of its response further, by what that best leaves.

@@ -11,7 +11,7 @@ struct Calibration {
     /// and smallest difference of chi2: what the core's own uncertainty leaves at full level.
     core: f64,
     /// Charge of each tier on the logarithm of the remaining share.
-    charge: [f64; 4],
+    complexity_penalty: [f64; 4],
     /// Charge of another drive's path alone, which a linear change of all paths contains.
     path: f64,
     /// Charge of each shape number beyond the first, so that a law that contains another does not
@@ -27,11 +27,11 @@ struct Calibration {
     /// and what the best may leave there, in noise floors squared.
     settled: f64,
     /// Charge of a free shape that nothing needs.
-    needless: f64,
+    overflexible: f64,
     /// Charge of a force that works nowhere as one at the response's own place would.
     passive: f64,
     /// Charge of the less usual of two names for one law.
-    unusual: f64,
+    alias_preferred: f64,
     /// Charge on the logarithm of what a law leaves beside a linear change, over the least that one leaves, and the
     /// most that this may come to.
     beside: [f64; 2],
@@ -47,16 +47,16 @@ struct Calibration {
 const CALIBRATION: Calibration = Calibration {
     floor: 0.0003,
     core: 0.08,
-    charge: [0.0, 0.9, 0.8, 1.4],
+    complexity_penalty: [0.0, 0.9, 0.8, 1.4],
     path: 0.6,
     shape: 0.25,
     sandwich: 0.6,
     pair: 0.5,
     behind: [0.03, 1.0],
     settled: 1.15,
-    needless: 3.0,
+    overflexible: 3.0,
     passive: 1.0,
-    unusual: 0.7,
+    alias_preferred: 0.7,
     beside: [1.0, 2.0],
     sharpness: 3.0,
     leaves: 0.3,
@@ -136,7 +136,7 @@ impl Scored {
     /// Whether it may not be named however well it fits: it is no more than a linear change or a map
     /// of the drive, or a force that works as none at its place does.
     fn unnamed(&self) -> bool {
-        self.needless || self.misplaced
+        self.overflexible || self.not_collocated
     }
 
     /// Squared noise floors by which another is behind, on all rows that both were fitted to or scored on:
@@ -153,14 +153,14 @@ impl Scored {
 }
 
 /// Mean square in noise floors by which a law's own equation may err: a share of the gap.
-fn errs(chi2_none: f64) -> f64 {
+fn model_error(chi2_none: f64) -> f64 {
     APART[1] * (chi2_none - 1.0)
 }
 
 /// Squared noise floors over so many rows by which an effect is behind one to be told apart from it, which itself
 /// leaves the mean square `left`: where that is more than noise, squares tell less by as much.
 pub fn apart(chi2_none: f64, rows: f64, left: f64) -> f64 {
-    APART[0] * left.max(1.0) + errs(chi2_none) * rows
+    APART[0] * left.max(1.0) + model_error(chi2_none) * rows
 }
 
 /// Spread of chi2 that noise alone gives, for so many rows.
@@ -169,7 +169,7 @@ fn spread(rows: f64) -> f64 {
 }
 
 /// Probability that what leaves so much is right, or that nothing of the catalogue is.
-fn held(tier: Tier, remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
+fn catalogue_probability(tier: Tier, remaining: f64, chi2_none: f64, rows: f64, share: f64) -> f64 {
     let c = &CALIBRATION;
     let gap = (chi2_none - 1.0).max(1e-6);
     let left = (remaining * gap - 1.5 * spread(rows)).max(0.0);
@@ -191,18 +191,18 @@ pub fn allowed(plain: bool) -> f64 {
 
 /// Probability that two effects which together leave so much are what the sim lacks.
 pub fn of_two(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
-    Ruling::Partial.stated(held(Tier::Law, remaining, chi2_none, rows, OF_TWO))
+    Ruling::Partial.stated(catalogue_probability(Tier::Law, remaining, chi2_none, rows, OF_TWO))
 }
 
 /// Charge of one effect's tier and shape on the logarithm of the remaining share.
-fn charge(part: &Part) -> f64 {
+fn complexity_penalty(part: &Part) -> f64 {
     let c = &CALIBRATION;
     match part.effect.tier() {
-        Tier::Scalar => c.charge[0],
+        Tier::Scalar => c.complexity_penalty[0],
         Tier::Linear if part.effect == Effect::CrossAxisLinear => c.path,
-        Tier::Linear => c.charge[1],
-        Tier::Law => c.charge[2] + c.shape * part.shapes().saturating_sub(1) as f64,
-        Tier::Free => c.charge[3] + if part.sandwich { c.sandwich } else { 0.0 },
+        Tier::Linear => c.complexity_penalty[1],
+        Tier::Law => c.complexity_penalty[2] + c.shape * part.shapes().saturating_sub(1) as f64,
+        Tier::Free => c.complexity_penalty[3] + if part.sandwich { c.sandwich } else { 0.0 },
     }
 }
 
@@ -214,7 +214,7 @@ fn floor(chi2_none: f64, rows: f64) -> f64 {
 /// Logarithm of what one effect or two leave of the gap, charged for how much they may bend to.
 pub fn charged(parts: &[Part], remaining: f64, chi2_none: f64, rows: f64) -> f64 {
     let further = CALIBRATION.pair * parts.len().saturating_sub(1) as f64;
-    (remaining + floor(chi2_none, rows)).ln() + parts.iter().map(charge).sum::<f64>() + further
+    (remaining + floor(chi2_none, rows)).ln() + parts.iter().map(complexity_penalty).sum::<f64>() + further
 }
 
 /// Ranks candidates, the most believable first; `share` is what the right one may leave of the gap.
@@ -225,20 +225,20 @@ pub fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<R
     let best = firm.iter().map(|f| f.chi2).fold(f64::INFINITY, f64::min);
     // Where something is left the likelihood is that of what errs, not of the noise.
     let per_square = (best < c.settled).then_some(0.5 * c.behind[0]);
-    let errs = errs(chi2_none);
+    let model_error = model_error(chi2_none);
     // What holds a law as a special case has to gain more than that law's own equation errs by.
     let behind = |scored: &Scored| {
         let of = firm.iter().map(|other| {
-            let erring = if other.effect().contains(scored.effect()) { errs } else { 0.0 };
+            let erring = if other.effect().contains(scored.effect()) { model_error } else { 0.0 };
             other.ahead_of(scored, rows) - erring * (rows + other.fit_rows)
         });
         of.fold(0.0, f64::max)
     };
     let further = |scored: &Scored| {
-        let needless = if scored.needless { c.needless } else { 0.0 };
-        let unusual = if scored.unusual { c.unusual } else { 0.0 };
+        let overflexible = if scored.overflexible { c.overflexible } else { 0.0 };
+        let alias_preferred = if scored.alias_preferred { c.alias_preferred } else { 0.0 };
         let behind = per_square.map_or(0.0, |p| (p * behind(scored)).clamp(0.0, c.behind[1]));
-        needless + unusual + behind + c.passive * (1.0 - scored.passivity)
+        overflexible + alias_preferred + behind + c.passive * (1.0 - scored.passivity)
     };
     let floor = floor(chi2_none, rows);
     let least = scored.iter().filter_map(|s| s.beside).fold(f64::INFINITY, f64::min);
@@ -264,16 +264,20 @@ pub fn rank(scored: Vec<Scored>, chi2_none: f64, rows: f64, share: f64) -> Vec<R
     let best = &ranked[0].scored;
     // What a straightened free shape closes and the winner does not, is linear and not the winner's.
     let plainer = best.remaining > PARTIAL
-        && ranked
-            .iter()
-            .any(|r| r.scored.needless && r.scored.remaining + floor < PLAINER * (best.remaining + floor));
+        && ranked.iter().any(|r| {
+            r.scored.overflexible && r.scored.remaining + floor < PLAINER * (best.remaining + floor)
+        });
     let tier = best.effect().tier();
     // What a linear change takes of the rest is half explained.
     let left = (best.remaining * best.beside.unwrap_or(best.remaining)).sqrt();
-    let held = if best.unnamed() || plainer { UNNAMED } else { held(tier, left, chi2_none, rows, share) };
+    let catalogue_probability = if best.unnamed() || plainer {
+        UNNAMED
+    } else {
+        catalogue_probability(tier, left, chi2_none, rows, share)
+    };
     let total: f64 = ranked.iter().map(|r| (-c.sharpness * (r.charged - least)).exp()).sum();
     for r in &mut ranked {
-        r.probability = held * (-c.sharpness * (r.charged - least)).exp() / total;
+        r.probability = catalogue_probability * (-c.sharpness * (r.charged - least)).exp() / total;
     }
     ranked
 }
@@ -303,10 +307,10 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     let margin = 1.5 * spread(rows);
     let left = best.scored.remaining - margin / (chi2_none - 1.0).max(1e-6);
     let mut set = vec![best.scored.effect()];
-    let errs = errs(chi2_none);
+    let model_error = model_error(chi2_none);
     let best_left = best.scored.chi2.max(best.scored.fitted.chi2_fit);
     let enough = apart(chi2_none, rows + best.scored.fit_rows, best_left);
-    let gains = GAINS + errs * best.scored.fit_rows;
+    let gains = GAINS + model_error * best.scored.fit_rows;
     for other in &ranked[1..] {
         let effect = other.scored.effect();
         let chance = may_be_equal(&best.scored.blocks, &other.scored.blocks, seed);
@@ -327,20 +331,20 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
             set.push(effect);
         }
     }
-    let held: f64 = ranked.iter().map(|r| r.probability).sum();
-    if left > ABSTAIN || held < SURE || best.scored.unnamed() {
-        return (Ruling::NoneOfCatalogue, 1.0 - held, set);
+    let catalogue_probability: f64 = ranked.iter().map(|r| r.probability).sum();
+    if left > ABSTAIN || catalogue_probability < SURE || best.scored.unnamed() {
+        return (Ruling::NoneOfCatalogue, 1.0 - catalogue_probability, set);
     }
     let of_effect: f64 = ranked.iter().filter(|r| r.scored.effect() == set[0]).map(|r| r.probability).sum();
     let of_family: f64 =
         ranked.iter().filter(|r| r.scored.effect().family() == set[0].family()).map(|r| r.probability).sum();
-    if of_effect >= NAMED.max(SURE * held) && !set[0].nameless() {
+    if of_effect >= NAMED.max(SURE * catalogue_probability) && !set[0].nameless() {
         let all = left <= PARTIAL && best.scored.chi2 - margin <= NOISE_LEFT;
         (if all { Ruling::Identified } else { Ruling::Partial }, of_effect, set)
-    } else if of_family >= NAMED.max(0.8 * held) {
+    } else if of_family >= NAMED.max(0.8 * catalogue_probability) {
         (Ruling::FamilyOnly, of_family, set)
     } else {
-        (Ruling::NotDistinguishable, held, set)
+        (Ruling::NotDistinguishable, catalogue_probability, set)
     }
 }
 
@@ -362,16 +366,16 @@ mod tests {
             problem: 0,
             fitted,
             fit_rows: ROWS,
-            echoes: Vec::new(),
+            propagations: Vec::new(),
             host_chi2: chi2,
             chi2,
             remaining: remaining(chi2, GAP),
             beside: None,
             blocks: vec![chi2; 20],
-            needless: false,
+            overflexible: false,
             passivity: 1.0,
-            misplaced: false,
-            unusual: false,
+            not_collocated: false,
+            alias_preferred: false,
         }
     }
 
@@ -384,11 +388,11 @@ mod tests {
             ];
             rank(both, GAP, ROWS, PLAIN)[0].scored.effect()
         };
-        assert_eq!(first(0.98 + 0.1 * errs(GAP)), Effect::CoulombFriction);
-        assert_eq!(first(0.98 + 1.5 * errs(GAP)), Effect::StribeckFriction);
+        assert_eq!(first(0.98 + 0.1 * model_error(GAP)), Effect::CoulombFriction);
+        assert_eq!(first(0.98 + 1.5 * model_error(GAP)), Effect::StribeckFriction);
         // Neither of these holds the other: squares count.
         let two = vec![
-            scored(Effect::CubicStiffness, Law::Cubic, 0.98 + 0.1 * errs(GAP)),
+            scored(Effect::CubicStiffness, Law::Cubic, 0.98 + 0.1 * model_error(GAP)),
             scored(Effect::BumpStop, Law::BumpStop, 0.98),
         ];
         assert_eq!(rank(two, GAP, ROWS, PLAIN)[0].scored.effect(), Effect::BumpStop);

@@ -145,7 +145,7 @@ pub fn passivity(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -
 
 /// Whether forces that are passive so far are none of this response's: with the linear part free there is a
 /// doubt about all but the sign.
-pub fn misplaced(problem: &Problem, candidate: &Candidate, passivity: f64) -> bool {
+pub fn not_collocated(problem: &Problem, candidate: &Candidate, passivity: f64) -> bool {
     passivity < if problem.retunes_freely(candidate) { 0.0 } else { PASSIVE }
 }
 
@@ -218,7 +218,7 @@ pub fn line_in_disguise(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f
 /// Whether a bump stop or a clearance goes by the other's name. With the linear part free they are one
 /// law: what is a stop to a soft rig is a clearance to a stiff one. A stop is then what the response
 /// meets for less than a third of the time, a clearance what it stays in for less than two thirds.
-pub fn unusual(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
+pub fn alias_preferred(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f64>]) -> bool {
     let part = &fitted.candidate.parts[0];
     if !problem.retunes_freely(&fitted.candidate)
         || !matches!(part.forces.as_slice(), [Law::BumpStop | Law::Clearance])
@@ -281,8 +281,8 @@ mod tests {
         // The drive acts at the response's own mass.
         let here = &problem.core.input[0];
         let turned: Vec<f64> = here.chunks(2).flat_map(|c| [-c[1], c[0]]).collect();
-        assert!(work(here) > 0.9 && !misplaced(problem, &candidate, work(here)), "{}", work(here));
-        assert!(misplaced(problem, &candidate, work(&turned)), "{}", work(&turned));
+        assert!(work(here) > 0.9 && !not_collocated(problem, &candidate, work(here)), "{}", work(here));
+        assert!(not_collocated(problem, &candidate, work(&turned)), "{}", work(&turned));
         assert_eq!(work(&vec![0.0; here.len()]), 1.0, "what does nothing is no worse for it");
     }
 

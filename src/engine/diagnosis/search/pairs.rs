@@ -5,7 +5,7 @@
 use rayon::prelude::*;
 
 use super::decide::charged;
-use super::naming::{misplaced, passivity};
+use super::naming::{not_collocated, passivity};
 use super::score::remaining;
 use crate::diagnosis::data::problem::{Stretch, scored_rows};
 use crate::diagnosis::effects::candidate::{Candidate, Part};
@@ -28,7 +28,7 @@ pub struct Pair {
     /// Mean square in noise floors on the select stretches.
     pub chi2: f64,
     /// Whether one of its forces is none of this response's.
-    pub misplaced: bool,
+    pub not_collocated: bool,
 }
 
 /// How one effect may begin: its parameters, and the rows that each number which is linear moves.
@@ -114,8 +114,9 @@ pub fn best_pair(
         .filter_map(|fitted| {
             let predictions = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
             let chi2 = problem.chi2(&problem.select, &predictions);
-            let misplaced = misplaced(problem, &fitted.candidate, passivity(problem, &fitted, &predictions));
-            Some(Pair { chi2, misplaced, fitted })
+            let not_collocated =
+                not_collocated(problem, &fitted.candidate, passivity(problem, &fitted, &predictions));
+            Some(Pair { chi2, not_collocated, fitted })
         })
         .collect();
     finished.into_iter().min_by(|a, b| charged(a).total_cmp(&charged(b)))

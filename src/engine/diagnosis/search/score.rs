@@ -6,8 +6,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::echo::Echo;
-use super::naming::{line_in_disguise, misplaced, open_sandwich, passivity, straightened, unusual};
+use super::naming::{
+    alias_preferred, line_in_disguise, not_collocated, open_sandwich, passivity, straightened,
+};
+use super::propagation::Propagation;
 use crate::diagnosis::data::problem::{Problem, Stretch, scored_rows};
 use crate::diagnosis::fit::fitting::Fitted;
 
@@ -34,7 +36,7 @@ pub struct Scored {
     /// Rows of the fit stretches of the response itself.
     pub fit_rows: f64,
     /// The same effect at the other responses.
-    pub echoes: Vec<Echo>,
+    pub propagations: Vec<Propagation>,
     /// Mean square in noise floors on the select stretches of the response itself.
     pub host_chi2: f64,
     /// The same over all responses with a gap.
@@ -47,13 +49,13 @@ pub struct Scored {
     pub blocks: Vec<f64>,
     /// A free shape that does as well straightened, a stop or a gap that is a line, or a sandwich with
     /// nothing before its middle.
-    pub needless: bool,
+    pub overflexible: bool,
     /// How far its force works as one at the response's own place does, -1 to 1.
     pub passivity: f64,
     /// Not far enough: whatever it closes, it is not this force.
-    pub misplaced: bool,
+    pub not_collocated: bool,
     /// A law that has two names where the linear part is free too, and that fits the other better.
-    pub unusual: bool,
+    pub alias_preferred: bool,
 }
 
 /// Sums of squares in noise floors over blocks of time, and the rows that they stand for. Repeats share their
@@ -97,26 +99,26 @@ pub fn score(
     let blocks = blocks(&problem.select, &residuals, rate_hz).sums;
     let left = remaining(chi2, chi2_none);
     let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
-    let needless = straight.is_some_and(|straight| straight - left < EQUAL)
+    let overflexible = straight.is_some_and(|straight| straight - left < EQUAL)
         || open_sandwich(problem, &fitted.candidate, &fitted.p)
         || line_in_disguise(problem, &fitted, &predictions, chi2);
     let passivity = passivity(problem, &fitted, &predictions);
-    let misplaced = misplaced(problem, &fitted.candidate, passivity);
+    let not_collocated = not_collocated(problem, &fitted.candidate, passivity);
     let fit_rows = scored_rows(&problem.fit);
-    let unusual = unusual(problem, &fitted, &predictions);
+    let alias_preferred = alias_preferred(problem, &fitted, &predictions);
     Some(Scored {
         problem: index,
         fitted,
-        echoes: Vec::new(),
+        propagations: Vec::new(),
         host_chi2: chi2,
         chi2,
         remaining: left,
         beside: None,
         blocks,
-        needless,
+        overflexible,
         passivity,
-        misplaced,
-        unusual,
+        not_collocated,
+        alias_preferred,
         fit_rows,
     })
 }

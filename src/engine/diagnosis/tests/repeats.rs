@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use super::rig::{few, hardening, request};
 use crate::diagnosis::data::prepare::prepare;
-use crate::diagnosis::data::problem::{Stretch, firsts};
+use crate::diagnosis::data::problem::{Stretch, first_equivalent};
 use crate::diagnosis::effects::candidate::{Candidate, Part};
 use crate::diagnosis::effects::law::Law;
 use crate::diagnosis::effects::output_map::OutputMap;
@@ -19,15 +19,15 @@ fn apart(stretch: &Stretch) -> Stretch {
 fn repeats_share_their_free_runs_and_nothing_changes() {
     let problem =
         prepare(&Input { catalogue: few(), ..request(hardening, 0.01) }).unwrap().problems.remove(0);
-    let repeats = firsts(&problem.fit, false);
+    let repeats = first_equivalent(&problem.fit, false);
     assert_eq!(repeats, [0, 0, 2, 2]);
-    assert_eq!(firsts(&problem.fit, true), [0, 1, 2, 3], "recorded at different times");
+    assert_eq!(first_equivalent(&problem.fit, true), [0, 1, 2, 3], "recorded at different times");
 
     let cubic = Part::force(Effect::CubicStiffness, vec![Law::Cubic], None);
     let drift = Part::output(Effect::OffsetDrift, OutputMap::Drift);
     let mut alone = problem.clone();
     alone.fit = problem.fit.iter().map(apart).collect();
-    assert_eq!(firsts(&alone.fit, false), [0, 1, 2, 3]);
+    assert_eq!(first_equivalent(&alone.fit, false), [0, 1, 2, 3]);
     for parts in [vec![cubic.clone()], vec![drift.clone()], vec![cubic, drift]] {
         let candidate = Candidate { parts, retune: false };
         let p: Vec<f64> = (0..candidate.parameters(&problem)).map(|i| 1e-6 * (1.0 + i as f64)).collect();
@@ -48,5 +48,5 @@ fn stretches_of_other_drives_share_nothing() {
     input.runs.truncate(2);
     input.repeats.clear();
     let problem = prepare(&input).unwrap().problems.remove(0);
-    assert_eq!(firsts(&problem.fit, false), [0, 1]);
+    assert_eq!(first_equivalent(&problem.fit, false), [0, 1]);
 }

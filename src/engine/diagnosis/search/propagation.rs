@@ -18,7 +18,7 @@ use crate::diagnosis::fit::start::Regression;
 
 /// The same effect at another response.
 #[derive(Debug, Clone)]
-pub struct Echo {
+pub struct Propagation {
     /// Index of the response.
     pub response: usize,
     pub fitted: Fitted,
@@ -32,7 +32,7 @@ impl Problem {
     pub fn carrying(&self, host: &Self, fitted: &Fitted) -> Option<Self> {
         let carried = |own: &[Stretch], of_host: &[Stretch]| -> Option<Vec<Stretch>> {
             let carry = |s: &Stretch| fitted.candidate.carry(host, s, &fitted.p).map(Arc::new);
-            let laws = fitted.candidate.of_each(of_host, carry)?;
+            let laws = fitted.candidate.map_unique(of_host, carry)?;
             let carrying = |(own, laws): (&Stretch, _)| {
                 let course = Course { carried: laws, ..own.course.clone() };
                 Stretch { course, ..own.clone() }
@@ -54,42 +54,43 @@ impl Problem {
 
 impl Candidate {
     /// The same effects as another response sees them; `None` where they are the host's sensor's.
-    pub fn echo(&self) -> Option<Self> {
+    pub fn propagated(&self) -> Option<Self> {
         let mut laws = 0;
         let parts = self
             .parts
             .iter()
             .map(|part| {
-                let echo = part.echo(laws)?;
+                let propagated = part.propagated(laws)?;
                 laws += part.forces.len() + usize::from(part.sandwich);
-                Some(echo)
+                Some(propagated)
             })
             .collect::<Option<Vec<_>>>()?;
         Some(Self { parts, retune: self.retune })
     }
 }
 
-/// Fits the echo of one effect at another response.
-fn echo(host: &Problem, fitted: &Fitted, other: &Problem) -> Option<Echo> {
+/// Fits the propagation of one effect at another response.
+fn propagated(host: &Problem, fitted: &Fitted, other: &Problem) -> Option<Propagation> {
     let problem = other.carrying(host, fitted)?;
     // What a linear part may move by is known of the host alone.
-    let candidate = Candidate { retune: host.retunes_freely(&fitted.candidate), ..fitted.candidate.echo()? };
+    let candidate =
+        Candidate { retune: host.retunes_freely(&fitted.candidate), ..fitted.candidate.propagated()? };
     let regression = Regression::new(&problem, candidate.retune);
     let fitted = if candidate.parts[0].effect == Effect::LinearChange {
         fit(&problem, &regression, &candidate, &[], Effort { rounds: 10 })?
     } else {
         let map = candidate.parts[0].input.as_ref().map_or(0, |map| map.parameters());
-        let start = regression.echo(&candidate, &fitted.p[..map])?;
+        let start = regression.propagated(&candidate, &fitted.p[..map])?;
         // Without a retune all that is free is linear, and fitted.
         let rounds = if candidate.retune { 8 } else { 0 };
         improve(&problem, &candidate, &start, Effort { rounds })?
     };
     let predictions = fitted.candidate.predictions(&problem, &problem.select, &fitted.p)?;
-    Some(Echo { response: other.response, chi2: problem.chi2(&problem.select, &predictions), fitted })
+    Some(Propagation { response: other.response, chi2: problem.chi2(&problem.select, &predictions), fitted })
 }
 
 /// What every response leaves without any effect, ready to be summed.
-pub struct Silence {
+pub struct BaselineScore {
     /// Responses with a systematic gap.
     seen: Vec<usize>,
     /// Rows of each response's select stretches.
@@ -99,7 +100,7 @@ pub struct Silence {
     of_response: Vec<(f64, Vec<f64>)>,
 }
 
-impl Silence {
+impl BaselineScore {
     pub fn of(prepared: &Prepared, overview: &Overview, rate_hz: f64) -> Self {
         let seen = overview.seen.clone();
         let of_response: Vec<(f64, Vec<f64>)> = seen
@@ -117,8 +118,8 @@ impl Silence {
         Self { rows: rows * seen.len() as f64, chi2, seen, of_response }
     }
 
-    /// The effect with its echoes at all responses with a gap, scored over all of them.
-    pub fn join(&self, prepared: &Prepared, mut host: Scored, rate_hz: f64, echoes: bool) -> Scored {
+    /// The effect with its propagation to all responses with a gap, scored over all of them.
+    pub fn join(&self, prepared: &Prepared, mut host: Scored, rate_hz: f64, propagates: bool) -> Scored {
         if self.seen.len() < 2 && self.seen.first() == Some(&host.problem) {
             return host;
         }
@@ -133,8 +134,8 @@ impl Silence {
                 continue;
             }
             let (own, other) = (&prepared.problems[host.problem], &prepared.problems[r]);
-            let found = if echoes { echo(own, &host.fitted, other) } else { None };
-            // An echo that makes things worse on what it was not fitted to is none.
+            let found = if propagates { propagated(own, &host.fitted, other) } else { None };
+            // A propagation that makes things worse on what it was not fitted to is none.
             let Some(found) = found.filter(|f| f.chi2 < silent.0) else {
                 add(silent.0, &silent.1);
                 continue;
@@ -144,7 +145,7 @@ impl Silence {
                 Some((problem, left)) => add(found.chi2, &blocks(&problem.select, &left, rate_hz).sums),
                 None => add(silent.0, &silent.1),
             }
-            host.echoes.push(found);
+            host.propagations.push(found);
         }
         host.host_chi2 = host.chi2;
         Scored { chi2, remaining: remaining(chi2, self.chi2), blocks: sums, ..host }

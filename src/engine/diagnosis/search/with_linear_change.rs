@@ -24,7 +24,7 @@ const OF_CHANGE: f64 = 0.5;
 /// The same candidates, with what the foremost laws leave beside a linear change. `None` where nothing is open (the
 /// first leaves nothing but noise, it is a shape that bends to anything, or every linear part is free already), and
 /// where it would be the change that closes the gap.
-pub fn beside_linear_change(prepared: &Prepared, ranked: &[Ranked]) -> Option<Vec<Scored>> {
+pub fn remaining_with_linear_change(prepared: &Prepared, ranked: &[Ranked]) -> Option<Vec<Scored>> {
     let first = &ranked.first()?.scored;
     let change = ranked.iter().find(|r| r.scored.effect() == Effect::LinearChange)?.scored.remaining;
     let free = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
@@ -35,14 +35,16 @@ pub fn beside_linear_change(prepared: &Prepared, ranked: &[Ranked]) -> Option<Ve
     let mut scored: Vec<Scored> = ranked.iter().map(|r| r.scored.clone()).collect();
     let law = |s: &Scored| s.effect().tier() == Tier::Law && s.remaining <= ABSTAIN;
     let foremost: Vec<&mut Scored> = scored.iter_mut().filter(|s| law(s)).take(LAWS).collect();
-    foremost.into_par_iter().for_each(|s| s.beside = left_beside(&prepared.problems[s.problem], s));
+    foremost
+        .into_par_iter()
+        .for_each(|s| s.beside = left_with_linear_change(&prepared.problems[s.problem], s));
     let least = scored.iter().filter_map(|s| s.beside).fold(f64::INFINITY, f64::min);
     (least < OF_CHANGE * change).then_some(scored)
 }
 
 /// What remains of the gap where a linear change may take its share of what the law leaves; `None` where its free
 /// run does not stay finite.
-fn left_beside(problem: &Problem, scored: &Scored) -> Option<f64> {
+fn left_with_linear_change(problem: &Problem, scored: &Scored) -> Option<f64> {
     let mut parts = scored.fitted.candidate.parts.clone();
     parts.push(Part::linear_change());
     let candidate = Candidate { parts, retune: true };

@@ -11,7 +11,7 @@ use crate::diagnosis::input::Input;
 use crate::diagnosis::numerics::linear::rms;
 
 /// Responses at which effects are sought, among those with a systematic gap.
-pub struct Hosts {
+pub struct Placement {
     /// Of stiffness, friction, damping and all else that acts on the axis' own motion.
     pub motion: Vec<usize>,
     /// Of each drive's effects: the response that hears the drive best.
@@ -33,8 +33,8 @@ fn rank(quantity: Quantity) -> usize {
     }
 }
 
-impl Hosts {
-    /// Hosts of a request of which `overview.seen` is not empty.
+impl Placement {
+    /// Placement of a request of which `overview.seen` is not empty.
     pub fn of(input: &Input, prepared: &Prepared, overview: &Overview) -> Self {
         let of_axis = |r: usize| match &input.responses[r].axis {
             Some(axis) => (0..input.responses.len())

@@ -5,7 +5,7 @@
 //! difference quotients cost a free run a parameter costs a few additions here.
 
 use crate::diagnosis::core::modes::Pole;
-use crate::diagnosis::data::problem::{Problem, firsts};
+use crate::diagnosis::data::problem::{Problem, first_equivalent};
 use crate::diagnosis::effects::candidate::{Candidate, INNER_KNOTS, at_samples, inner_signal, inner_spline};
 use crate::diagnosis::effects::kernel::{self, Force, MIDWAY, Scales, Window, weigh};
 use crate::diagnosis::effects::law::{Instant, Law, Memory};
@@ -58,7 +58,7 @@ impl Candidate {
         let mut columns: Vec<Vec<f64>> = vec![Vec::new(); p.len()];
         let mut from = Vec::with_capacity(problem.fit.len());
         let mut end = 0;
-        for (stretch, first) in problem.fit.iter().zip(firsts(&problem.fit, self.asks_for_time())) {
+        for (stretch, first) in problem.fit.iter().zip(first_equivalent(&problem.fit, self.asks_for_time())) {
             from.push(end);
             end += stretch.rows.len();
             if let Some(at) = from[..from.len() - 1].get(first) {
@@ -206,7 +206,7 @@ impl Candidate {
                 .map(|c| Force { law: c.law, shape: c.shape, path: c.path, other: &c.other })
                 .collect();
             let (y, guesses) = kernel::trace(modes, &forces, &ext, problem.scales, stretch.clock)?;
-            let out = side_by_side(problem, stretch, &closed, &lanes, (&y, &guesses), scale);
+            let out = simulate_sensitivities(problem, stretch, &closed, &lanes, (&y, &guesses), scale);
             (y, out)
         };
         for signal in &mut out {
@@ -294,7 +294,7 @@ fn slopes(
 
 /// The linearised loop for every lane at once, `[lane][sample]`; `y` is the run and `guesses` the next
 /// samples that its laws saw.
-fn side_by_side(
+fn simulate_sensitivities(
     problem: &Plant,
     stretch: &Course,
     closed: &[Closed<'_>],
