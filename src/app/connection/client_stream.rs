@@ -21,8 +21,8 @@ use tokio::net::TcpStream;
 /// The bytes that every answer begins with, of either version.
 const BEGINNING: &[u8] = b"HTTP/1.";
 
-/// How long after a FIN the first byte is sent ahead. Most answers are there by then.
-const FIRST: Duration = Duration::from_millis(50);
+/// How long after a FIN the first byte is sent ahead. Answers that need no computation are there by then.
+const FIRST: Duration = Duration::from_millis(10);
 
 /// Time from the first byte to the second. It doubles with each byte, so that they last for a minute.
 const SECOND: Duration = Duration::from_secs(1);
