@@ -189,6 +189,7 @@ pub fn warning(warning: &str) -> String {
     match code {
         "noise_floor_assumed" => "There are no runs with the same drive. The noise floor is therefore assumed to be the error of the linear core on the baseline runs. A gap that looks systematic may be noise, and the reverse; the verdict is at most a partial one. Run one drive twice to measure the noise.".into(),
         "one_drive" => "All runs share one drive. Whatever fits it cannot be checked on another, so no law is named.".into(),
+        "rig_changed" => "The runs that the model was fitted to show another rig than the runs that are asked about: no law explains both. They were left out. Fit the model again, or ask in external mode if they are of before a change.".into(),
         "acts_seldom" => "The gap occurs only in the runs that effects are fitted to, or only in those that they are chosen on: its cause acts only a few times. All of these runs were therefore used for both, and the verdict is at most a partial one. Longer runs, or runs at a higher level, would show more.".into(),
         "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs, which stands for the FRF while effects are sought and the gap is located: an FRF errs a little by its estimate, and that is no effect. In situ, what an effect closes is counted from the FRF itself; in external mode from the core."),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),
@@ -212,6 +213,7 @@ mod tests {
     fn warnings_are_explained_and_unknown_ones_kept() {
         assert!(warning("noise_floor_assumed").contains("Run one drive twice"));
         assert!(warning("acts_seldom").contains("Longer runs"));
+        assert!(warning("rig_changed").contains("external mode"));
         assert!(warning("core_stands_for_sim: x").contains("At “x” the FRF"));
         assert!(warning("repeat_drive_differs: run 7").contains("“run 7” was named"));
         assert_eq!(warning("some_new_thing: here"), "some new thing: here");

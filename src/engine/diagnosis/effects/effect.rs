@@ -161,6 +161,7 @@ impl Effect {
         }
     }
 
+    /// How far it bends to whatever it meets.
     pub fn tier(self) -> Tier {
         match self {
             Self::Gain

@@ -4,6 +4,8 @@ use faer::Mat;
 use realfft::num_complex::Complex64;
 use rigcast_numerics::decompose::{self, Cholesky};
 
+use crate::simd::{Isa, Kernel, Simd, dispatch};
+
 /// Share of a scaled column below which its direction is rounding: keeps parallel columns harmless.
 const RIDGE: f64 = 1e-7;
 
@@ -87,18 +89,50 @@ pub fn norm(x: &[f64]) -> f64 {
     dot(x, x).sqrt()
 }
 
+/// Sums that run side by side in a long inner product: one alone would wait for each addition.
+const SUMS: usize = 32;
+/// Fewest samples of a long one: calling a kernel costs as much as some tens of products.
+const LONG: usize = 128;
+
+/// An inner product in sums side by side, which the compiler puts into lanes.
+struct Dot<'a>(&'a [f64], &'a [f64]);
+
+impl Kernel for Dot<'_> {
+    type Out = f64;
+    const WIDE: bool = false;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> f64 {
+        in_sums::<SUMS>(self.0, self.1)
+    }
+}
+
 /// Inner product of two equally long slices.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    // Four sums run side by side: one alone would wait for each addition.
-    let mut sums = [0.0; 4];
-    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
-    let rest: f64 = a4.remainder().iter().zip(b4.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in a4.zip(b4) {
-        for k in 0..4 {
+    if a.len() < LONG {
+        return in_sums::<4>(a, b);
+    }
+    dispatch(Isa::of_process().unwrap_or(Isa::Portable), Dot(a, b))
+}
+
+#[inline(always)]
+fn in_sums<const N: usize>(a: &[f64], b: &[f64]) -> f64 {
+    let (a_chunks, b_chunks) = (a.chunks_exact(N), b.chunks_exact(N));
+    let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(a, b)| a * b).sum();
+    let mut sums = [0.0; N];
+    for (a, b) in a_chunks.zip(b_chunks) {
+        for k in 0..N {
             sums[k] += a[k] * b[k];
         }
     }
-    sums[0] + sums[1] + sums[2] + sums[3] + rest
+    let mut half = N / 2;
+    while half > 0 {
+        for k in 0..half {
+            sums[k] += sums[k + half];
+        }
+        half /= 2;
+    }
+    sums[0] + rest
 }
 
 /// Root mean square; 0 for no samples.

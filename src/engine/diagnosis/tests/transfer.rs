@@ -186,6 +186,22 @@ fn a_model_that_errs_on_a_linear_rig_is_no_effect() {
     assert!(verdict.because.iter().any(|b| b.contains("the model errs")), "{verdict:?}");
 }
 
+#[test]
+fn a_baseline_of_before_a_change_is_left_out_of_what_laws_have_to_explain() {
+    let mut input = at_level(0.5, stiffening_a_little, 0.003);
+    input.baseline = vec![
+        run("before", noise_drive(16.0, 0.5, 5), friction, 0.003, 15),
+        run("before too", noise_drive(16.0, 0.3, 6), friction, 0.003, 16),
+    ];
+    let found = report(&input);
+    let of_spring = |e: &Effect| e.family() == Family::Stiffness;
+    assert!(of_spring(&found.verdict.equivalence_set[0]), "{:?}", found.verdict);
+    assert!(found.warnings.contains(&"rig_changed".to_owned()), "{:?}", found.warnings);
+    // Runs of the same rig stay, whatever their level.
+    input.baseline = vec![run("low", noise_drive(16.0, 0.2, 5), stiffening_a_little, 0.003, 15)];
+    assert!(!report(&input).warnings.contains(&"rig_changed".to_owned()));
+}
+
 /// A spring and dry friction at the same place.
 fn stiffening_and_sliding(x: f64, v: f64) -> f64 {
     stiffening_a_little(x, v) + 60.0 * (2.0 * v).tanh()

@@ -83,6 +83,7 @@ pub(super) fn verdict(
             100.0 * evidence.linear(r)
         ));
     }
+    let there: f64 = ranked.iter().map(|r| r.probability).sum();
     let whole = if own { evidence.whole(r).max(evidence.linear(r)) } else { evidence.whole(r) };
     let verdict = if whole < input.material_gap {
         bare(VerdictKind::NoMaterialGap, 0.97, because)
@@ -95,14 +96,13 @@ pub(super) fn verdict(
                 .into(),
         );
         bare(VerdictKind::Undecided, 0.9, because)
-    } else if evidence.linear(r) < input.material_gap {
+    } else if evidence.linear(r) < input.material_gap && there < NAMED {
         because.push(format!(
             "a linear part fitted to these runs leaves {:.2} % of runs that it has not seen: the model errs, no law is \
              missing; fit it again with these runs",
             100.0 * evidence.linear(r)
         ));
-        // A law that is likely there all the same may have more to it than these runs show.
-        let there: f64 = ranked.iter().map(|r| r.probability).sum();
+        // A law that may be there all the same may have more to it than these runs show.
         bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because)
     } else {
         named(input, screening, ranked, listed, because, bare)

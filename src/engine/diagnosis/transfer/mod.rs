@@ -11,18 +11,18 @@ mod evidence;
 mod hypotheses;
 mod next;
 mod recording;
+mod state;
 mod words;
 
 pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub use decide::{NAMED, Ranked, ranked};
 pub(super) use words::sentence;
 
-use recording::Runs;
+use state::{Screened, screened};
 
 use super::augmented::Augmented;
 use super::input::Input;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
-use super::screen::screen;
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::effects::effect::Effect;
@@ -49,10 +49,8 @@ pub(super) fn by_transfer(
     overview: &Overview,
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
-    let runs = Runs::of(input);
-    let screened = |p: Progress<'_>| watch(p.within(&(0.15..0.8)));
-    let mut screening = screen(&runs.recording, &runs.grouping, &screened)?;
-    screening.standings.retain(|standing| input.catalogue.contains(&standing.effect));
+    let of_screen = |p: Progress<'_>| watch(p.within(&(0.15..0.8)));
+    let Screened { runs, screening, changed } = screened(input, &of_screen)?;
     report(watch, "decision", 0.8)?;
     let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
     let relative: Option<Vec<f64>> =
@@ -64,6 +62,9 @@ pub(super) fn by_transfer(
     report(watch, "next experiment", 0.9)?;
     let next = next::experiment(input, &runs.recording, &screening, &ranked, &listed, &verdict);
     let mut warnings = Vec::new();
+    if changed {
+        warnings.push("rig_changed".to_owned());
+    }
     if screening.transfer == super::screen::Transfer::OneDrive {
         warnings.push("one_drive".to_owned());
     }

@@ -15,23 +15,37 @@ pub(super) struct Runs {
 }
 
 impl Runs {
+    /// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects
+    /// only what these add to a baseline run makes it of use.
     pub fn of(input: &Input) -> Self {
-        let recording = of(input);
+        let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
+        let known = |run: &Run| !input.has_adopted() || run.added.is_some();
+        let baseline =
+            input.baseline.iter().filter(|run| input.mode == Mode::InSitu && known(run) && !again(run));
+        Self::of_runs(input, input.runs.iter().chain(baseline))
+    }
+
+    /// The runs to explain alone.
+    pub fn without_baseline(input: &Input) -> Self {
+        Self::of_runs(input, input.runs.iter())
+    }
+
+    /// Whether runs of the baseline are among them.
+    pub fn has_baseline(&self, input: &Input) -> bool {
+        self.recording.records.len() > input.runs.len()
+    }
+
+    fn of_runs<'a>(input: &Input, runs: impl Iterator<Item = &'a Run>) -> Self {
+        let recording = recording(input, runs);
         let grouping = group(&recording, &input.repeats);
         let (noise, shares) = (noise(&recording, &grouping), shares(&recording));
         Self { recording, grouping, noise, shares }
     }
 }
 
-/// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects only
-/// what these add to a baseline run makes it of use.
-fn of(input: &Input) -> Recording {
+fn recording<'a>(input: &Input, runs: impl Iterator<Item = &'a Run>) -> Recording {
     let channel =
         |c: &crate::diagnosis::input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
-    let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
-    let known = |run: &Run| !input.has_adopted() || run.added.is_some();
-    let baseline =
-        input.baseline.iter().filter(|run| input.mode == Mode::InSitu && known(run) && !again(run));
     let record = |run: &Run| Record {
         drive: run.drive.clone(),
         response: run.response.clone(),
@@ -41,7 +55,7 @@ fn of(input: &Input) -> Recording {
     Recording {
         drives: input.drives.iter().map(channel).collect(),
         responses: input.responses.iter().map(channel).collect(),
-        records: input.runs.iter().chain(baseline).map(record).collect(),
+        records: runs.map(record).collect(),
     }
 }
 
