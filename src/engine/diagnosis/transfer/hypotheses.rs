@@ -17,8 +17,9 @@ use crate::diagnosis::report::{
 };
 use crate::diagnosis::screen::{FreeRun, Number, NumberOf, Place, Screening};
 
-/// Normal deviation that 90 % of all lie within.
-const WITHIN: f64 = 1.645;
+/// Student's deviations that 90 % of all lie within, by degrees of freedom from 1 on, and that of the normal distribution.
+const STUDENT: [f64; 10] = [6.314, 2.920, 2.353, 2.132, 2.015, 1.943, 1.895, 1.860, 1.833, 1.812];
+const NORMAL: f64 = 1.645;
 /// Share of what a sim with the law on it leaves, below which the law's own linear part takes the sim's place.
 const BETTER_ALONE: f64 = 0.9;
 /// Points of a law's curve.
@@ -185,9 +186,7 @@ impl Of<'_> {
             .filter(|(before, _)| **before > 0.0)
             .map(|(before, after)| 1.0 - (after / before).powi(2))
             .collect();
-        let centre = mean(&by_group);
-        let spread = rms(&by_group.iter().map(|c| c - centre).collect::<Vec<f64>>());
-        let width = (WITHIN * spread).max(0.03 * (1.0 - closure).abs());
+        let width = next_within(&by_group).max(0.03 * (1.0 - closure).abs());
         // Where nothing tells the noise, all of the rest may be noise.
         let highest = if self.runs.noise.is_some() { (closure + width).min(1.0) } else { 1.0 };
         let floor = if noise_rms > 0.0 { noise_rms } else { rms_after }.max(f64::MIN_POSITIVE);
@@ -313,6 +312,21 @@ impl Of<'_> {
     }
 }
 
+/// How far from the mean of some values the next lies at most in 90 % of cases: Student's interval of prediction,
+/// `t s sqrt(1 + 1 / n)`.
+fn next_within(values: &[f64]) -> f64 {
+    let Some(freedom) = values.len().checked_sub(1).filter(|freedom| *freedom > 0) else { return 0.0 };
+    let centre = mean(values);
+    let squares: f64 = values.iter().map(|x| (x - centre) * (x - centre)).sum();
+    // Beyond the table two terms of Student's expansion are exact to a thousandth.
+    let (square, nu) = (NORMAL * NORMAL, freedom as f64);
+    let first = (square + 1.0) / (4.0 * nu);
+    let second = (5.0 * square * square + 16.0 * square + 3.0) / (96.0 * nu * nu);
+    let of_more = NORMAL * (1.0 + first + second);
+    let student = STUDENT.get(freedom - 1).copied().unwrap_or(of_more);
+    student * (squares / nu).sqrt() * (1.0 + 1.0 / values.len() as f64).sqrt()
+}
+
 fn level(run: &Run) -> f64 {
     run.drive.channels().iter().map(|d| rms(d)).sum()
 }
@@ -324,4 +338,20 @@ fn errors(run: &Run, r: usize, made: &[f64]) -> Vec<f64> {
         run.response.channel(r)[from..].iter().zip(&made[from..]).map(|(y, m)| y - m).collect();
     let centre = mean(&left);
     left.iter().map(|l| l - centre).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_value_lies_as_far_as_student_says() {
+        // Tables of Student's distribution: 2.353 for 3 degrees of freedom, 1.796 for 11.
+        let few = [1.0, 2.0, 3.0, 4.0];
+        assert!((next_within(&few) - 2.353 * (5.0_f64 / 3.0).sqrt() * 1.25_f64.sqrt()).abs() < 1e-9);
+        let many: Vec<f64> = (0..12).map(f64::from).collect();
+        let expected = 1.796 * 13.0_f64.sqrt() * (13.0_f64 / 12.0).sqrt();
+        assert!((next_within(&many) - expected).abs() < 0.002 * expected);
+        assert_eq!(next_within(&[0.3]), 0.0);
+    }
 }
