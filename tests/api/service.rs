@@ -244,14 +244,15 @@ async fn the_last_good_model_answers_for_a_damaged_one_and_readiness_names_what_
     let tag = app.get("/v1/rigs/bench/active-model").await.expect(200).header("etag").to_owned();
     let put = app.call("PUT", "/v1/rigs/bench/active-model").header("if-match", &tag);
     put.json(&json!({"version": 2})).send().await.expect(200);
-    let run = app.run("kind=noise", &crate::support::noise_csv(3000, 5)).await;
     let model = async || {
         let drive = json!({"drive": {"sample_rate_hz": 100.0, "channels": {"u": [0.0]}}});
         app.post_json("/v1/rigs/bench/predict", &drive).await.expect(200).json()["model"].clone()
     };
+    // Before a run comes: the active model is held against each, and a model in memory answers whatever its file says.
     damage(&app, second["sha256"].as_str().expect("a digest"));
     let answered = model().await;
     assert_eq!((&answered["version"], answered["sha256"] != second["sha256"]), (&json!(1), true));
+    let run = app.run("kind=noise", &crate::support::noise_csv(3000, 5)).await;
     for file in app.files() {
         // The run's samples: the only other object that is no model.
         let name = file.file_name().and_then(|name| name.to_str()).expect("a digest").to_owned();

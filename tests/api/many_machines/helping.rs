@@ -91,7 +91,7 @@ async fn fitted(client: &Client, epochs: u64) -> (f64, Value) {
 async fn the_networks_of_a_fit_are_spread_and_it_comes_out_alike_even_if_a_helper_dies() {
     let Some(cluster) = Cluster::start() else { return };
     let Some((_service, client)) = started(&cluster).await else { return };
-    let epochs = setting("RIGCAST_TEST_FIT_EPOCHS", 3000);
+    let epochs = setting("RIGCAST_TEST_FIT_EPOCHS", 1200);
     let first = cluster.work_on_core(0);
     let (alone, model) = fitted(&client, epochs).await;
     let second = cluster.work_on_core(1);
@@ -120,7 +120,7 @@ async fn the_networks_of_a_fit_are_spread_and_it_comes_out_alike_even_if_a_helpe
             let given = "SELECT count(*) FROM checkpoints WHERE part LIKE 'share given%'";
             until(Duration::from_secs(60), "a gift", async || cluster.postgres.run(given).trim() != "0")
                 .await;
-            tokio::time::sleep(Duration::from_secs(2)).await;
+            tokio::time::sleep(Duration::from_secs(1)).await;
             helper.program.signal("-KILL");
             helper.program.ended().1.join("\n")
         };
