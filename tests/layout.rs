@@ -213,8 +213,7 @@ fn no_room_of_the_diagnosis_names_one_above_it() {
         if inside.len() == 1 || inside[1..] == ["mod.rs"] {
             names.append(&mut after(&code, "super::"));
         }
-        let inner = |name: &String| inside.len() > 1 && root.join(room).join(format!("{name}.rs")).exists();
-        for name in names.into_iter().filter(|name| name != room && !inner(name)) {
+        for name in names.into_iter().filter(|name| name != room) {
             if rank(&name).is_none_or(|other| other > own) {
                 wrong.push(format!("{} names {name}", path.display()));
             }

@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn every_case_has_the_gap_and_the_channels_of_its_suite() {
         for suite in [Suite::RoughRigs, Suite::Place, Suite::ForceOverDisplacement] {
-            for index in 0..3 {
+            for index in 0..6 {
                 let case = Case::draw(suite, index, 40 + index as u64).unwrap();
                 let sensors: usize = case.frames.iter().map(|frame| frame.sensors.len()).sum();
                 let drives: usize = case.frames.iter().map(|frame| frame.driven.len()).sum();

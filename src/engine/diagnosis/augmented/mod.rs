@@ -17,6 +17,7 @@ use crate::diagnosis::effects::candidate::Candidate;
 use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::effects::kernel::Clock;
 use crate::diagnosis::effects::plant::{Course, Plant};
+use crate::diagnosis::numerics::linear::rms;
 use crate::{EngineError, Signal};
 
 /// Beyond this many times the core's own RMS an augmented free run is not bounded.
@@ -277,11 +278,7 @@ impl Augmented {
         let simulated = vec![linear.clone(); host.plant.other_scale.len()];
         let Some(responses) = self.run(scaled, simulated, None, Member::predict) else { return false };
         let y = &responses[0];
-        let about = |y: &[f64]| {
-            crate::diagnosis::numerics::linear::rms(
-                &y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>(),
-            )
-        };
+        let about = |y: &[f64]| rms(&y.iter().map(|y| y - core.response_mean).collect::<Vec<f64>>());
         let (all, reference) = (about(y), about(&linear));
         let end = &y[y.len() - 100..];
         let swing = end.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y))

@@ -92,6 +92,7 @@ pub fn quantum(samples: &[f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::core::modes::Modes;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
@@ -116,7 +117,7 @@ mod tests {
         assert!(undriven(found, &[[&hum, &clean]], 512.0));
         assert!(!undriven(found, &[[&hum, &driven]], 512.0));
         // A resonance is no line.
-        let modes = crate::diagnosis::core::modes::Modes::of_values(&[
+        let modes = Modes::of_values(&[
             realfft::num_complex::Complex64::from_polar(0.995, 0.2),
             realfft::num_complex::Complex64::from_polar(0.995, -0.2),
         ]);

@@ -14,6 +14,7 @@ use crate::diagnosis::core::{self, Core, CoreFit};
 use crate::diagnosis::effects::kernel::{Clock, Scales};
 use crate::diagnosis::effects::plant::{Course, Plant};
 use crate::diagnosis::input::{Input, Mode, Role, Run};
+use crate::diagnosis::numerics::ar::Ar;
 use crate::diagnosis::numerics::linear::{dot, mean, rms};
 use crate::diagnosis::numerics::rows::Rows;
 use crate::diagnosis::numerics::smooth::smooth;
@@ -37,7 +38,7 @@ pub struct Prepared {
     /// for it: relative to the response, by response.
     pub sim_errs: Vec<Option<f64>>,
     /// What the baseline leaves of each core: the noise before the change.
-    pub baseline_noise: Vec<crate::diagnosis::numerics::ar::Ar>,
+    pub baseline_noise: Vec<Ar>,
 }
 
 /// Cores, noise and stretches of every response.

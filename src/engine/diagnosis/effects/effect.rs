@@ -162,7 +162,7 @@ impl Effect {
     }
 
     /// How far it bends to whatever it meets.
-    pub fn tier(self) -> Tier {
+    pub(in crate::diagnosis) fn tier(self) -> Tier {
         match self {
             Self::Gain
             | Self::Delay
@@ -181,12 +181,12 @@ impl Effect {
     }
 
     /// Whether the effect is its family's free shape, which says no more than the family.
-    pub fn nameless(self) -> bool {
+    pub(in crate::diagnosis) fn nameless(self) -> bool {
         matches!(self, Self::FreeStiffness | Self::FreeHysteresis | Self::FreeDamping | Self::FreeDriveMap)
     }
 
     /// Whether another effect of its own tier is a special case of it.
-    pub fn contains(self, other: Self) -> bool {
+    pub(in crate::diagnosis) fn contains(self, other: Self) -> bool {
         matches!(
             (self, other),
             (Self::StribeckFriction, Self::CoulombFriction) | (Self::LinearChange, Self::CrossAxisLinear)
@@ -211,7 +211,7 @@ impl Effect {
     }
 
     /// Whether a refit of the linear part alone can stand for it.
-    pub fn linear(self) -> bool {
+    pub(in crate::diagnosis) fn linear(self) -> bool {
         matches!(
             self,
             Self::Gain

@@ -8,6 +8,7 @@ use crate::diagnosis::effects::law::Law;
 use crate::diagnosis::effects::output_map::OutputMap;
 use crate::diagnosis::fit::fitting::Fitted;
 use crate::diagnosis::numerics::levmar::standard_errors;
+use crate::diagnosis::numerics::linear::eigenvalues;
 use crate::diagnosis::report::Parameter;
 
 /// How a raw parameter becomes one with a unit: `factor * raw`, or `factor * exp(raw)`.
@@ -149,7 +150,7 @@ fn modes_after(problem: &Problem, fitted: &Fitted) -> Vec<Parameter> {
     let moved: Vec<Vec<f64>> = (0..order)
         .map(|i| (0..order).map(|j| matrix[i][j] + feedback[i] * scale * mid[j]).collect())
         .collect();
-    let mut after: Vec<(f64, f64)> = crate::diagnosis::numerics::linear::eigenvalues(&moved)
+    let mut after: Vec<(f64, f64)> = eigenvalues(&moved)
         .map(|values| Modes::of_values(&values).poles().iter().filter_map(|&p| natural(p, rate)).collect())
         .unwrap_or_default();
     after.sort_by(|a, b| a.0.total_cmp(&b.0));

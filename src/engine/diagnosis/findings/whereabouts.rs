@@ -1,5 +1,6 @@
 //! Where the gap lies, of all responses together.
 
+use crate::diagnosis::core::drive_band;
 use crate::diagnosis::data::locate::{bands, ranges, segments};
 use crate::diagnosis::data::overview::{Overview, gaps};
 use crate::diagnosis::data::prepare::Prepared;
@@ -48,5 +49,5 @@ pub fn location(
 fn out_of_band(prepared: &Prepared) -> bool {
     let stretches = prepared.problems[0].fit.iter();
     let drives: Vec<Vec<&[f64]>> = stretches.map(|s| s.drives.iter().map(Vec::as_slice).collect()).collect();
-    crate::diagnosis::core::drive_band(&drives).is_some_and(|band| band[1] > 1.15 * prepared.band[1])
+    drive_band(&drives).is_some_and(|band| band[1] > 1.15 * prepared.band[1])
 }

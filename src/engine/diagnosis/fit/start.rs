@@ -4,8 +4,9 @@
 //! sum_n E_n basis_n(phi(y, v)) + ...`. Shapes come from a short list; free shapes by alternating
 //! between shape and path. The free run then starts near where it should end.
 
-use crate::diagnosis::data::problem::Problem;
-use crate::diagnosis::effects::candidate::{Candidate, Part, at_samples, inner_signal, inner_spline};
+use crate::diagnosis::data::problem::{Problem, Stretch};
+use crate::diagnosis::effects::candidate::{Candidate, Other, Part, at_samples, inner_signal, inner_spline};
+use crate::diagnosis::effects::input_map::InputMap;
 use crate::diagnosis::effects::kernel;
 use crate::diagnosis::effects::law::Law;
 use crate::diagnosis::effects::output_map::OutputMap;
@@ -44,7 +45,7 @@ impl<'a> Regression<'a> {
         if retune {
             this.retune = this.path_columns(&Law::Linear, &[], None);
             for d in 0..problem.drive_peak.len() {
-                let moved = |s: &crate::diagnosis::data::problem::Stretch| -> Vec<f64> {
+                let moved = |s: &Stretch| -> Vec<f64> {
                     s.drives[d].iter().map(|u| u - problem.core.drive_mean[d]).collect()
                 };
                 this.retune.extend(this.basis_columns(|i| moved(&problem.fit[i])));
@@ -78,12 +79,7 @@ impl<'a> Regression<'a> {
         self.retune.iter().take(candidate.retuned(self.problem)).map(Vec::as_slice).collect()
     }
 
-    pub fn path_columns(
-        &self,
-        law: &Law,
-        shape: &[f64],
-        other: Option<crate::diagnosis::effects::candidate::Other>,
-    ) -> Vec<Vec<f64>> {
+    pub fn path_columns(&self, law: &Law, shape: &[f64], other: Option<Other>) -> Vec<Vec<f64>> {
         let problem = self.problem;
         if let Law::Carried(k) = law {
             let mut columns = self.basis_columns(|i| problem.fit[i].carried[*k].clone());
@@ -304,8 +300,8 @@ pub struct Guess {
 /// Size of a change of an input map's numbers that matters.
 pub fn map_scale(part: &Part) -> f64 {
     match &part.input {
-        Some(crate::diagnosis::effects::input_map::InputMap::Delay) => 1.0,
-        Some(crate::diagnosis::effects::input_map::InputMap::Free(_)) => 0.03,
+        Some(InputMap::Delay) => 1.0,
+        Some(InputMap::Free(_)) => 0.03,
         _ => 0.1,
     }
 }

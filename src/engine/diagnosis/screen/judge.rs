@@ -9,6 +9,7 @@ use super::linear_part::Setting;
 use super::moments::Moments;
 use super::regressors::Regressors;
 use super::track::Segment;
+use crate::diagnosis::numerics::linear::dot;
 
 /// Ridge of a candidate's columns relative to their power: what the linear part holds already gets nothing.
 const RIDGE: f64 = 1e-8;
@@ -158,8 +159,7 @@ impl<'a> Base<'a> {
         for (at, (segment, x)) in self.segments.iter().zip(&scaled).enumerate() {
             for c in 0..m {
                 let column = x.col_as_slice(c);
-                target[segment.group][(c, 0)] +=
-                    crate::diagnosis::numerics::linear::dot(column, &self.responses[at][response]);
+                target[segment.group][(c, 0)] += dot(column, &self.responses[at][response]);
             }
             self.regressors.add(x, at, segment.weight, &mut cross[segment.group]);
             gram[segment.group] += x.transpose() * x;
@@ -174,8 +174,7 @@ impl<'a> Base<'a> {
         let mut target = vec![Mat::zeros(block.width(), 1); self.n_groups()];
         for (at, (segment, x)) in self.segments.iter().zip(&block.columns).enumerate() {
             for c in 0..x.ncols() {
-                let with =
-                    crate::diagnosis::numerics::linear::dot(x.col_as_slice(c), &self.responses[at][response]);
+                let with = dot(x.col_as_slice(c), &self.responses[at][response]);
                 target[segment.group][(c, 0)] += with;
             }
         }

@@ -14,7 +14,7 @@ use crate::diagnosis::effects::input_map::InputMap;
 use crate::diagnosis::effects::output_map::OutputMap;
 use crate::diagnosis::fit::fitting::{Effort, Fitted, finish, improve, tolerant};
 use crate::diagnosis::fit::start::{Guess, Regression, Start, map_scale};
-use crate::diagnosis::numerics::linear::{dot, norm, solve_spd};
+use crate::diagnosis::numerics::linear::{dot, least_squares, norm, solve_spd};
 
 /// Pairs whose free runs are fitted, those that go on, those that are fitted to their end; each with the
 /// Jacobians that it may take.
@@ -262,7 +262,7 @@ impl Table {
 fn joint(a: &Beginning<'_>, b: &Beginning<'_>, bare: &[&[f64]], target: &[f64]) -> Start {
     let columns: Vec<&[f64]> =
         a.columns.iter().chain(&b.columns).map(Vec::as_slice).chain(bare.iter().copied()).collect();
-    let x = crate::diagnosis::numerics::linear::least_squares(&columns, target);
+    let x = least_squares(&columns, target);
     let count = a.p.len() + b.p.len();
     let mut p: Vec<f64> = a.p.iter().chain(&b.p).copied().collect();
     let mut scale: Vec<f64> = a.scale.iter().chain(&b.scale).copied().collect();

@@ -83,7 +83,7 @@ pub(super) fn verdict(
             100.0 * evidence.linear(r)
         ));
     }
-    let there: f64 = ranked.iter().map(|r| r.probability).sum();
+    let there = of_any(ranked);
     let whole = if own { evidence.whole(r).max(evidence.linear(r)) } else { evidence.whole(r) };
     let verdict = if whole < input.material_gap {
         bare(VerdictKind::NoMaterialGap, 0.97, because)
@@ -110,6 +110,11 @@ pub(super) fn verdict(
     Verdict { in_words: words::sentence(&verdict, listed.first().map(|l| &l.hypothesis)), ..verdict }
 }
 
+/// Probability that any of the laws is right.
+fn of_any(ranked: &[Ranked<'_>]) -> f64 {
+    ranked.iter().map(|r| r.probability).sum()
+}
+
 fn named(
     input: &Input,
     screening: &Screening,
@@ -123,7 +128,7 @@ fn named(
         return bare(VerdictKind::Undecided, 0.8, because);
     };
     because.extend(ranked.iter().take(3).map(|r| words::left(input, r)));
-    let there: f64 = ranked.iter().map(|r| r.probability).sum();
+    let there = of_any(ranked);
     // The sim with the law in it has to be better than the sim.
     let helps = listed.first().is_some_and(|l| l.hypothesis.remaining_share < 1.0);
     if there < NAMED || !helps {

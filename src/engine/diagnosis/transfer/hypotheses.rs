@@ -273,12 +273,6 @@ impl Of<'_> {
     /// What is left in each group by the law fitted to the others.
     fn transfer(&self) -> Vec<TransferRow> {
         let r = self.ranked.standing.response;
-        let named = |record: usize| {
-            let runs = self.input.runs.iter();
-            // In situ the baseline follows.
-            let again = |b: &&Run| self.input.runs.iter().all(|run| run.name != b.name);
-            runs.chain(self.input.baseline.iter().filter(again)).nth(record).map(|run| run.name.clone())
-        };
         let linear = &self.screening.linear.errors[r];
         let of_group = |g: usize| {
             let stretches = self.runs.grouping.stretches.iter().filter(|s| s.group == g);
@@ -295,7 +289,7 @@ impl Of<'_> {
                     drive += u.iter().map(|u| (u - centre).powi(2)).sum::<f64>();
                 }
                 count += s.samples.len();
-                runs.extend(named(s.record));
+                runs.push(self.runs.names[s.record].clone());
             }
             runs.dedup();
             let level = rms(&samples);

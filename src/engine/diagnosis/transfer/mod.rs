@@ -25,7 +25,7 @@ use super::input::Input;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
-use crate::diagnosis::effects::effect::Effect;
+use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::progress::{Progress, Watch, report};
 
 /// What follows from transfer between runs.
@@ -85,5 +85,5 @@ pub(super) fn by_transfer(
 
 /// Whether an effect is one of the linear part.
 fn linear(effect: Effect) -> bool {
-    effect.tier() <= crate::diagnosis::effects::effect::Tier::Linear
+    effect.tier() <= Tier::Linear
 }

@@ -1,11 +1,13 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
-use crate::diagnosis::input::{Input, Mode, Run};
+use crate::diagnosis::input::{self, Input, Mode, Run};
 use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// What the runs tell before any law is tried.
 pub(super) struct Runs {
+    /// Names of the records.
+    pub names: Vec<String>,
     pub recording: Recording,
     pub grouping: Grouping,
     /// RMS of each response's noise, where repeats tell it.
@@ -35,17 +37,17 @@ impl Runs {
         self.recording.records.len() > input.runs.len()
     }
 
-    fn of_runs<'a>(input: &Input, runs: impl Iterator<Item = &'a Run>) -> Self {
+    fn of_runs<'a>(input: &Input, runs: impl Iterator<Item = &'a Run> + Clone) -> Self {
+        let names = runs.clone().map(|run| run.name.clone()).collect();
         let recording = recording(input, runs);
         let grouping = group(&recording, &input.repeats);
         let (noise, shares) = (noise(&recording, &grouping), shares(&recording));
-        Self { recording, grouping, noise, shares }
+        Self { names, recording, grouping, noise, shares }
     }
 }
 
 fn recording<'a>(input: &Input, runs: impl Iterator<Item = &'a Run>) -> Recording {
-    let channel =
-        |c: &crate::diagnosis::input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
+    let channel = |c: &input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
     let record = |run: &Run| Record {
         drive: run.drive.clone(),
         response: run.response.clone(),

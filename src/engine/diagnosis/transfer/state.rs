@@ -6,8 +6,8 @@
 use super::recording::Runs;
 use crate::EngineError;
 use crate::diagnosis::input::Input;
-use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::screen::{Screening, Transfer, screen};
+use crate::metrics::geometric_mean;
 use crate::progress::{Progress, Watch};
 
 /// What the best predictor leaves at most of the linear part's error where both states are taken for one.
@@ -60,8 +60,8 @@ fn catalogued(input: &Input, runs: &Runs, watch: Watch<'_>) -> Result<Screening,
 /// means, since one loud group would outweigh all others.
 fn errors(screening: &Screening) -> (f64, f64) {
     let of = |errors: &[Vec<f64>]| {
-        let moving: Vec<f64> = errors.concat().into_iter().filter(|e| *e > 0.0).map(f64::ln).collect();
-        mean(&moving).exp()
+        let moving: Vec<f64> = errors.concat().into_iter().filter(|e| *e > 0.0).collect();
+        geometric_mean(&moving).unwrap_or(1.0)
     };
     let linear = of(&screening.linear.errors);
     let free = screening.standings.iter().filter_map(|s| s.free.as_ref());
