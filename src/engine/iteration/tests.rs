@@ -256,7 +256,8 @@ fn fast_part(samples: &[f64]) -> f64 {
 
 #[test]
 fn every_way_of_the_trust_draws_drives_back() {
-    let wide = WindowRange { window: 256, mean: [-9.0, 9.0], max_rms: 9.0, max_rate: 1e9, max_tone: 9.0 };
+    let wide =
+        WindowRange { window: 256, mean: [-9.0, 9.0], max_rms: 9.0, max_rate: 1e9, max_tone_rate: Some(1e9) };
     type Way = (&'static str, fn(&mut RigModel, WindowRange), fn(&[f64]) -> f64);
     let ways: [Way; 6] = [
         ("rate", |model, _| model.range[0].max_rate = 30.0, fastest),

@@ -403,9 +403,12 @@ fn check_window_range(meta: &Metadata, kind: ModelKind) -> Result<(), EngineErro
         return Err(wrong(format!("window_range: {found} entries for {needed} channels")));
     }
     for (i, range) in meta.window_range.iter().enumerate() {
-        let WindowRange { window, mean, max_rms, max_rate, max_tone } = *range;
+        let WindowRange { window, mean, max_rms, max_rate, max_tone_rate } = *range;
         let one = window == meta.window_range[0].window && (1..=MAX_WINDOW).contains(&window);
-        if !(one && mean[0] <= mean[1] && [max_rms, max_rate, max_tone].iter().all(|level| *level >= 0.0)) {
+        if !(one
+            && mean[0] <= mean[1]
+            && [max_rms, max_rate, max_tone_rate.unwrap_or_default()].iter().all(|level| *level >= 0.0))
+        {
             return Err(wrong(format!(
                 "window_range[{i}]: the same window of 1 to {MAX_WINDOW} samples for all, a mean that does not fall, and \
                  levels that are not negative are needed"

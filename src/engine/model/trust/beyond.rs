@@ -15,7 +15,7 @@ pub(super) enum Way {
 }
 
 impl Way {
-    /// The one of the levels of a window that the way is about: its mean, RMS about it, RMS of the rate, RMS of a tone.
+    /// The one of the levels of a window that the way is about: its mean, RMS about it, RMS of the rate, RMS of the rate of a tone.
     pub fn level(self, levels: &[f64]) -> f64 {
         match self {
             Self::High | Self::Low => levels[0],
@@ -51,7 +51,7 @@ impl Beyond {
             Way::Low => ("mean over windows below", ""),
             Way::Strong => ("RMS over windows above", ""),
             Way::Fast => ("RMS of the rate over windows above", " per second"),
-            Way::Tonal => ("RMS of a single tone over windows above", ""),
+            Way::Tonal => ("RMS of the rate of a single tone over windows above", " per second"),
         };
         let (window_s, limit) = (rounded(window_s, 3), rounded(self.limit, 6));
         format!("{what} that of the training (windows of {window_s} s; limit {limit}{unit})")

@@ -246,8 +246,13 @@ mod tests {
     fn the_response_and_the_means_of_all_inputs_together_concern_all_inputs() {
         let mut model = model();
         let (fft_len, wide) = (512, [-9.0, 9.0]);
-        model.window_range =
-            vec![WindowRange { window: fft_len, mean: wide, max_rms: 1.0, max_rate: 1e9, max_tone: 1e9 }];
+        model.window_range = vec![WindowRange {
+            window: fft_len,
+            mean: wide,
+            max_rms: 1.0,
+            max_rate: 1e9,
+            max_tone_rate: Some(1e9),
+        }];
         // Each is an RMS of 2, together of 4; of the limit 1.1 and a slack of 0.5.
         let (u, v) = (tone(20.0, 8.0_f64.sqrt(), 0.0), tone(20.0, 8.0_f64.sqrt(), 0.0));
         let strong = found(&model, u, v);

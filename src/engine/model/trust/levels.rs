@@ -22,7 +22,7 @@ const LANES: usize = 8;
 /// Windows whose sums stay in registers.
 const IN_REGISTERS: usize = 2;
 
-/// Mean, RMS about it, RMS of the rate and largest RMS of a tone, of an output.
+/// Mean, RMS about it, RMS of the rate and largest RMS of the rate of a tone, of an output.
 pub(super) type Level = [f64; 4];
 
 /// Real and imaginary parts of some outputs; beyond the last output zero.
@@ -33,9 +33,9 @@ type Outputs = [[f64; LANES]; 2];
 struct Sums {
     power: [f64; LANES],
     rate: [f64; LANES],
-    /// The largest of adjacent lines.
+    /// The largest of the rates of adjacent lines.
     tone: [f64; LANES],
-    /// The squares of the last lines, of those of a tone.
+    /// The squares of the last lines' rates, of those of a tone.
     last: [[f64; LANES]; TONE_LINES],
 }
 
@@ -51,7 +51,7 @@ impl Sums {
             return;
         }
         self.last.rotate_left(1);
-        self.last[TONE_LINES - 1] = *squares;
+        self.last[TONE_LINES - 1] = squares.map(|square| omega_squared * square);
         for o in 0..LANES {
             let tone: f64 = self.last.iter().map(|squares| squares[o]).sum();
             self.tone[o] = self.tone[o].max(tone);
@@ -299,10 +299,11 @@ mod tests {
                 let products = (0..levels.n_inputs).map(|i| at(line, output, i) * window.lines[i][line]);
                 let square = products.sum::<Complex64>().norm_sqr();
                 power += square;
-                rate += (levels.step * line as f64).powi(2) * square;
+                let of_rate = (levels.step * line as f64).powi(2) * square;
+                rate += of_rate;
                 if line >= TONE_FROM {
                     last.rotate_left(1);
-                    last[TONE_LINES - 1] = square;
+                    last[TONE_LINES - 1] = of_rate;
                     tone = tone.max(last.iter().sum());
                 }
             }

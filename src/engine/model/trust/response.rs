@@ -14,13 +14,9 @@ const LEVEL_SLACK: f64 = 1.1;
 /// Means may leave those of the training by this share of half the range that means and level span together.
 const MEAN_SLACK: f64 = 0.05;
 
-/// A tone may exceed the largest of the training by this factor: the lines of noise scatter widely, and those of a load with a hump
-/// more widely still.
-const TONE_SLACK: f64 = 2.0;
-
 /// The response of a model's FRF at one output, over the windows of the training data; of a model without an FRF, one input.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(from = "Stored")]
 pub struct WindowRange {
     /// Samples of a window.
     pub window: usize,
@@ -30,8 +26,31 @@ pub struct WindowRange {
     pub max_rms: f64,
     /// Largest RMS of the rate of change, channel unit per second.
     pub max_rate: f64,
-    /// Largest RMS within three adjacent lines of a window, from the fifth on, channel unit.
-    pub max_tone: f64,
+    /// Largest RMS of the rate within three adjacent lines of a window, from the fifth on, channel unit per second: a slow
+    /// tone passes where the training passed. None in weights of before it was watched.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_tone_rate: Option<f64>,
+}
+
+/// As it stands in weights.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    window: usize,
+    mean: [f64; 2],
+    max_rms: f64,
+    max_rate: f64,
+    max_tone_rate: Option<f64>,
+    /// Of earlier versions: the RMS of a tone, whatever its rate.
+    #[expect(dead_code, reason = "read and left")]
+    max_tone: Option<f64>,
+}
+
+impl From<Stored> for WindowRange {
+    fn from(stored: Stored) -> Self {
+        let Stored { window, mean, max_rms, max_rate, max_tone_rate, .. } = stored;
+        Self { window, mean, max_rms, max_rate, max_tone_rate }
+    }
 }
 
 impl WindowRange {
@@ -40,13 +59,16 @@ impl WindowRange {
         let channels = windows.first().map_or(0, Vec::len);
         let none = [f64::INFINITY, f64::NEG_INFINITY];
         let mut found =
-            vec![Self { window, mean: none, max_rms: 0.0, max_rate: 0.0, max_tone: 0.0 }; channels];
+            vec![
+                Self { window, mean: none, max_rms: 0.0, max_rate: 0.0, max_tone_rate: Some(0.0) };
+                channels
+            ];
         for of_channels in windows {
             for (range, [mean, rms, rate, tone]) in found.iter_mut().zip(of_channels) {
                 range.mean = [range.mean[0].min(*mean), range.mean[1].max(*mean)];
                 range.max_rms = range.max_rms.max(*rms);
                 range.max_rate = range.max_rate.max(*rate);
-                range.max_tone = range.max_tone.max(*tone);
+                range.max_tone_rate = range.max_tone_rate.map(|most| most.max(*tone));
             }
         }
         // Squares may exceed the range of numbers: then nothing is known.
@@ -62,7 +84,7 @@ impl WindowRange {
             (Way::Low, self.mean[0] - slack),
             (Way::Strong, LEVEL_SLACK * self.max_rms + slack),
             (Way::Fast, LEVEL_SLACK * self.max_rate),
-            (Way::Tonal, TONE_SLACK * self.max_tone),
+            (Way::Tonal, LEVEL_SLACK * self.max_tone_rate.unwrap_or(f64::INFINITY)),
         ]
     }
 }
@@ -140,7 +162,8 @@ mod tests {
         let [range] = ranges(&model, [&x, &x])[..] else { panic!("one output") };
         let rms = 2.0_f64.sqrt();
         assert!((range.max_rms - rms).abs() < 0.02, "{range:?}");
-        assert!((range.max_tone - rms).abs() < 0.05, "{range:?}");
+        let rate = rms * std::f64::consts::TAU * 20.0;
+        assert!((range.max_tone_rate.unwrap() - rate).abs() < 0.05 * rate, "{range:?}");
         assert!((range.max_rate - rms * std::f64::consts::TAU * 20.0).abs() < 5.0, "{range:?}");
         assert!(range.mean.iter().all(|mean| (mean - 3.5).abs() < 0.06), "{range:?}");
         let opposite: Vec<f64> = x.iter().map(|v| 1.5 - v).collect();
@@ -172,6 +195,32 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_tone_as_strong_as_the_drives_it_is_known_from_is_inside() {
+        let model = adder();
+        let mut many = vec![0.0; 8000];
+        for hz in [6.0, 14.0, 22.0, 30.0, 38.0, 46.0] {
+            many.iter_mut().zip(tone(hz, 0.5, 0.0)).for_each(|(sum, v)| *sum += v);
+        }
+        let still = vec![0.0; 8000];
+        let known = ranges(&model, [&many, &still]);
+        assert_eq!(ways(&model, &known, [&tone(6.0, 1.2, 0.0), &still]), []);
+        assert_eq!(ways(&model, &known, [&tone(46.0, 0.6, 0.0), &still]), [Way::Tonal]);
+    }
+
+    #[test]
+    fn ranges_of_before_tones_had_rates_are_read_and_judge_none() {
+        let old = serde_json::json!({"window": 256, "mean": [0.0, 1.0], "max_rms": 2.0, "max_rate": 3.0, "max_tone": 0.5});
+        let range: WindowRange = serde_json::from_value(old).unwrap();
+        assert_eq!(range.max_tone_rate, None);
+        assert!(range.limits().iter().all(|(way, limit)| *way != Way::Tonal || limit.is_infinite()));
+        let new = serde_json::to_value(WindowRange { max_tone_rate: Some(7.0), ..range }).unwrap();
+        assert_eq!(serde_json::from_value::<WindowRange>(new.clone()).unwrap().max_tone_rate, Some(7.0));
+        assert!(new.get("max_tone").is_none());
+        let unknown = serde_json::json!({"window": 256, "mean": [0.0, 1.0], "max_rms": 2.0, "max_rate": 3.0, "tone": 0.5});
+        assert!(serde_json::from_value::<WindowRange>(unknown).is_err());
+    }
+
+    #[test]
     fn squares_beyond_the_range_of_numbers_leave_nothing_known() {
         let model = adder();
         let huge = tone(20.0, 1e160, 0.0);
@@ -187,6 +236,6 @@ mod tests {
         assert_eq!(known.len(), 2);
         assert!((known[0].max_rms - 0.5_f64.sqrt()).abs() < 0.01, "{known:?}");
         assert_eq!(ways(&model, &known, [&a, &a]), []);
-        assert_eq!(ways(&model, &known, [&tone(45.0, 0.9, 0.0), &b]), [Way::Fast]);
+        assert_eq!(ways(&model, &known, [&tone(45.0, 0.9, 0.0), &b]), [Way::Fast, Way::Tonal]);
     }
 }
