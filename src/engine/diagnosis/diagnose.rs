@@ -13,6 +13,7 @@ use super::verdict::{SURE_OF_TWO, judge};
 use super::views::Views;
 use crate::EngineError;
 use crate::diagnosis::data::locate;
+use crate::diagnosis::data::means::drift;
 use crate::diagnosis::data::overview::{Overview, gaps};
 use crate::diagnosis::data::prepare::{Prepared, prepare};
 use crate::diagnosis::effects::effect::{Effect, Tier};
@@ -59,11 +60,15 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
         if let Some(verdict) = prepared.from_repeats.then(without).flatten() {
             return finish(input, &prepared, &overview, verdict, None, watch);
         }
+        let mut drifts = drifting(input, &prepared, &overview, watch)?;
+        if let Some(Drifting { verdict, outcome, .. }) = drifts.take_if(|d| d.left < input.material_gap) {
+            return finish(input, &prepared, &overview, verdict, Some(outcome), watch);
+        }
         let first = |p: Progress<'_>| watch(p.within(&(0.0..0.5)));
         let found = by_transfer(input, &overview, &first)?;
         if prepared.from_repeats {
             let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
-            let outcome = contest(input, &prepared, &overview, &second)?;
+            let outcome = contest(input, &input.catalogue, &prepared, &overview, &second)?;
             let verdict = judge(input, &prepared, &overview, &outcome);
             let fitted = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining);
             let carried = found.hypotheses.first().map_or(1.0, |(best, _)| best.remaining_share);
@@ -71,12 +76,17 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
                 return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
             }
         }
+        if !found.verdict.kind.blames()
+            && let Some(Drifting { verdict, outcome, .. }) = drifts
+        {
+            return finish(input, &prepared, &overview, verdict, Some(outcome), watch);
+        }
         return from_transfer(input, &prepared, &overview, found, watch);
     }
     let (verdict, outcome) = match without() {
         Some(verdict) => (verdict, None),
         None => {
-            let outcome = contest(input, &prepared, &overview, watch)?;
+            let outcome = contest(input, &input.catalogue, &prepared, &overview, watch)?;
             (judge(input, &prepared, &overview, &outcome), Some(outcome))
         }
     };
@@ -88,6 +98,34 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
         }
     }
     finish(input, &prepared, &overview, verdict.of_a_sim_that_errs(input, &prepared), outcome, watch)
+}
+
+/// An offset that drifts.
+struct Drifting<'p> {
+    verdict: Verdict,
+    outcome: Outcome<'p>,
+    /// RMS of what it leaves, relative to the response.
+    left: f64,
+}
+
+/// An offset that drifts, which transfer between runs does not see; `None` where none does. Repeats tell it with all
+/// else that they do.
+fn drifting<'p>(
+    input: &Input,
+    prepared: &'p Prepared,
+    overview: &Overview,
+    watch: Watch<'_>,
+) -> Result<Option<Drifting<'p>>, EngineError> {
+    let drifts = |&r: &usize| drift(&prepared.problems[r], input.material_gap);
+    let sought = !prepared.from_repeats && input.catalogue.contains(&Effect::OffsetDrift);
+    if !sought || !overview.seen.iter().any(drifts) {
+        return Ok(None);
+    }
+    let outcome = contest(input, &[Effect::OffsetDrift], prepared, overview, watch)?;
+    let verdict = judge(input, prepared, overview, &outcome);
+    let left = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining.max(0.0).sqrt());
+    let found = Drifting { verdict, outcome, left: left * overview.whole() };
+    Ok(Some(found).filter(|found| found.verdict.kind.blames()))
 }
 
 /// The report of what follows from transfer between runs.

@@ -2,6 +2,7 @@
 
 pub mod disturbance;
 pub mod locate;
+pub mod means;
 pub mod noise;
 pub mod overview;
 pub mod prepare;

@@ -15,6 +15,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::Problem;
 use crate::diagnosis::effects::candidate::Candidate;
+use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::fit::fitting::{Effort, Fitted, finish, fit, tolerant};
 use crate::diagnosis::fit::start::Regression;
 use crate::diagnosis::fit::twins::exchange;
@@ -43,12 +44,13 @@ pub struct Outcome<'p> {
     pub rows: f64,
 }
 
-/// Fits every candidate at its host, carries the best to the other responses and ranks all.
+/// Fits every candidate of a catalogue at its host, carries the best to the other responses and ranks all.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
 pub fn contest<'p>(
     input: &Input,
+    catalogue: &[Effect],
     prepared: &'p Prepared,
     overview: &Overview,
     watch: Watch<'_>,
@@ -62,7 +64,7 @@ pub fn contest<'p>(
     for (r, regression) in &regressions {
         let problem = &prepared.problems[*r];
         let ranges = FreeRanges::of(problem, &regression.smooth);
-        for part in parts(problem, &input.catalogue, in_situ, ranges) {
+        for part in parts(problem, catalogue, in_situ, ranges) {
             if placement.seek(part.effect, part.drive, *r) {
                 tasks.push((*r, regression, Candidate::of(part, in_situ)));
             }

@@ -70,7 +70,7 @@ mod tests {
         let input = Input { catalogue: few(), ..request(force, 0.01) };
         let prepared = prepare(&input).unwrap();
         let overview = Overview::new(&input, &prepared);
-        let ranked = contest(&input, &prepared, &overview, &unwatched).unwrap().ranked;
+        let ranked = contest(&input, &input.catalogue, &prepared, &overview, &unwatched).unwrap().ranked;
         let asked = ranked.iter().filter(|r| r.scored.beside.is_some()).count();
         (ranked[0].scored.clone(), asked)
     }

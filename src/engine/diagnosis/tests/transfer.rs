@@ -1,6 +1,7 @@
 //! Requests without repeats, as most users send them: the model's own runs, in situ.
 
 use super::rig::{Force, friction, noise_drive, none, request, respond, run};
+use crate::diagnosis::numerics::linear::rms;
 use crate::diagnosis::{Augmented, Effect, Family, Input, Mode, NoiseSource, Report, VerdictKind, diagnose};
 use crate::progress::unwatched;
 use crate::{EngineError, Signal};
@@ -184,6 +185,29 @@ fn a_model_that_errs_on_a_linear_rig_is_no_effect() {
     let verdict = report(&input).verdict;
     assert_eq!(verdict.kind, VerdictKind::NoneOfCatalogue, "{verdict:?}");
     assert!(verdict.because.iter().any(|b| b.contains("the model errs")), "{verdict:?}");
+}
+
+#[test]
+fn an_offset_that_drifts_is_seen_in_the_means() {
+    let mut input = unrepeated(none, 0.001);
+    let level = rms(input.runs[0].response.channel(0));
+    let all = input.runs.iter().map(|run| run.drive.duration_s()).sum::<f64>();
+    let mut started_s = 0.0;
+    for run in &mut input.runs {
+        run.started_s = started_s;
+        let at = |t: usize| (started_s + t as f64 / super::rig::RATE) / all;
+        let y = run.response.channel(0).iter().enumerate();
+        let drifted = y.map(|(t, y)| y + 0.5 * level * at(t)).collect();
+        run.response = Signal::new(super::rig::RATE, vec![drifted]).unwrap();
+        started_s += run.drive.duration_s();
+    }
+    let found = report(&input);
+    let verdict = &found.verdict;
+    assert!(verdict.kind.blames() && verdict.effect == Some(Effect::OffsetDrift), "{verdict:?}");
+    assert!(found.hypotheses[0].held_out.closure > 0.8, "{:?}", found.hypotheses[0].held_out);
+    // Where it may not be named nothing else is.
+    input.catalogue.retain(|effect| *effect != Effect::OffsetDrift);
+    assert!(!report(&input).verdict.kind.blames());
 }
 
 #[test]
