@@ -17,9 +17,8 @@
 //! through what the linear part has beyond that filter.
 //!
 //! What a regression beside a free linear part cannot carry is not here: linear changes, delays and offsets are
-//! part of it; an offset that drifts is lost with the means, which are taken off stretch by stretch, and sought before
-//! ([`drift`](super::data::means::drift)); noise and lines follow from no drive; valve flow stands as its second-order
-//! series.
+//! part of it; an offset that drifts is lost with the means, which are taken off stretch by stretch, and sought in them
+//! before; noise and lines follow from no drive; valve flow stands as its second-order series.
 
 mod band;
 mod bend;
