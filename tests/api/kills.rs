@@ -27,7 +27,7 @@ struct Acknowledged {
 }
 
 /// Longest time after a start in which interrupted jobs are resumed and these short ones end.
-const LIMIT: Duration = Duration::from_secs(180);
+const LIMIT: Duration = Duration::from_secs(60);
 
 type Shared = Arc<Mutex<Acknowledged>>;
 
