@@ -1,7 +1,7 @@
 //! Means of what the sim leaves, part by part of each run: the screen takes them off, and what drifts with them.
 
 use super::problem::{Problem, Stretch};
-use crate::diagnosis::numerics::linear::mean;
+use crate::diagnosis::numerics::linear::{mean, rms};
 
 /// Parts of a stretch.
 const PARTS: usize = 8;
@@ -13,14 +13,9 @@ const CLEAR: f64 = 10.0;
 pub fn drift(problem: &Problem, material_gap: f64) -> bool {
     let stretches = || problem.fit.iter().chain(&problem.select).chain(&problem.test);
     let points: Vec<Point> = stretches().flat_map(|s| points(s, problem.response)).collect();
-    let (mut power, mut rows) = (0.0, 0.0);
-    for stretch in stretches() {
-        let scored = stretch.scored(stretch.measured.to_vec());
-        power += scored.iter().map(|y| y * y).sum::<f64>();
-        rows += scored.len() as f64;
-    }
-    let Some([by_line, scatter]) = line(&points) else { return false };
-    by_line > material_gap * material_gap * power / f64::max(rows, 1.0) && by_line > CLEAR * scatter
+    let measured: Vec<f64> = stretches().flat_map(|s| s.scored(s.measured.to_vec())).collect();
+    let least = material_gap * rms(&measured);
+    line(&points).is_some_and(|[by_line, scatter]| by_line > least * least && by_line > CLEAR * scatter)
 }
 
 /// A mean over a part of a stretch.

@@ -15,7 +15,8 @@ pub(super) enum Way {
 }
 
 impl Way {
-    /// The one of the levels of a window that the way is about: its mean, RMS about it, RMS of the rate, RMS of the rate of a tone.
+    /// The one of the levels of a window that the way is about: its mean, RMS about it, RMS of the rate, RMS of the rate
+    /// of a tone.
     pub fn level(self, levels: &[f64]) -> f64 {
         match self {
             Self::High | Self::Low => levels[0],

@@ -99,10 +99,10 @@ fn a_small_sine_beyond_the_band_of_the_training_is_outside() {
         let t = trust_of(model, &x);
         assert_eq!(t.inside, 0.0, "{kind}: {t:?}");
         let [span, faster @ ..] = &t.spans[..] else { panic!("{kind}: {t:?}") };
-        assert!(
-            faster.iter().all(|span| span.reason.starts_with("RMS of the rate of a single tone")),
-            "{t:?}"
-        );
+        // An FRF passes nothing beyond its band; without one the drive itself is also a faster tone than any before.
+        let reasons: Vec<&str> = faster.iter().map(|span| &span.reason[..32]).collect();
+        let tone = ["RMS of the rate of a single tone"];
+        assert_eq!(reasons, if kind == "lstm" { &tone[..] } else { &[] }, "{kind}: {t:?}");
         assert_eq!((span.from_s, span.to_s, span.channel.as_str()), (0.0, 10.0, "drive_0"), "{kind}");
         assert!(span.reason.starts_with("100 % of the power lies outside 0 to 5"), "{kind}: {}", span.reason);
         assert!(span.reason.contains("Hz"), "{kind}: {}", span.reason);
