@@ -27,6 +27,7 @@ mod force;
 mod frame;
 mod retune;
 mod rig;
+mod runge_kutta;
 mod sim;
 mod source;
 mod suites;

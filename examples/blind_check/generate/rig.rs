@@ -6,6 +6,7 @@ use rand::{Rng, RngExt};
 use super::axis::{Axis, MASSES, STATES, actuator};
 use super::flaw::{Flaw, Placed};
 use super::force::{Moment, changed, law};
+use super::runge_kutta;
 
 /// Steps of the integrator per sample of what is recorded.
 pub const FINE: usize = 16;
@@ -130,7 +131,7 @@ impl Rig {
         let blank = || vec![Vec::with_capacity(n); axes];
         let mut motion = Motion { y: blank(), v: blank(), f: blank() };
         let mut state = [0.0; N];
-        let mut slopes = [[0.0; N]; 4];
+        let mut slope = [0.0; N];
         let mut input = Moment { drives: vec![0.0; commands.len()], clock: 0.0, seconds: 0.0 };
         for k in 0..n {
             for (a, axis) in self.axes.iter().enumerate() {
@@ -141,7 +142,7 @@ impl Rig {
             }
             let next = (k + 1).min(n - 1);
             for step in 0..span.steps {
-                for (stage, share) in [0.0, 0.5, 0.5, 1.0].into_iter().enumerate() {
+                runge_kutta::step(&mut state, h, &mut slope, |q, share, d| {
                     let place = (step as f64 + share) / span.steps as f64;
                     let between = if self.held { 0.0 } else { place };
                     for (u, c) in input.drives.iter_mut().zip(&commands) {
@@ -149,16 +150,8 @@ impl Rig {
                     }
                     input.clock = span.time[0] + span.time[1] * (k as f64 + place);
                     input.seconds = (k as f64 + place) / RATE;
-                    let mut moved = state;
-                    if stage > 0 {
-                        moved.iter_mut().zip(&slopes[stage - 1]).for_each(|(q, d)| *q += share * h * d);
-                    }
-                    self.slope(&moved, &input, flaws, &mut slopes[stage]);
-                }
-                for (i, q) in state.iter_mut().enumerate() {
-                    let [a, b, c, d] = [0, 1, 2, 3].map(|stage| slopes[stage][i]);
-                    *q += h / 6.0 * (a + 2.0 * b + 2.0 * c + d);
-                }
+                    self.slope(q, &input, flaws, d);
+                });
             }
         }
         motion

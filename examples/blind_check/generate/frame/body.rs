@@ -1,6 +1,7 @@
 //! A row of masses with what is not linear in it, integrated by the fourth-order Runge-Kutta method.
 
 use super::super::rig::{COARSE, RATE, rms};
+use super::super::runge_kutta;
 use super::law::{Law, MEMORY};
 
 /// Most masses in a row, and most drives.
@@ -124,7 +125,8 @@ impl Frame {
         let mut out = vec![Vec::with_capacity(n); self.sensors.len()];
         let mut at_site = [const { Vec::new() }; 3];
         let mut state = [0.0; STATES];
-        let mut slopes = [[0.0; STATES]; 4];
+        // The slope of the latest stage; what it does not set stays zero.
+        let mut slope = [0.0; STATES];
         for k in 0..n {
             let next = (k + 1).min(n - 1);
             let input = |share: f64| -> [f64; DRIVES + 1] {
@@ -134,30 +136,22 @@ impl Frame {
                 now[DRIVES] = stretch.process.map_or(0.0, between);
                 now
             };
-            self.slope(&state, input(0.0), beyond, &mut slopes[0]);
+            self.slope(&state, input(0.0), beyond, &mut slope);
             for (sensor, out) in self.sensors.iter().zip(&mut out) {
                 out.push(match sensor.quantity {
                     Quantity::Displacement => state[sensor.mass],
-                    Quantity::Acceleration => slopes[0][MASSES + sensor.mass],
+                    Quantity::Acceleration => slope[MASSES + sensor.mass],
                     Quantity::Force => self.stiffness[0] * state[0] + self.damping[0] * state[MASSES],
                 });
             }
-            let (y, v) = self.motion(&state, &slopes[0]);
+            let (y, v) = self.motion(&state, &slope);
             let all = [y, v, self.spring() * y];
             at_site.iter_mut().zip(all).for_each(|(to, x)| to.push(x));
             for step in 0..stretch.steps {
-                for (stage, share) in [0.0, 0.5, 0.5, 1.0].into_iter().enumerate() {
-                    let mut moved = state;
-                    if stage > 0 {
-                        moved.iter_mut().zip(&slopes[stage - 1]).for_each(|(q, d)| *q += share * h * d);
-                    }
-                    let at = input((step as f64 + share) / stretch.steps as f64);
-                    self.slope(&moved, at, beyond, &mut slopes[stage]);
-                }
-                for (i, q) in state.iter_mut().enumerate() {
-                    let [a, b, c, d] = [0, 1, 2, 3].map(|stage| slopes[stage][i]);
-                    *q += h / 6.0 * (a + 2.0 * b + 2.0 * c + d);
-                }
+                runge_kutta::step(&mut state, h, &mut slope, |q, share, d| {
+                    let at = (step as f64 + share) / stretch.steps as f64;
+                    self.slope(q, input(at), beyond, d);
+                });
             }
         }
         (out, at_site)
