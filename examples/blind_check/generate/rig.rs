@@ -131,7 +131,6 @@ impl Rig {
         let blank = || vec![Vec::with_capacity(n); axes];
         let mut motion = Motion { y: blank(), v: blank(), f: blank() };
         let mut state = [0.0; N];
-        let mut slope = [0.0; N];
         let mut input = Moment { drives: vec![0.0; commands.len()], clock: 0.0, seconds: 0.0 };
         for k in 0..n {
             for (a, axis) in self.axes.iter().enumerate() {
@@ -142,7 +141,7 @@ impl Rig {
             }
             let next = (k + 1).min(n - 1);
             for step in 0..span.steps {
-                runge_kutta::step(&mut state, h, &mut slope, |q, share, d| {
+                runge_kutta::step(&mut state, h, |q, share, d| {
                     let place = (step as f64 + share) / span.steps as f64;
                     let between = if self.held { 0.0 } else { place };
                     for (u, c) in input.drives.iter_mut().zip(&commands) {

@@ -1,19 +1,19 @@
 //! The fourth-order Runge-Kutta method.
 
 /// Moves `state` on by `h`. `slope(q, share, d)` writes the time derivative at the state `q` and the `share` of the step
-/// into `d`, which comes as the call before left it.
+/// into `d`; what it never writes is zero.
 pub fn step<const N: usize>(
     state: &mut [f64; N],
     h: f64,
-    d: &mut [f64; N],
     mut slope: impl FnMut(&[f64; N], f64, &mut [f64; N]),
 ) {
-    slope(state, 0.0, d);
-    let mut sum = *d;
+    let mut d = [0.0; N];
+    slope(state, 0.0, &mut d);
+    let mut sum = d;
     for (share, weight) in [(0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
-        let moved = plus(state, share * h, d);
-        slope(&moved, share, d);
-        sum = plus(&sum, weight, d);
+        let moved = plus(state, share * h, &d);
+        slope(&moved, share, &mut d);
+        sum = plus(&sum, weight, &d);
     }
     *state = plus(state, h / 6.0, &sum);
 }

@@ -125,7 +125,6 @@ impl Frame {
         let mut out = vec![Vec::with_capacity(n); self.sensors.len()];
         let mut at_site = [const { Vec::new() }; 3];
         let mut state = [0.0; STATES];
-        // The slope of the latest stage; what it does not set stays zero.
         let mut slope = [0.0; STATES];
         for k in 0..n {
             let next = (k + 1).min(n - 1);
@@ -148,7 +147,7 @@ impl Frame {
             let all = [y, v, self.spring() * y];
             at_site.iter_mut().zip(all).for_each(|(to, x)| to.push(x));
             for step in 0..stretch.steps {
-                runge_kutta::step(&mut state, h, &mut slope, |q, share, d| {
+                runge_kutta::step(&mut state, h, |q, share, d| {
                     let at = (step as f64 + share) / stretch.steps as f64;
                     self.slope(q, input(at), beyond, d);
                 });
