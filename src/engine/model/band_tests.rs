@@ -61,12 +61,16 @@ fn measured(rig: &VirtualRig, run: &ProgrammeRun, seed: u64, most: usize) -> Vec
     (0..n).step_by(most).map(piece).collect()
 }
 
-/// Prints how often the bands of noise hold on service loads, for the FRF and for hybrid 2 of the virtual rig.
+/// Prints how often the bands of noise hold on service loads, for the FRF and for hybrid 2 of eight virtual rigs.
 #[test]
 #[ignore = "takes minutes: it fits networks"]
-fn coverage_on_service_loads_of_the_virtual_rig() {
-    let runs = programme(&ProgrammeSettings::of_minutes(8.0), 7).unwrap();
-    let rig = VirtualRig::draw(7);
+fn coverage_on_service_loads_of_virtual_rigs() {
+    (1..=8).for_each(coverage);
+}
+
+fn coverage(seed: u64) {
+    let runs = programme(&ProgrammeSettings::of_minutes(8.0), seed).unwrap();
+    let rig = VirtualRig::draw(seed);
     let of = |kind: RunKind, split: Option<Split>, most: usize| -> Vec<Pair> {
         let chosen = |run: &&ProgrammeRun| {
             run.kind == kind && split.is_none_or(|s| run.split == s) && !run.tags.contains(&"linear")
@@ -87,7 +91,7 @@ fn coverage_on_service_loads_of_the_virtual_rig() {
             ..LstmOptions::default()
         };
         let fitted = fit(&FitData::of_training(training.clone()), &settings, &unwatched).unwrap();
-        println!("{kind:?}: held-out RMS {:.3?}", fitted.report.validation_rms);
+        println!("rig {seed}, {kind:?}: held-out RMS {:.3?}", fitted.report.validation_rms);
         let predictor = Predictor::new(fitted.model).unwrap();
         let shares: Vec<Vec<(f64, f64)>> = loads.par_iter().map(|load| held(&predictor, load)).collect();
         for (group, channels) in [("displacement", 0..3), ("force", 3..6)] {

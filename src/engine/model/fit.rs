@@ -126,7 +126,8 @@ fn fitted(
     let scores: Vec<SectionScore> =
         predicted.iter().map(|part| part.score(&filtered, data, &settings.preprocess)).collect();
     let residual = fit.residual(&predicted, compares);
-    let band = compares.then(|| Band::calibrate(&chosen.model, &filtered, &predicted)).transpose()?;
+    let band =
+        compares.then(|| Band::calibrate(&chosen.model, &filtered, &sections, &predicted)).transpose()?;
     drop(predicted);
     let mut fitted = if sections.refit { fit.again(&chosen, &sections, &scores)? } else { chosen };
     fitted.model.preprocess = settings.preprocess;

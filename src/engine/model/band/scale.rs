@@ -1,4 +1,4 @@
-//! The local scale of residuals: mean squares over a window, and their fit by squares that add up.
+//! The fit of the local scale of residuals: squares that add up.
 
 /// The floor is at least this share of the residuals' mean square: a scale of zero says nothing.
 const LEAST_FLOOR: f64 = 1e-4;
@@ -6,38 +6,24 @@ const LEAST_FLOOR: f64 = 1e-4;
 /// Rounds in which the rows are weighted by the scale itself.
 const ROUNDS: usize = 6;
 
-/// Mean of the squares over up to `window` samples about each one; fewer at the ends.
-pub(super) fn moving_mean_square(values: impl Iterator<Item = f64>, window: usize) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    sums.extend(values.scan(0.0, |sum, v| {
-        *sum += v * v;
-        Some(*sum)
-    }));
-    let n = sums.len() - 1;
-    let (before, after) = (window / 2, window - window / 2);
-    (0..n)
-        .map(|t| {
-            let (from, to) = (t.saturating_sub(before), n.min(t + after));
-            ((sums[to] - sums[from]) / (to - from) as f64).max(0.0)
-        })
-        .collect()
-}
+/// What the mean square of a residual over a window is told by, the first of it 1; and the mean square.
+pub(super) type Row<const N: usize> = ([f64; N], f64);
 
-/// Squares of floor, level and correction, none below zero, that fit the rows `(features, mean square)` best in relative
-/// terms.
-pub(super) fn fit(rows: &[([f64; 3], f64)]) -> [f64; 3] {
+/// The coefficients, none below zero and the first of them above it, that fit the rows best in relative terms.
+pub(super) fn fit<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
     let n = rows.len().max(1) as f64;
     let mean = rows.iter().map(|(_, square)| square).sum::<f64>() / n;
     if mean <= 0.0 {
-        return [0.0; 3];
+        return [0.0; N];
     }
-    let mut found = [mean, 0.0, 0.0];
+    let mut found = [0.0; N];
+    found[0] = mean;
     for _ in 0..ROUNDS {
-        let expected = |x: &[f64; 3]| {
+        let expected = |x: &[f64; N]| {
             let fitted: f64 = x.iter().zip(&found).map(|(x, f)| x * f).sum();
             fitted.max(LEAST_FLOOR * mean)
         };
-        let weighted: Vec<([f64; 3], f64)> =
+        let weighted: Vec<Row<N>> =
             rows.iter().map(|(x, square)| (x.map(|v| v / expected(x)), square / expected(x))).collect();
         found = non_negative(&weighted);
     }
@@ -46,18 +32,18 @@ pub(super) fn fit(rows: &[([f64; 3], f64)]) -> [f64; 3] {
 }
 
 /// Least squares with coefficients that are not negative: the best of all choices of columns.
-fn non_negative(rows: &[([f64; 3], f64)]) -> [f64; 3] {
-    let mut gram = [[0.0; 3]; 3];
-    let mut right = [0.0; 3];
+fn non_negative<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
+    let mut gram = [[0.0; N]; N];
+    let mut right = [0.0; N];
     for (x, y) in rows {
-        for i in 0..3 {
+        for i in 0..N {
             right[i] += x[i] * y;
-            (0..3).for_each(|j| gram[i][j] += x[i] * x[j]);
+            (0..N).for_each(|j| gram[i][j] += x[i] * x[j]);
         }
     }
-    let mut best = ([0.0; 3], 0.0);
-    for chosen in 1..8_usize {
-        let columns: Vec<usize> = (0..3).filter(|i| chosen >> i & 1 == 1).collect();
+    let mut best = ([0.0; N], 0.0);
+    for chosen in 1..1_usize << N {
+        let columns: Vec<usize> = (0..N).filter(|i| chosen >> i & 1 == 1).collect();
         let Some(found) = solve(&gram, &right, &columns) else { continue };
         // By how much it lowers the sum of squares.
         let gain: f64 = found.iter().zip(&right).map(|(f, r)| f * r).sum();
@@ -69,7 +55,7 @@ fn non_negative(rows: &[([f64; 3], f64)]) -> [f64; 3] {
 }
 
 /// Solves the normal equations of some columns by elimination; the others are zero. `None` where columns say the same.
-fn solve(gram: &[[f64; 3]; 3], right: &[f64; 3], columns: &[usize]) -> Option<[f64; 3]> {
+fn solve<const N: usize>(gram: &[[f64; N]; N], right: &[f64; N], columns: &[usize]) -> Option<[f64; N]> {
     // Scaled so that the diagonal is one.
     let size = |i: usize| gram[i][i].sqrt();
     if columns.iter().any(|&i| size(i) <= 0.0) {
@@ -93,7 +79,7 @@ fn solve(gram: &[[f64; 3]; 3], right: &[f64; 3], columns: &[usize]) -> Option<[f
             row.iter_mut().zip(&above[pivot]).for_each(|(v, p)| *v -= factor * p);
         }
     }
-    let mut found = [0.0; 3];
+    let mut found = [0.0; N];
     let mut solved = vec![0.0; n];
     for pivot in (0..n).rev() {
         let known: f64 = (pivot + 1..n).map(|column| rows[pivot][column] * solved[column]).sum();
@@ -108,10 +94,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_window_lies_about_its_sample_and_is_shorter_at_the_ends() {
-        let found = moving_mean_square([1.0, 0.0, 2.0, 0.0].into_iter(), 2);
-        assert_eq!(found, [1.0, 0.5, 2.0, 2.0]);
-        assert_eq!(moving_mean_square([3.0].into_iter(), 256), [9.0]);
-        assert!(moving_mean_square(std::iter::empty(), 256).is_empty());
+    fn coefficients_that_add_up_are_found_and_those_of_no_use_are_zero() {
+        let row = |t: usize| {
+            let (a, b) = (f64::from(t as u32 % 7), f64::from(t as u32 % 11));
+            ([1.0, a, b, a * b], 0.2 + 3.0 * b)
+        };
+        let rows: Vec<Row<4>> = (0..500).map(row).collect();
+        let found = fit(&rows);
+        let expected = [0.2, 0.0, 3.0, 0.0];
+        assert!(found.iter().zip(expected).all(|(f, e)| (f - e).abs() < 1e-9), "{found:?}");
+        // A column twice, and one that would have to be subtracted.
+        let rows: Vec<Row<3>> = rows.iter().map(|(x, y)| ([1.0, x[2], x[2]], 40.0 - y)).collect();
+        let found = fit(&rows);
+        assert!(found[0] > 1.0 && found[1] == 0.0 && found[2] == 0.0, "{found:?}");
+    }
+
+    #[test]
+    fn residuals_of_zero_have_no_scale() {
+        assert_eq!(fit(&[([1.0, 2.0], 0.0), ([1.0, 3.0], 0.0)]), [0.0; 2]);
+        assert_eq!(fit::<3>(&[]), [0.0; 3]);
     }
 }
