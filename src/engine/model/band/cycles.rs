@@ -7,7 +7,7 @@ use crate::fatigue::{Rainflow, Residue, turning_points};
 const SLOPE: i32 = 5;
 
 /// Stretches, in windows, whose cycles weigh as much as those of any other stretch.
-const WINDOWS: usize = 40;
+pub(super) const WINDOWS: usize = 40;
 
 /// One output over one stretch of the calibration.
 pub(super) struct Stretch<'a> {
@@ -33,23 +33,25 @@ pub(super) fn factor<'a>(cycles: impl Iterator<Item = &'a Cycles>, share: f64) -
     place.map_or(1.0, |[ratio, _]| ratio.max(1.0))
 }
 
-/// The cycles of an output over stretches of so many windows.
+/// The cycles of an output over stretches; of a section shorter than one they weigh in proportion to its length.
 pub(super) fn of_stretches(stretch: &Stretch<'_>, window: usize) -> Cycles {
     let n = stretch.measured.len();
     let len = (WINDOWS * window).min(n).max(1);
     let starts = (0..(n + 1).saturating_sub(len)).step_by(len);
+    let weight = len as f64 / (WINDOWS * window) as f64;
     let of = |start| {
         let at = start..start + len;
-        of_stretch(&Stretch {
+        let stretch = Stretch {
             measured: &stretch.measured[at.clone()],
             residual: &stretch.residual[at.clone()],
             half_width: &stretch.half_width[at],
-        })
+        };
+        of_stretch(&stretch, weight)
     };
     starts.flat_map(of).collect()
 }
 
-fn of_stretch(stretch: &Stretch<'_>) -> Cycles {
+fn of_stretch(stretch: &Stretch<'_>, together: f64) -> Cycles {
     let cycles = Rainflow::of_points(&turning_points(stretch.measured)).all_cycles(Residue::Repeated);
     let largest = cycles.iter().map(|cycle| cycle.range()).fold(0.0, f64::max);
     let of = |cycle: &crate::fatigue::Cycle| {
@@ -61,7 +63,7 @@ fn of_stretch(stretch: &Stretch<'_>) -> Cycles {
     };
     let found: Vec<[f64; 2]> = cycles.iter().filter_map(of).collect();
     let sum: f64 = found.iter().map(|[_, weight]| weight).sum();
-    found.into_iter().map(|[ratio, weight]| [ratio, weight / sum]).collect()
+    found.into_iter().map(|[ratio, weight]| [ratio, together * weight / sum]).collect()
 }
 
 #[cfg(test)]
@@ -91,6 +93,22 @@ mod tests {
         assert_eq!(of(between), 1.0);
         // An offset changes no range.
         assert_eq!(of(vec![0.3; n]), 1.0);
+    }
+
+    #[test]
+    fn a_short_section_weighs_less_than_a_stretch() {
+        let measured = measured(8000);
+        let half_width = vec![0.1; 8000];
+        let tenth: Vec<f64> = measured.iter().map(|y| 0.1 * y).collect();
+        let right = vec![0.0; 8000];
+        let of = |residual: &[f64], n: usize| {
+            let stretch =
+                Stretch { measured: &measured[..n], residual: &residual[..n], half_width: &half_width[..n] };
+            of_stretches(&stretch, 100)
+        };
+        // An eighth of a stretch is wrong, two whole ones are right.
+        assert_eq!(factor([of(&tenth, 500), of(&right, 8000)].iter(), 0.9), 1.0);
+        assert!(factor([of(&tenth, 8000), of(&right, 8000)].iter(), 0.9) > 5.0);
     }
 
     #[test]

@@ -45,9 +45,9 @@ const WINDOW: usize = 256;
 /// Longest window that is read from a file.
 const MAX_WINDOW: usize = 65_536;
 
-/// Most samples of the training that the scale is fitted to, in pieces of so many windows from all over it.
+/// Most samples of the training that are looked at, in pieces of so many windows from all over it.
 const MOST_TRAINING: usize = 1 << 19;
-const WINDOWS_PER_PIECE: usize = 64;
+const WINDOWS_PER_PIECE: usize = 2 * cycles::WINDOWS;
 
 /// The calibration of a model's band.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -395,6 +395,16 @@ mod tests {
     }
 
     #[test]
+    fn a_network_that_hardly_changes_its_frf_tells_nothing_by_what_it_changes() {
+        let made = |change: f64, seed: u64| Made::of(20_000, seed, |t| [1.0 + t, change * t, 0.05]);
+        let band = band(&[made(1e-9, 1).known()]);
+        let share = held(&band, &made(1e-4, 2).known());
+        let half_width = band.half_widths(&[1.0; 600], Some(&[0.9; 600]), WINDOW)[300];
+        assert!((0.87..0.93).contains(&share) && half_width < 0.5, "{share}, {half_width}: {band:?}");
+        assert!(band.is_one());
+    }
+
+    #[test]
     fn residuals_of_one_scale_and_of_none_have_a_band() {
         let part = |size: f64| Made::of(5000, 5, |_| [1.0, 0.0, 0.02 * size]);
         let one = part(1.0);

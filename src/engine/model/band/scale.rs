@@ -3,13 +3,18 @@
 /// The floor is at least this share of the residuals' mean square: a scale of zero says nothing.
 const LEAST_FLOOR: f64 = 1e-4;
 
+/// Largest coefficient but the first. A signal of which the residual is more than twice has nothing to do with it: a network
+/// that hardly changes an FRF would else make any change that it does make elsewhere look like a large error.
+const MOST: f64 = 4.0;
+
 /// Rounds in which the rows are weighted by the scale itself.
 const ROUNDS: usize = 6;
 
 /// What the mean square of a residual over a window is told by, the first of it 1; and the mean square.
 pub(super) type Row<const N: usize> = ([f64; N], f64);
 
-/// The coefficients, none below zero and the first of them above it, that fit the rows best in relative terms.
+/// The coefficients, none below zero, the first of them above it and the others at most [`MOST`], that fit the rows best in
+/// relative terms.
 pub(super) fn fit<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
     let n = rows.len().max(1) as f64;
     let mean = rows.iter().map(|(_, square)| square).sum::<f64>() / n;
@@ -31,7 +36,7 @@ pub(super) fn fit<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
     found
 }
 
-/// Least squares with coefficients that are not negative: the best of all choices of columns.
+/// Least squares with coefficients that are not negative and not too large: the best of all choices of columns.
 fn non_negative<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
     let mut gram = [[0.0; N]; N];
     let mut right = [0.0; N];
@@ -47,7 +52,8 @@ fn non_negative<const N: usize>(rows: &[Row<N>]) -> [f64; N] {
         let Some(found) = solve(&gram, &right, &columns) else { continue };
         // By how much it lowers the sum of squares.
         let gain: f64 = found.iter().zip(&right).map(|(f, r)| f * r).sum();
-        if found.iter().all(|f| *f >= 0.0) && gain > best.1 {
+        let possible = found[0] >= 0.0 && found[1..].iter().all(|f| (0.0..=MOST).contains(f));
+        if possible && gain > best.1 {
             best = (found, gain);
         }
     }
@@ -107,6 +113,14 @@ mod tests {
         let rows: Vec<Row<3>> = rows.iter().map(|(x, y)| ([1.0, x[2], x[2]], 40.0 - y)).collect();
         let found = fit(&rows);
         assert!(found[0] > 1.0 && found[1] == 0.0 && found[2] == 0.0, "{found:?}");
+    }
+
+    #[test]
+    fn a_signal_much_smaller_than_the_residual_tells_nothing_of_it() {
+        let rows: Vec<Row<2>> =
+            (0..500_u32).map(|t| ([1.0, 1e-12 * f64::from(t % 7)], 1.0 + f64::from(t % 7))).collect();
+        let found = fit(&rows);
+        assert!(found[1] == 0.0 && (2.0..6.0).contains(&found[0]), "{found:?}");
     }
 
     #[test]
