@@ -197,7 +197,7 @@ impl<'a> Lab<'a> {
 
     async fn fit(&mut self, kind: &'static str) -> Outcome {
         let mut request = json!({"kind": kind, "activate": "never"});
-        if kind == "hybrid1" || kind == "hybrid2" {
+        if (kind == "hybrid1" || kind == "hybrid2") && !self.args.frf_of_all_noise {
             request["frf"] = json!({"runs": {"tags": ["linear"]}});
         }
         if kind != "frf" {

@@ -64,6 +64,9 @@ pub struct Args {
     /// Epochs of a network; left out: those of the default settings.
     #[arg(long)]
     epochs: Option<usize>,
+    /// Estimate the FRF of the hybrids from all noise, not from the small, centred noise alone.
+    #[arg(long)]
+    frf_of_all_noise: bool,
     /// Seed of the rigs and their drives.
     #[arg(long, default_value_t = 1)]
     seed: u64,
