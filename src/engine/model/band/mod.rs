@@ -91,10 +91,9 @@ impl Band {
         // Predicted once more rather than kept: an hour of many channels is too much for that.
         let cycles: Vec<Vec<Cycles>> = training.each(&|k, known| scaled[k].cycles(known, window))?;
         let output = |(k, band): (usize, &OutputBand)| {
-            let training: Vec<&Cycles> = cycles.iter().map(|cycles| &cycles[k]).collect();
             let compared: Vec<Cycles> =
                 parts.iter().map(|part| band.cycles(&part.known(k), window)).collect();
-            band.clone().with_cycles(&training, &compared.iter().collect::<Vec<_>>())
+            band.clone().with_cycles(cycles.iter().map(|cycles| &cycles[k]), &compared)
         };
         Ok(Self { window, outputs: scaled.par_iter().enumerate().map(output).collect() })
     }

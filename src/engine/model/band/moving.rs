@@ -14,12 +14,13 @@ pub(super) fn moving_mean(values: impl Iterator<Item = f64>, window: usize) -> V
         (sums[to] - sums[from]) / (to - from) as f64
     };
     // Whole windows lie about these.
-    let whole = before.min(n)..(n + 1).saturating_sub(after).max(before.min(n));
+    let start = before.min(n);
+    let end = (n + 1).saturating_sub(after).max(start);
     let mut means = Vec::with_capacity(n);
-    means.extend((0..whole.start).map(at));
+    means.extend((0..start).map(at));
     let (share, pairs) = (1.0 / window as f64, sums.iter().zip(sums.get(window..).unwrap_or_default()));
-    means.extend(pairs.take(whole.len()).map(|(from, to)| (to - from) * share));
-    means.extend((whole.end..n).map(at));
+    means.extend(pairs.take(end - start).map(|(from, to)| (to - from) * share));
+    means.extend((end..n).map(at));
     means
 }
 

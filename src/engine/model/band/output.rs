@@ -133,12 +133,10 @@ impl OutputBand {
         band.with_classes(&parts, window)
     }
 
-    /// With the factor for the damage that holds in all the data of the fit and in those that compare.
-    pub fn with_cycles(self, training: &[&Cycles], compared: &[&Cycles]) -> Self {
-        let all = training.iter().chain(compared).copied();
-        let of_all = cycles::factor(all, COVERAGE);
-        let of_cycles = of_all.max(cycles::factor(compared.iter().copied(), COVERAGE));
-        Self { of_cycles, ..self }
+    /// With the factor for the damage that holds in the data that compare, and in these and the training together.
+    pub fn with_cycles<'a>(self, training: impl Iterator<Item = &'a Cycles>, compared: &'a [Cycles]) -> Self {
+        let of_all = cycles::factor(training.chain(compared), COVERAGE);
+        Self { of_cycles: of_all.max(cycles::factor(compared.iter(), COVERAGE)), ..self }
     }
 
     /// The cycles of a section with their errors over those of the band.
