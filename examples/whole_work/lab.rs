@@ -319,7 +319,7 @@ impl<'a> Lab<'a> {
         Ok((
             None,
             json!({"seconds": began.elapsed().as_secs_f64(), "job_s": job_s, "signal_s": 4.0 * seconds,
-                         "verdict": report["verdict"]}),
+                         "verdict": report["verdict"], "gap": report["gap"], "warnings": report["warnings"]}),
         ))
     }
 }

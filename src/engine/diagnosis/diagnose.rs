@@ -97,7 +97,8 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             return from_transfer(input, &prepared, &overview, found, watch);
         }
     }
-    finish(input, &prepared, &overview, verdict.of_a_sim_that_errs(input, &prepared), outcome, watch)
+    let verdict = verdict.of_a_sim_that_errs(input, &prepared).of_a_sim_that_lacked_more(input, &prepared);
+    finish(input, &prepared, &overview, verdict, outcome, watch)
 }
 
 /// An offset that drifts.
@@ -198,8 +199,10 @@ fn finish(
     let made: Vec<(Hypothesis, Augmented)> =
         listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, overview, ranked)).collect();
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
-    let verdict = verdict.on_test(hypotheses.first());
-    let verdict = Verdict { in_words: sentence(&verdict, hypotheses.first()), ..verdict };
+    let mut verdict = verdict.on_test(hypotheses.first());
+    if verdict.in_words.is_empty() {
+        verdict.in_words = sentence(&verdict, hypotheses.first());
+    }
     report(watch, "next experiment", 0.95)?;
     let next_experiment = next_experiment(input, prepared, &ranked, &verdict);
     let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));

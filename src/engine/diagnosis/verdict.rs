@@ -9,11 +9,14 @@ use crate::diagnosis::findings::hypothesis::{axis, closes_most, place};
 use crate::diagnosis::findings::second::Two;
 use crate::diagnosis::search::contest::Outcome;
 use crate::diagnosis::search::decide::{NOISE_LEFT, Ranked, Ruling, rule};
+use crate::diagnosis::transfer::MODEL_ERRS;
 
 /// Below this probability two effects together are no answer.
 pub(super) const SURE_OF_TWO: f64 = 0.7;
 /// What an equation is believed at most that leaves more than the noise and that transfer does not name.
 const BESIDE_TRANSFER: f64 = 0.8;
+/// What it is believed at most that the catalogue lacks the cause, where the gap holds more than a change: even odds.
+const LACKED_MORE: f64 = 0.5;
 /// What an identified effect closes at least on the test runs.
 const CLOSES: f64 = 0.95;
 
@@ -96,8 +99,27 @@ impl Verdict {
         ));
         if self.kind == VerdictKind::NoMaterialGap && errs >= input.material_gap {
             self.kind = VerdictKind::NoneOfCatalogue;
+            self.in_words = MODEL_ERRS.into();
             self.because.push("nothing beyond that error is left: fit the model again".into());
         }
+        self
+    }
+
+    /// Where a linear sim and the linear part of the baseline part ways on the runs and nothing explains what is left:
+    /// the sim was estimated poorly, or at another level of a rig that bends by itself. The gap then holds what the sim
+    /// lacked before the change too, which may be any effects of the catalogue together.
+    pub(super) fn of_a_sim_that_lacked_more(mut self, input: &Input, prepared: &Prepared) -> Self {
+        let worst = prepared.sim_differs.iter().enumerate().filter_map(|(r, by)| Some((r, (*by)?)));
+        let worst = worst.max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((r, by)) = worst.filter(|_| self.kind == VerdictKind::NoneOfCatalogue) else { return self };
+        self.probability = self.probability.min(LACKED_MORE);
+        self.because.push(format!(
+            "on these runs the model differs by {:.1} % of {} from the linear part of the baseline runs: the rig bends by \
+             itself at their level, or the model errs, and what it lacked before the change is part of this gap; fit a \
+             model that follows the rig at this level",
+            100.0 * by,
+            input.responses[r].name
+        ));
         self
     }
 

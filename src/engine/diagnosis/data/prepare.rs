@@ -37,6 +37,9 @@ pub struct Prepared {
     /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not and stands
     /// for it: relative to the response, by response.
     pub sim_errs: Vec<Option<f64>>,
+    /// What a sim differs by on the runs from the core that stands for it, where that matters: relative to the
+    /// response, by response.
+    pub sim_differs: Vec<Option<f64>>,
     /// What the baseline leaves of each core: the noise before the change.
     pub baseline_noise: Vec<Ar>,
 }
@@ -72,7 +75,9 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
     let stands: Vec<bool> =
         sim_errs.iter().enumerate().map(|(r, errs)| errs.is_some() || input.core_stands(r)).collect();
     let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
-    warnings.extend(other_sim(input, &cut.simulated, &stands));
+    let sim_differs = other_sim(input, &cut.simulated, &stands);
+    let differs = input.responses.iter().zip(&sim_differs).filter(|(_, by)| by.is_some());
+    warnings.extend(differs.map(|(response, _)| format!("core_stands_for_sim: {}", response.name)));
     let mut noises = Vec::new();
     let mut from_repeats = true;
     for (r, fit) in fitted.iter().enumerate() {
@@ -115,6 +120,7 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
         band,
         stands,
         sim_errs,
+        sim_differs,
         baseline_noise,
     })
 }
@@ -206,25 +212,24 @@ fn free_run(core: &Core, run: &Run, response: usize) -> Vec<f64> {
     y
 }
 
-/// A warning for each response at which the sim differs from the core that stands for it by more than
-/// `material_gap` of the response.
-fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>], stands: &[bool]) -> Vec<String> {
-    let differs = |r: &usize| {
-        let stands = stands[*r];
+/// What the sim differs by from the core that stands for it, relative to the response, by response; `None` where that is
+/// less than `material_gap`.
+fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>], stands: &[bool]) -> Vec<Option<f64>> {
+    let differs = |r: usize| {
         let (mut difference, mut size) = (0.0, 0.0);
         for (run, core) in input.runs.iter().zip(simulated) {
-            let Some(sim) = run.simulated.as_ref().filter(|_| stands) else { continue };
-            let (sim, core) = (sim.channel(*r), &core[*r]);
+            let Some(sim) = run.simulated.as_ref().filter(|_| stands[r]) else { continue };
+            let (sim, core) = (sim.channel(r), &core[r]);
             // The beginning is the core's ring-in from rest.
             let from = sim.len() / 5;
             let centre = mean(&core[from..]);
             difference += sim[from..].iter().zip(&core[from..]).map(|(s, c)| (s - c) * (s - c)).sum::<f64>();
             size += core[from..].iter().map(|c| (c - centre) * (c - centre)).sum::<f64>();
         }
-        difference > input.material_gap * input.material_gap * size
+        let by = (difference / size.max(f64::MIN_POSITIVE)).sqrt();
+        (by > input.material_gap).then_some(by)
     };
-    let responses = (0..input.responses.len()).filter(differs);
-    responses.map(|r| format!("core_stands_for_sim: {}", input.responses[r].name)).collect()
+    (0..input.responses.len()).map(differs).collect()
 }
 
 /// A request cut into its stretches.

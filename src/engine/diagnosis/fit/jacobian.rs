@@ -4,53 +4,14 @@
 //! parameter's derivative is one more linear run, and all of them are simulated side by side. What
 //! difference quotients cost a free run a parameter costs a few additions here.
 
-use crate::diagnosis::core::modes::Pole;
+use super::sensitivities::{Closed, Entry, Lane, STEP, sensitivities};
 use crate::diagnosis::data::problem::{Problem, first_equivalent};
 use crate::diagnosis::effects::candidate::{Candidate, INNER_KNOTS, at_samples, inner_signal, inner_spline};
-use crate::diagnosis::effects::kernel::{self, Force, MIDWAY, Scales, Window, weigh};
-use crate::diagnosis::effects::law::{Instant, Law, Memory};
+use crate::diagnosis::effects::kernel::{self, Force};
+use crate::diagnosis::effects::law::Law;
 use crate::diagnosis::effects::plant::{Course, Plant};
 use crate::diagnosis::numerics::levmar::Column;
 use crate::diagnosis::numerics::linear::norm;
-
-/// Step of the slopes of laws and maps, in units of their arguments' RMS or of a parameter's scale.
-const STEP: f64 = 1e-4;
-
-/// How a parameter enters the loop, beside what it adds to the signal outside.
-#[derive(Clone, Copy)]
-enum Entry {
-    /// Only from outside.
-    Outside,
-    /// A state's input from a force.
-    Path { force: usize, state: usize },
-    /// A shape number of a force.
-    Shape { force: usize, number: usize },
-}
-
-/// A parameter's place.
-struct Lane {
-    entry: Entry,
-    /// What it adds outside the loop, per sample; empty for nothing.
-    ext: Vec<f64>,
-}
-
-impl Lane {
-    fn outside(ext: Vec<f64>) -> Self {
-        Self { entry: Entry::Outside, ext }
-    }
-
-    fn of(entry: Entry) -> Self {
-        Self { entry, ext: Vec::new() }
-    }
-}
-
-/// A law that needs the response, with its numbers.
-struct Closed<'a> {
-    law: &'a Law,
-    shape: &'a [f64],
-    path: &'a [f64],
-    other: Vec<f64>,
-}
 
 impl Candidate {
     /// Derivatives of the residual's rows by each parameter; `None` if the free run runs away.
@@ -206,7 +167,7 @@ impl Candidate {
                 .map(|c| Force { law: c.law, shape: c.shape, path: c.path, other: &c.other })
                 .collect();
             let (y, guesses) = kernel::trace(modes, &forces, &ext, problem.scales, stretch.clock)?;
-            let out = simulate_sensitivities(problem, stretch, &closed, &lanes, (&y, &guesses), scale);
+            let out = sensitivities(problem, stretch, &closed, &lanes, (&y, &guesses), scale);
             (y, out)
         };
         for signal in &mut out {
@@ -244,212 +205,6 @@ impl Candidate {
     }
 }
 
-/// Slopes of one force at one instant: by the last three samples and the next, and by its memory.
-struct Slopes {
-    value: f64,
-    by: Window,
-    memory: Memory,
-    /// Of the memory itself: by its own past, and by the change of the response.
-    kept: Memory,
-    gained: Memory,
-}
-
-fn slopes(
-    closed: &Closed<'_>,
-    memory: &mut Memory,
-    instant: impl Fn(f64, f64) -> Instant,
-    scales: Scales,
-) -> Slopes {
-    let at = |y: f64, change: f64, memory: &Memory| {
-        let mut memory = *memory;
-        let value = closed.law.at(closed.shape, instant(y, change), &mut memory);
-        (value, memory)
-    };
-    let (y_step, change_step) = (STEP * scales.y, STEP * scales.dy);
-    let before = *memory;
-    let (value, after) = at(0.0, 0.0, &before);
-    let by_y = (at(y_step, 0.0, &before).0 - at(-y_step, 0.0, &before).0) / (2.0 * y_step);
-    let (up, up_memory) = at(0.0, change_step, &before);
-    let (down, down_memory) = at(0.0, -change_step, &before);
-    let by_change = (up - down) / (2.0 * change_step);
-    let weights = kernel::change(closed.law);
-    let mut found = Slopes {
-        value,
-        by: std::array::from_fn(|i| by_y * MIDWAY[i] + by_change * weights[i]),
-        memory: Memory::default(),
-        kept: Memory::default(),
-        gained: Memory::default(),
-    };
-    for i in 0..closed.law.memories() {
-        let mut moved = before;
-        moved[i] += STEP;
-        let (there, there_memory) = at(0.0, 0.0, &moved);
-        found.memory[i] = (there - value) / STEP;
-        found.kept[i] = (there_memory[i] - after[i]) / STEP;
-        found.gained[i] = (up_memory[i] - down_memory[i]) / (2.0 * change_step);
-    }
-    *memory = after;
-    found
-}
-
-/// The linearised loop for every lane at once, `[lane][sample]`; `y` is the run and `guesses` the next
-/// samples that its laws saw.
-fn simulate_sensitivities(
-    problem: &Plant,
-    stretch: &Course,
-    closed: &[Closed<'_>],
-    lanes: &[Lane],
-    (y, guesses): (&[f64], &[f64]),
-    scale: &[f64],
-) -> Vec<Vec<f64>> {
-    let modes = &problem.core.modes;
-    let (order, width, samples) = (modes.order(), lanes.len(), y.len());
-    let scales = problem.scales;
-    let first: Vec<bool> = modes.output_row().iter().map(|c| *c > 0.0).collect();
-    let reach: Vec<f64> = closed.iter().map(|c| modes.read(c.path)).collect();
-    let mut ext = vec![0.0; samples * width];
-    for (l, lane) in lanes.iter().enumerate() {
-        for (k, e) in lane.ext.iter().enumerate() {
-            ext[k * width + l] = *e;
-        }
-    }
-    // Each shape number's law runs along the same response with that number moved.
-    let mut shaped: Vec<(usize, usize, Vec<f64>, f64, Memory)> = Vec::new();
-    for (l, lane) in lanes.iter().enumerate() {
-        if let Entry::Shape { force, number } = lane.entry {
-            let mut shape = closed[force].shape.to_vec();
-            let h = STEP * scale[l];
-            shape[number] += h;
-            shaped.push((l, force, shape, h, Memory::default()));
-        }
-    }
-    let memories: usize = closed.iter().map(|c| c.law.memories()).sum();
-    let mut x = vec![0.0; order * width];
-    let mut z = vec![0.0; memories * width];
-    let mut out = vec![0.0; samples * width];
-    // The last three samples of each lane, oldest first, and the next.
-    let mut window: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; width]);
-    let mut read = vec![0.0; width];
-    let mut guess = vec![0.0; width];
-    // What each force does.
-    let mut pushes: Vec<Vec<f64>> = vec![vec![0.0; width]; closed.len()];
-    let mut states: Vec<Memory> = vec![Memory::default(); closed.len()];
-    let mut past = [y[0] - scales.y_mean; 3];
-    let sum_of = |x: &[f64], out: &mut [f64]| {
-        for (n, row) in x.chunks_exact(width).enumerate() {
-            if first[n] {
-                out.iter_mut().zip(row).for_each(|(o, x)| *o += x);
-            }
-        }
-    };
-    for k in 0..samples {
-        window[..3].rotate_left(1);
-        let now = &mut window[2];
-        now.copy_from_slice(&ext[k * width..(k + 1) * width]);
-        sum_of(&x, now);
-        out[k * width..(k + 1) * width].copy_from_slice(now);
-        if k + 1 == samples {
-            break;
-        }
-        turn(modes.poles(), &mut x, width);
-        read.copy_from_slice(&ext[(k + 1) * width..(k + 2) * width]);
-        sum_of(&x, &mut read);
-        let t = stretch.clock.start + stretch.clock.step * (k as f64 + 0.5);
-        past = [past[1], past[2], y[k] - scales.y_mean];
-        let seen = [past[0], past[1], past[2], guesses[k]];
-        let instant = |force: &Closed<'_>, y_moved: f64, change_moved: f64| {
-            let (y, change) = (weigh(&MIDWAY, &seen), weigh(kernel::change(force.law), &seen));
-            scales.instant(y + y_moved, change + change_moved, t, kernel::midway(&force.other, k))
-        };
-        let found: Vec<Slopes> = closed
-            .iter()
-            .zip(&mut states)
-            .map(|(c, memory)| slopes(c, memory, |y, change| instant(c, y, change), scales))
-            .collect();
-        let [earlier, before, now, next] = &mut window;
-        // First pass: the next sample from the last three.
-        for (l, g) in guess.iter_mut().enumerate() {
-            *g = kernel::extrapolate([earlier[l], before[l], now[l]]);
-        }
-        let mut row = 0;
-        for ((s, c), push) in found.iter().zip(closed).zip(&mut pushes) {
-            let [a, b, d, e] = s.by;
-            for (l, push) in push.iter_mut().enumerate() {
-                *push = a * earlier[l] + b * before[l] + d * now[l] + e * guess[l];
-            }
-            for i in 0..c.law.memories() {
-                let z = &z[row * width..(row + 1) * width];
-                push.iter_mut().zip(z).for_each(|(push, z)| *push += s.memory[i] * z);
-                row += 1;
-            }
-        }
-        for (l, force, shape, h, memory) in &mut shaped {
-            let c = &closed[*force];
-            let value = c.law.at(shape, instant(c, 0.0, 0.0), memory);
-            pushes[*force][*l] += (value - found[*force].value) / *h;
-        }
-        next.copy_from_slice(&read);
-        for (push, r) in pushes.iter().zip(&reach) {
-            next.iter_mut().zip(push).for_each(|(n, push)| *n += r * push);
-        }
-        for (l, lane) in lanes.iter().enumerate() {
-            if let Entry::Path { force, state } = lane.entry {
-                x[state * width + l] += found[force].value;
-                if first[state] {
-                    next[l] += found[force].value;
-                }
-            }
-        }
-        // Second pass: the forces midway, into the states.
-        let mut row = 0;
-        for ((s, c), push) in found.iter().zip(closed).zip(&mut pushes) {
-            for (l, push) in push.iter_mut().enumerate() {
-                *push += s.by[3] * (next[l] - guess[l]);
-            }
-            for (e, x) in c.path.iter().zip(x.chunks_exact_mut(width)) {
-                x.iter_mut().zip(&*push).for_each(|(x, push)| *x += e * push);
-            }
-            for i in 0..c.law.memories() {
-                let z = &mut z[row * width..(row + 1) * width];
-                for l in 0..width {
-                    z[l] = s.kept[i] * z[l] + s.gained[i] * (next[l] - now[l]);
-                }
-                row += 1;
-            }
-        }
-    }
-    let mut signals: Vec<Vec<f64>> = vec![Vec::with_capacity(samples); width];
-    // In blocks that stay in the cache while they are turned.
-    for block in out.chunks(32 * width) {
-        for (l, signal) in signals.iter_mut().enumerate() {
-            signal.extend(block[l..].iter().step_by(width));
-        }
-    }
-    signals
-}
-
-/// `x <- A x` of every lane, `[state][lane]`.
-fn turn(poles: &[Pole], x: &mut [f64], width: usize) {
-    let mut rest = x;
-    for pole in poles {
-        match *pole {
-            Pole::Real(p) => {
-                let (row, later) = rest.split_at_mut(width);
-                row.iter_mut().for_each(|x| *x *= p);
-                rest = later;
-            }
-            Pole::Pair(p) => {
-                let (pair, later) = rest.split_at_mut(2 * width);
-                let (a, b) = pair.split_at_mut(width);
-                for (a, b) in a.iter_mut().zip(b) {
-                    (*a, *b) = (p.re * *a - p.im * *b, p.im * *a + p.re * *b);
-                }
-                rest = later;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -462,7 +217,7 @@ mod tests {
     use crate::diagnosis::effects::candidate::{Other, Part};
     use crate::diagnosis::effects::effect::Effect;
     use crate::diagnosis::effects::input_map::InputMap;
-    use crate::diagnosis::effects::kernel::Clock;
+    use crate::diagnosis::effects::kernel::{Clock, Scales};
     use crate::diagnosis::effects::output_map::OutputMap;
 
     /// A rig of order three with two drives and a run of it.

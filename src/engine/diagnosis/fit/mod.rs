@@ -3,5 +3,6 @@
 pub mod fitting;
 pub mod jacobian;
 pub mod predict;
+mod sensitivities;
 pub mod start;
 pub mod twins;

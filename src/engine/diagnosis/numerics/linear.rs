@@ -135,6 +135,17 @@ fn in_sums<const N: usize>(a: &[f64], b: &[f64]) -> f64 {
     sums[0] + rest
 }
 
+/// Columns up to which `a^T b` is summed by inner products: a general product would first copy all of `a`.
+const FEW: usize = 6;
+
+/// `a^T b`, of a `b` that mostly has a few long columns.
+pub fn transposed_times(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
+    if b.ncols() > FEW {
+        return a.transpose() * b;
+    }
+    Mat::from_fn(a.ncols(), b.ncols(), |r, c| dot(a.col_as_slice(r), b.col_as_slice(c)))
+}
+
 /// Root mean square; 0 for no samples.
 pub fn rms(x: &[f64]) -> f64 {
     if x.is_empty() { 0.0 } else { (dot(x, x) / x.len() as f64).sqrt() }
@@ -157,6 +168,20 @@ mod tests {
         let target: Vec<f64> = a.iter().zip(&b).map(|(a, b)| 2e-6 * a - 3e6 * b).collect();
         let x = least_squares(&[&a, &b, &zero], &target);
         assert!((x[0] / 2e-6 - 1.0).abs() < 1e-9 && (x[1] / -3e6 - 1.0).abs() < 1e-9 && x[2] == 0.0, "{x:?}");
+    }
+
+    #[test]
+    fn products_of_few_columns_are_those_of_many() {
+        let wave = |f: f64| move |r: usize, c: usize| (f * (r + 7 * c) as f64).sin();
+        let (a, b) = (Mat::from_fn(300, 9, wave(0.3)), Mat::from_fn(300, 2 * FEW, wave(0.7)));
+        let many = transposed_times(&a, &b);
+        for few in [1, FEW] {
+            let found = transposed_times(&a, &Mat::from_fn(300, few, |r, c| b[(r, c)]));
+            assert_eq!((found.nrows(), found.ncols()), (9, few));
+            for (r, c) in (0..9).flat_map(|r| (0..few).map(move |c| (r, c))) {
+                assert!((found[(r, c)] - many[(r, c)]).abs() < 1e-11, "{r} {c}");
+            }
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::linear_part::Setting;
 use super::moments::Moments;
 use super::regressors::Regressors;
 use super::track::Segment;
-use crate::diagnosis::numerics::linear::dot;
+use crate::diagnosis::numerics::linear::{dot, transposed_times};
 
 /// Ridge of a candidate's columns relative to their power: what the linear part holds already gets nothing.
 const RIDGE: f64 = 1e-8;
@@ -162,7 +162,7 @@ impl<'a> Base<'a> {
                 target[segment.group][(c, 0)] += dot(column, &self.responses[at][response]);
             }
             self.regressors.add(x, at, segment.weight, &mut cross[segment.group]);
-            gram[segment.group] += x.transpose() * x;
+            gram[segment.group] += transposed_times(x, x);
         }
         let total = sum(&cross);
         let solved = self.folds.iter().zip(&cross).map(|(f, b)| f.factor.solve(&(&total - b))).collect();
@@ -330,7 +330,7 @@ impl Block {
             |a: &[Mat<f64>], b: &[Mat<f64>]| a.iter().zip(b).map(|(a, b)| wide(a, b)).collect::<Vec<_>>();
         let mut mixed = vec![Mat::zeros(self.width(), other.width()); self.gram.len()];
         for (segment, (a, b)) in segments.iter().zip(self.columns.iter().zip(&other.columns)) {
-            mixed[segment.group] += a.transpose() * b;
+            mixed[segment.group] += transposed_times(a, b);
         }
         let gram = (0..mixed.len())
             .map(|g| {

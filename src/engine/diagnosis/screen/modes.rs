@@ -13,7 +13,7 @@ use realfft::num_complex::Complex64;
 use rigcast_numerics::decompose::Cholesky;
 
 use super::track::{Segment, Track, delayed};
-use crate::diagnosis::numerics::linear::eigenvalues;
+use crate::diagnosis::numerics::linear::{eigenvalues, transposed_times};
 
 /// Rounds of relocation at a time.
 const ROUNDS: usize = 4;
@@ -21,6 +21,8 @@ const ROUNDS: usize = 4;
 const SLOWEST: f64 = 0.9999;
 /// Ridge relative to each column's power.
 const RIDGE: f64 = 1e-10;
+/// Samples of an impulse response that are computed side by side.
+const TOGETHER: usize = 8;
 
 /// Poles of the upper half plane and real ones, of sampled signals.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,10 +76,18 @@ impl Poles {
         for &pole in &self.0 {
             let (re, im) = (coefficients[at], if pole.im == 0.0 { 0.0 } else { coefficients[at + 1] });
             at += if pole.im == 0.0 { 1 } else { 2 };
-            let mut z = Complex64::from(1.0);
-            for y in &mut out[1.min(n)..] {
-                *y += re * z.re + im * z.im;
-                z *= pole;
+            // Several samples at a time: one power would wait for the one before.
+            let powers: [Complex64; TOGETHER] = std::array::from_fn(|k| pole.powu(k as u32));
+            let (mut cos, mut sin) = (powers.map(|z| z.re), powers.map(|z| z.im));
+            let next = pole.powu(TOGETHER as u32);
+            for part in out[1.min(n)..].chunks_mut(TOGETHER) {
+                let mut values = [0.0; TOGETHER];
+                for k in 0..TOGETHER {
+                    values[k] = re * cos[k] + im * sin[k];
+                    (cos[k], sin[k]) =
+                        (cos[k] * next.re - sin[k] * next.im, cos[k] * next.im + sin[k] * next.re);
+                }
+                part.iter_mut().zip(values).for_each(|(y, value)| *y += value);
             }
         }
         out
@@ -213,8 +223,8 @@ pub(super) fn relocate(
                     let y = matrix(vec![delayed(&response[segment.record], segment, 0)], segment.rows.len());
                     cross += x.transpose() * &s;
                     gram += s.transpose() * &s;
-                    with += s.transpose() * &y;
-                    by += x.transpose() * &y;
+                    with += transposed_times(&s, &y);
+                    by += transposed_times(x, &y);
                     yy += (0..y.nrows()).map(|r| y[(r, 0)] * y[(r, 0)]).sum::<f64>();
                 }
                 let scale = if yy > 0.0 { 1.0 / yy } else { 0.0 };

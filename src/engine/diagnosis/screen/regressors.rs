@@ -3,6 +3,7 @@
 use faer::Mat;
 
 use super::correlate::Correlator;
+use crate::diagnosis::numerics::linear::transposed_times;
 
 /// Lags that are never written out, or columns that are.
 pub(super) enum Regressors {
@@ -20,7 +21,7 @@ impl Regressors {
                     correlator.add(columns.col_as_slice(c), segment, weight, to, c);
                 }
             }
-            Self::Columns(own) => *to += own[segment].transpose() * columns,
+            Self::Columns(own) => *to += transposed_times(&own[segment], columns),
         }
     }
 }

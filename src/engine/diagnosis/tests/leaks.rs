@@ -121,6 +121,7 @@ fn a_sim_that_errs_on_its_own_baseline_is_stood_for_by_the_core_and_said_to_err(
         "{:?}",
         nothing.verdict
     );
+    assert!(nothing.verdict.in_words.contains("the model itself errs"), "{:?}", nothing.verdict);
     assert!(nothing.warnings.contains(&"core_stands_for_sim: disp_x".to_owned()), "{:?}", nothing.warnings);
     let bent = of(hardening, 0.06);
     assert_eq!(bent.verdict.family, Some(Family::Stiffness), "{:?}", bent.verdict);

@@ -1,6 +1,6 @@
 use super::rig::{RATE, few, friction, hardening, none, request};
 use crate::Signal;
-use crate::diagnosis::{Effect, Family, Input, Mode, NoiseSource, VerdictKind, diagnose};
+use crate::diagnosis::{Effect, Family, Input, Mode, NoiseSource, Verdict, VerdictKind, diagnose};
 use crate::progress::unwatched;
 
 #[test]
@@ -92,6 +92,30 @@ fn what_the_catalogue_lacks_is_not_blamed_on_something_else() {
     let found = diagnose(&request, &unwatched).unwrap();
     assert_eq!(found.report.verdict.kind, VerdictKind::NoneOfCatalogue, "{:?}", found.report.verdict);
     assert_eq!(found.report.verdict.effect, None);
+}
+
+/// An FRF that was estimated at another level of a rig that bends lacked more than the change before it.
+#[test]
+fn that_the_catalogue_lacks_a_cause_is_not_sure_where_a_linear_sim_is_another_than_the_core() {
+    let catalogue = vec![Effect::Gain, Effect::Delay, Effect::DriveSaturation, Effect::Offset];
+    let of = |gain: f64| {
+        let mut request =
+            Input { catalogue: catalogue.clone(), sim_is_linear: true, ..request(friction, 0.01) };
+        for run in &mut request.runs {
+            let sim = super::rig::respond(run.drive.channel(0), none).iter().map(|y| gain * y).collect();
+            run.simulated = Some(Signal::new(RATE, vec![sim]).unwrap());
+        }
+        diagnose(&request, &unwatched).unwrap().report.verdict
+    };
+    let [like, unlike] = [1.0, 1.1].map(of);
+    for verdict in [&like, &unlike] {
+        assert_eq!(verdict.kind, VerdictKind::NoneOfCatalogue, "{verdict:?}");
+        assert_eq!(verdict.in_words, "No effect of the catalogue alone explains what the model leaves.");
+    }
+    let said =
+        |verdict: &Verdict| verdict.because.iter().any(|b| b.contains("fit a model that follows the rig"));
+    assert!(like.probability > 0.8 && !said(&like), "{like:?}");
+    assert!(unlike.probability <= 0.5 && said(&unlike), "{unlike:?}");
 }
 
 #[test]

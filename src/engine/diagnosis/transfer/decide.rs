@@ -103,7 +103,8 @@ pub(super) fn verdict(
             100.0 * evidence.linear(r)
         ));
         // A law that may be there all the same may have more to it than these runs show.
-        bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because)
+        let errs = bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because);
+        return Verdict { in_words: words::MODEL_ERRS.into(), ..errs };
     } else {
         named(input, screening, ranked, listed, because, bare)
     };

@@ -16,7 +16,7 @@ mod words;
 
 pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub use decide::{NAMED, Ranked, ranked};
-pub(super) use words::sentence;
+pub(super) use words::{MODEL_ERRS, sentence};
 
 use state::{Screened, screened};
 

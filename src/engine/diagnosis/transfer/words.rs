@@ -32,6 +32,10 @@ pub(super) fn axis(input: &Input, standing: &Standing) -> Option<String> {
     }
 }
 
+/// That nothing of the rig is the cause.
+pub(in crate::diagnosis) const MODEL_ERRS: &str =
+    "No effect of the catalogue: the model itself errs on these runs.";
+
 /// How large the gap is.
 pub(super) fn size(input: &Input, evidence: &Evidence) -> String {
     let r = evidence.worst();
@@ -98,7 +102,7 @@ pub(in crate::diagnosis) fn sentence(verdict: &Verdict, first: Option<&Hypothesi
             "The runs do not tell whether what the model leaves has a cause or is noise; the next experiment would."
                 .into()
         }
-        VerdictKind::NoneOfCatalogue => "No effect of the catalogue: the model itself errs on these runs.".into(),
+        VerdictKind::NoneOfCatalogue => "No effect of the catalogue alone explains what the model leaves.".into(),
         VerdictKind::NoMaterialGap => "The model follows the rig within the material gap.".into(),
         VerdictKind::NoiseOrUnmeasuredDisturbance => "Noise, or a disturbance that no drive explains.".into(),
     };
