@@ -72,6 +72,12 @@ impl Isa {
         static CHOSEN: OnceLock<Result<Isa, EngineError>> = OnceLock::new();
         CHOSEN.get_or_init(|| Self::choose(std::env::var(ISA_VARIABLE).ok().as_deref())).clone()
     }
+
+    /// The set of this process for loops whose results are the same on every set: portable where it cannot be told,
+    /// since such a process fits and predicts nothing, and says why.
+    pub(crate) fn of_plain_loops() -> Self {
+        Self::of_process().unwrap_or(Self::Portable)
+    }
 }
 
 #[cfg(test)]

@@ -204,25 +204,24 @@ impl Modes {
     pub fn filter(&self, e: &[f64], input: &[f64]) -> Vec<f64> {
         assert_eq!(e.len(), self.order(), "an input vector has one entry a state");
         let mut out = vec![0.0; input.len()];
-        let isa = Isa::of_process().unwrap_or(Isa::Portable);
+        let isa = Isa::of_plain_loops();
         // So many poles at a time turn side by side.
         let mut at = 0;
         for poles in self.poles.chunks(TOGETHER) {
-            let mut turns =
-                Turns { turn: [[0.0; TOGETHER]; 2], input: [[0.0; TOGETHER]; 2], count: poles.len() };
+            let [mut re, mut im, mut cos, mut sin] = [[0.0; TOGETHER]; 4];
             for (k, pole) in poles.iter().enumerate() {
-                turns.input[0][k] = e[at];
+                cos[k] = e[at];
+                at += 1;
                 match *pole {
-                    Pole::Real(p) => turns.turn[0][k] = p,
+                    Pole::Real(p) => re[k] = p,
                     Pole::Pair(p) => {
-                        (turns.turn[0][k], turns.turn[1][k]) = (p.re, p.im);
-                        turns.input[1][k] = e[at + 1];
+                        (re[k], im[k], sin[k]) = (p.re, p.im, e[at]);
                         at += 1;
                     }
                 }
-                at += 1;
             }
-            dispatch(isa, Filtering { turns, signal: input, out: &mut out });
+            let (turn, enter) = ([re, im], [cos, sin]);
+            dispatch(isa, Filtering { turn, enter, poles: poles.len(), signal: input, out: &mut out });
         }
         out
     }
@@ -288,17 +287,13 @@ impl Modes {
     }
 }
 
-/// Some poles side by side: what turns their states, and what a unit of the signal adds to these; real parts first.
-struct Turns {
-    turn: [[f64; TOGETHER]; 2],
-    input: [[f64; TOGETHER]; 2],
-    /// Poles; the rest stay at rest.
-    count: usize,
-}
-
 /// Adds the output of some poles for a signal to `out`.
 struct Filtering<'a> {
-    turns: Turns,
+    /// What turns the states of each pole, and what a unit of the signal adds to them; real parts first.
+    turn: [[f64; TOGETHER]; 2],
+    enter: [[f64; TOGETHER]; 2],
+    /// Poles; the rest stay at rest.
+    poles: usize,
     signal: &'a [f64],
     out: &'a mut [f64],
 }
@@ -309,10 +304,10 @@ impl Kernel for Filtering<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Turns { turn: [re, im], input: [cos, sin], count } = self.turns;
+        let ([re, im], [cos, sin]) = (self.turn, self.enter);
         let (mut a, mut b) = ([0.0; TOGETHER], [0.0; TOGETHER]);
         for (u, out) in self.signal.iter().zip(self.out) {
-            for a in &a[..count] {
+            for a in &a[..self.poles] {
                 *out += a;
             }
             let (before, beside) = (a, b);

@@ -62,7 +62,7 @@ pub(super) fn sensitivities(
     (y, guesses): (&[f64], &[f64]),
     scale: &[f64],
 ) -> Vec<Vec<f64>> {
-    let isa = Isa::of_process().unwrap_or(Isa::Portable);
+    let isa = Isa::of_plain_loops();
     let modes = &problem.core.modes;
     let structure = Structure {
         poles: modes.poles(),
@@ -336,10 +336,10 @@ impl<const W: usize> Kernel for Steps<'_, W> {
     fn run<S: Simd>(self, _: S) {
         let Block { structure, slopes, shaped, ref block, .. } = *self.of;
         let Group { x, z, past, pushes, inputs, shapes, ext, out, .. } = self.group;
-        let (poles, forces) = (structure.poles, &structure.forces[..]);
+        let Structure { poles, shown, forces } = structure;
         for k in 0..block.len() {
             let mut now = ext[k];
-            read(poles, x, &mut now);
+            read(shown, x, &mut now);
             *past = [past[1], past[2], now];
             out[k] = now;
             let found = &slopes[(k * forces.len()).min(slopes.len())..];
@@ -348,7 +348,7 @@ impl<const W: usize> Kernel for Steps<'_, W> {
             }
             turn(poles, x);
             let mut next = ext[k + 1];
-            read(poles, x, &mut next);
+            read(shown, x, &mut next);
             // First pass: the next sample from the last three.
             let mut guess = [0.0; W];
             for l in 0..W {
@@ -409,13 +409,11 @@ fn add<const W: usize>(factor: f64, of: &[f64; W], to: &mut [f64; W]) {
 
 /// `to += C x` of every lane.
 #[inline(always)]
-fn read<const W: usize>(poles: &[Pole], x: &[[f64; W]], to: &mut [f64; W]) {
-    let mut at = 0;
-    for pole in poles {
-        for l in 0..W {
-            to[l] += x[at][l];
+fn read<const W: usize>(shown: &[bool], x: &[[f64; W]], to: &mut [f64; W]) {
+    for (x, shown) in x.iter().zip(shown) {
+        if *shown {
+            add(1.0, x, to);
         }
-        at += if matches!(pole, Pole::Real(_)) { 1 } else { 2 };
     }
 }
 

@@ -112,7 +112,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     if a.len() < LONG {
         return in_sums::<4>(a, b);
     }
-    dispatch(Isa::of_process().unwrap_or(Isa::Portable), Dot(a, b))
+    dispatch(Isa::of_plain_loops(), Dot(a, b))
 }
 
 #[inline(always)]

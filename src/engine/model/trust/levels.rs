@@ -88,7 +88,7 @@ impl LinearLevels {
 
     fn of_inputs(n: usize, sample_rate_hz: f64, window: usize) -> Self {
         Self {
-            isa: isa(),
+            isa: Isa::of_plain_loops(),
             n_inputs: n,
             n_outputs: n,
             lines: 1..window / 2 + 1,
@@ -128,7 +128,7 @@ impl LinearLevels {
         }
         let pairs = (0..frf.n_outputs).flat_map(|o| (0..frf.n_inputs).map(move |i| (o, i)));
         Self {
-            isa: isa(),
+            isa: Isa::of_plain_loops(),
             n_inputs: frf.n_inputs,
             n_outputs: frf.n_outputs,
             lines: first..last + 1,
@@ -186,11 +186,6 @@ impl LinearLevels {
             gain.iter().zip(window.means.iter().zip(&self.x_mean)).map(|(g, (x, mean))| g * (x - mean));
         self.y_mean[output] + moved.sum::<f64>()
     }
-}
-
-/// A process whose instruction set cannot be told fits and predicts nothing, and says why.
-fn isa() -> Isa {
-    Isa::of_process().unwrap_or(Isa::Portable)
 }
 
 /// Adds all lines of all windows to the sums; bit-identical on every instruction set.
