@@ -25,7 +25,10 @@ pub(super) const OPENED: Duration = Duration::from_secs(20);
 /// The checkpoint by which a fit says that it has networks for others.
 pub(super) const OFFER: &str = "share offer";
 
-/// How often a worker without a job looks whether it can help.
+/// How soon a worker looks again that found neither a job nor one to help with: another may be taking what was announced.
+pub(super) const HELP_SOON: Duration = Duration::from_millis(100);
+
+/// How often it looks from then on.
 pub(super) const HELP_EVERY: Duration = Duration::from_secs(1);
 
 /// Time from the end of help with a job, because nothing of it was left, until it is asked again whether it wants help.

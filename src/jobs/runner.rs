@@ -18,7 +18,7 @@ use crate::telemetry::names;
 use super::JobSettings;
 use super::control::{Control, Stop};
 use super::events::Hub;
-use super::helping::HELP_EVERY;
+use super::helping::{HELP_EVERY, HELP_SOON};
 use super::problem::{JobError, codes, panicked};
 use super::process::{Begin, WorkerProgram};
 use super::publish::publish;
@@ -109,14 +109,16 @@ impl Runner {
             }
             let look = tokio::time::sleep(self.settings.sweep);
             tokio::pin!(look);
+            let mut idle = HELP_SOON;
             loop {
                 let wants_to_help = tokio::select! {
                     // What was announced since the queue was read is announced here too.
                     () = self.queued.notified() => false,
                     _ = stopping.wait_for(|stopping| *stopping) => false,
                     () = &mut look => false,
-                    () = tokio::time::sleep(HELP_EVERY), if self.store.is_shared() => true,
+                    () = tokio::time::sleep(idle), if self.store.is_shared() => true,
                 };
+                idle = HELP_EVERY;
                 if !wants_to_help || self.help().await {
                     break;
                 }
