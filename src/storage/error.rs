@@ -71,6 +71,9 @@ pub enum StoreError {
         /// What is wrong with it.
         what: String,
     },
+    /// Nothing has come back from the database for too long.
+    #[error("the database does not answer")]
+    Silent,
     /// The data directory, a backup, or a file in one.
     #[error("cannot use {path}: {}", in_words(.source))]
     DataDir {
@@ -240,8 +243,8 @@ impl StoreError {
         /// any extended code.
         const UNAVAILABLE: [u32; 5] = [5, 6, 8, 10, 14];
         /// Of PostgreSQL: connections, conflicts of transactions, resources, a lock that was not to be had in time, a
-        /// server that stops or stands by, failing reads and writes.
-        const AWAY: [&str; 8] = ["08", "40", "53", "55P03", "57", "25006", "58", "XX"];
+        /// server that stops or stands by, a transaction in which nothing came for too long, failing reads and writes.
+        const AWAY: [&str; 9] = ["08", "40", "53", "55P03", "57", "25006", "25P03", "58", "XX"];
         match self {
             Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
             Self::Database(error) => {
@@ -251,6 +254,7 @@ impl StoreError {
             Self::Objects(_)
             | Self::Bucket { .. }
             | Self::Postgres { .. }
+            | Self::Silent
             | Self::DataDir { .. }
             | Self::JournalStopped { .. }
             | Self::Stopped => true,

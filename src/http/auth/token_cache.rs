@@ -13,6 +13,10 @@ use crate::storage::{Store, StoreError, TokenTable};
 /// Greatest age of the tokens in memory.
 pub const MAX_AGE: Duration = Duration::from_millis(500);
 
+/// How long a request waits while another one reads the tokens. Without a limit those that wait would find out one after
+/// the other that the database is away.
+const PATIENCE: Duration = Duration::from_secs(5);
+
 /// All tokens as the store had them at one time.
 #[derive(Debug)]
 pub struct TokenSnapshot {
@@ -47,7 +51,8 @@ impl TokenCache {
         if let Some(snapshot) = self.fresh() {
             return Ok(snapshot);
         }
-        let _reading = self.reading.lock().await;
+        let reading = tokio::time::timeout(PATIENCE, self.reading.lock()).await;
+        let _reading = reading.map_err(|_| StoreError::Silent)?;
         if let Some(snapshot) = self.fresh() {
             return Ok(snapshot);
         }

@@ -28,7 +28,7 @@ impl Pool {
         match self {
             Self::Sqlite(pool) => sqlite::write(pool).await.map(Session::Sqlite),
             Self::Postgres(pool) => {
-                let mut session = Session::Postgres(pool.begin().await?);
+                let mut session = Session::Postgres(postgres::answered(Box::pin(pool.begin())).await?);
                 postgres::write_alone(&mut session).await?;
                 Ok(session)
             }
@@ -41,7 +41,7 @@ impl Pool {
             Self::Sqlite(pool) => pool.begin().await.map(Session::Sqlite),
             Self::Postgres(pool) => {
                 const BEGIN: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-                pool.begin_with(BEGIN).await.map(Session::Postgres)
+                postgres::answered(Box::pin(pool.begin_with(BEGIN))).await.map(Session::Postgres)
             }
         }
     }
@@ -71,7 +71,7 @@ impl Session {
     pub(super) async fn commit(self) -> sqlx::Result<()> {
         match self {
             Self::Sqlite(tx) => tx.commit().await,
-            Self::Postgres(tx) => tx.commit().await,
+            Self::Postgres(tx) => postgres::answered(Box::pin(tx.commit())).await,
         }
     }
 }

@@ -5,6 +5,7 @@
 
 use std::fmt;
 use std::path::PathBuf;
+use std::pin::Pin;
 use std::str::FromStr as _;
 use std::time::Duration;
 
@@ -51,6 +52,15 @@ const JOB: u32 = 2;
 /// How long a request waits for a connection, and a statement for a lock.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// How long nothing may come from a process while no other one can write: others wait longer than that for their turn.
+const HELD: Duration = Duration::from_secs(4);
+
+/// How long the database has for a statement. Longer: the way to it is cut, which nobody is told on an open connection.
+const ANSWER: Duration = Duration::from_secs(15);
+
+/// How long a listener hears nothing until it asks whether its connection still is one.
+const UNHEARD: Duration = Duration::from_secs(15);
+
 /// Channel of the changes of jobs, which a trigger announces.
 const JOBS: &str = "rigcast_jobs";
 
@@ -91,9 +101,16 @@ impl PostgresSettings {
         };
         let is_one = ["postgres://", "postgresql://"].iter().any(|scheme| self.url.starts_with(scheme));
         let options = if is_one { PgConnectOptions::from_str(&self.url).ok() } else { None };
-        let timeout = format!("{}s", PATIENCE.as_secs());
+        let patience = format!("{}s", PATIENCE.as_secs());
         let options = options.ok_or_else(refused)?;
-        Ok(options.application_name("rigcast").options([("lock_timeout", timeout.as_str())]))
+        Ok(options.application_name("rigcast").options([
+            ("lock_timeout", patience.as_str()),
+            // A machine that is cut off cannot end what it had begun: the database does, within half a minute.
+            ("tcp_keepalives_idle", "10s"),
+            ("tcp_keepalives_interval", "5s"),
+            ("tcp_keepalives_count", "3"),
+            ("tcp_user_timeout", "25s"),
+        ]))
     }
 
     /// Opens the database and brings its schema up to this program's.
@@ -146,7 +163,25 @@ fn pool(most: u32, options: PgConnectOptions) -> PgPool {
             Ok(true)
         })
     });
+    // The pool's own question has no limit: connections on which nothing comes back would never leave it.
+    let pools = pools.after_release(|connection, _| {
+        Box::pin(async move { within(PATIENCE, Box::pin(connection.ping())).await.map(|()| true) })
+    });
     pools.connect_lazy_with(options)
+}
+
+/// A question to the database on the heap: a timer around each of them would make the futures of a request too large for
+/// the stack.
+type Asked<'a, T> = Pin<Box<dyn Future<Output = sqlx::Result<T>> + Send + 'a>>;
+
+/// What the database answers, or an error if it does not.
+pub(super) async fn answered<T>(asked: Asked<'_, T>) -> sqlx::Result<T> {
+    within(ANSWER, asked).await
+}
+
+async fn within<T>(limit: Duration, asked: Asked<'_, T>) -> sqlx::Result<T> {
+    let late = || std::io::Error::new(std::io::ErrorKind::TimedOut, "the database does not answer");
+    tokio::time::timeout(limit, asked).await.unwrap_or_else(|_| Err(late().into()))
 }
 
 fn name(options: &PgConnectOptions) -> String {
@@ -173,9 +208,15 @@ async fn migrate(connection: &mut PgConnection, database: &str) -> Result<(), St
     migrated
 }
 
-/// Lets no one else write until the transaction ends.
+/// Lets no one else write until the transaction ends. The database ends it if nothing comes for a while: its machine may be
+/// cut off, or stand still.
 pub(in crate::storage) async fn write_alone(session: &mut Session) -> sqlx::Result<()> {
-    sql("SELECT pg_advisory_xact_lock($1)").bind(locks::WRITE).execute(session).await.map(drop)
+    sql("SELECT pg_advisory_xact_lock($1), set_config('idle_in_transaction_session_timeout', $2, true)")
+        .bind(locks::WRITE)
+        .bind(format!("{}s", HELD.as_secs()))
+        .execute(session)
+        .await
+        .map(drop)
 }
 
 /// Lets no one remove an object until the transaction ends.
@@ -207,12 +248,19 @@ pub(in crate::storage) async fn hear_of_jobs(
 ) -> sqlx::Result<()> {
     let mut listener = PgListener::connect_with(pool).await?;
     listener.listen(JOBS).await?;
-    while let Some(told) = listener.try_recv().await? {
-        if let Some((state, id)) = told.payload().split_once(' ') {
-            heard(state, id);
+    loop {
+        match tokio::time::timeout(UNHEARD, listener.try_recv()).await {
+            Ok(told) => {
+                let Some(told) = told? else { return Ok(()) };
+                if let Some((state, id)) = told.payload().split_once(' ') {
+                    heard(state, id);
+                }
+            }
+            Err(_) => {
+                within(PATIENCE, Box::pin(sqlx::query("SELECT 1").execute(&mut listener))).await?;
+            }
         }
     }
-    Ok(())
 }
 
 /// Sets which service the database belongs to.

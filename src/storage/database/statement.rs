@@ -6,6 +6,7 @@ use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, AssertSqlSafe, Postgres, SqlSafeStr as _, SqlStr, Sqlite, Transaction};
 
 use super::Pool;
+use super::postgres::answered;
 use super::row::{FromRow, Row};
 
 /// A value of a parameter or a column, of the type of its column, `None` being NULL.
@@ -148,10 +149,12 @@ macro_rules! done {
                 $sqlite(sqlx::query_with(sql.sqlite(), for_sqlite(values)?).$method(&mut **tx).await?)
             }
             On::Pool(Pool::Postgres(pool)) => {
-                $postgres(sqlx::query_with(sql.postgres(), for_postgres(values)?).$method(pool).await?)
+                let query = sqlx::query_with(sql.postgres(), for_postgres(values)?);
+                $postgres(answered(Box::pin(query.$method(pool))).await?)
             }
             On::Session(Session::Postgres(tx)) => {
-                $postgres(sqlx::query_with(sql.postgres(), for_postgres(values)?).$method(&mut **tx).await?)
+                let query = sqlx::query_with(sql.postgres(), for_postgres(values)?);
+                $postgres(answered(Box::pin(query.$method(&mut **tx))).await?)
             }
         }
     }};

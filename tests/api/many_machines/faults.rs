@@ -1,5 +1,5 @@
-//! Processes that are killed or stand still, a database that restarts, a storage that fails or is silent: what was
-//! acknowledged stays, each job has its one model, and everything is back soon.
+//! Processes that are killed, stand still or are cut off from the database, a database that restarts, a storage that fails
+//! or is silent: what was acknowledged stays, each job has its one model, and everything is back soon.
 //!
 //! `RIGCAST_TEST_CLUSTER_FAULTS=50 RIGCAST_TEST_AWAY_S=30 cargo test --test api many_machines -- --nocapture` makes more
 //! faults, and longer ones of the storage.
@@ -97,7 +97,7 @@ async fn acknowledged(
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_acknowledged_is_lost_whatever_fails() {
     let Some(cluster) = Cluster::start_behind_weather() else { return };
-    let faults = setting("RIGCAST_TEST_CLUSTER_FAULTS", 7);
+    let faults = setting("RIGCAST_TEST_CLUSTER_FAULTS", 8);
     let away = Duration::from_secs(setting("RIGCAST_TEST_AWAY_S", 3));
     let seed = setting("RIGCAST_TEST_SEED", 1);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -117,7 +117,7 @@ async fn nothing_acknowledged_is_lost_whatever_fails() {
     for k in 0..faults {
         tokio::time::sleep(Duration::from_millis(random.random_range(200..1500))).await;
         let one = random.random_range(0..machines.len());
-        let what = match k % 7 {
+        let what = match k % 8 {
             0..=2 => {
                 cluster.kill_and_start(&mut machines[one]);
                 format!("a killed {:?}", machines[one].kind)
@@ -130,11 +130,17 @@ async fn nothing_acknowledged_is_lost_whatever_fails() {
                 format!("a {:?} that stood still", machines[one].kind)
             }
             4 => {
+                machines[one].set_way(Weather::Lost);
+                tokio::time::sleep(Duration::from_secs(5)).await;
+                machines[one].set_way(Weather::Fair);
+                format!("a {:?} that was cut off from the database", machines[one].kind)
+            }
+            5 => {
                 cluster.postgres.restart();
                 "a database that restarted".into()
             }
             which => {
-                let weather = if which == 5 { Weather::Failing } else { Weather::Silent };
+                let weather = if which == 6 { Weather::Failing } else { Weather::Silent };
                 for client in &clients {
                     client.post("/v1/rigs/bench/predict", &drive).await.expect("its model is loaded");
                 }

@@ -16,6 +16,7 @@ use crate::support::{
 mod clocks;
 mod faults;
 mod helping;
+mod partitions;
 mod rolling;
 
 /// The engines that the processes share.
@@ -35,7 +36,7 @@ impl Cluster {
         Some(Self { postgres, storage, way: None, url, endpoint })
     }
 
-    /// The same with a storage that can fail.
+    /// The same with a storage that can fail, and machines whose way to the database can be cut.
     fn start_behind_weather() -> Option<Self> {
         let cluster = Self::start()?;
         let way = Way::to(cluster.storage.address());
@@ -72,7 +73,7 @@ impl Cluster {
     fn work_on_core(&self, core: usize) -> Machine {
         let directory = directory();
         let program = Program::work_on_core(core, directory.path(), &self.environment());
-        Machine { program, kind: Kind::Work, directory }
+        Machine { program, kind: Kind::Work, directory, way: None }
     }
 
     /// A service that runs no jobs itself, or a worker.
@@ -83,11 +84,21 @@ impl Cluster {
     /// The same with more in its environment.
     fn machine_with(&self, kind: Kind, more: &[(&str, &str)]) -> Machine {
         let directory = directory();
-        Machine { program: self.program(kind, &directory, "127.0.0.1:0", more), kind, directory }
+        let way = self.way.as_ref().map(|_| Way::to(self.postgres.address()));
+        let program = self.program(kind, &directory, "127.0.0.1:0", (way.as_ref(), more));
+        Machine { program, kind, directory, way }
     }
 
-    fn program(&self, kind: Kind, directory: &TempDir, address: &str, more: &[(&str, &str)]) -> Program {
+    fn program(
+        &self,
+        kind: Kind,
+        directory: &TempDir,
+        address: &str,
+        (way, more): (Option<&Way>, &[(&str, &str)]),
+    ) -> Program {
+        let url = way.map(|way| self.postgres.url_by(way.address()));
         let mut environment = self.environment();
+        environment.extend(url.as_deref().map(|url| ("RIGCAST_DATABASE", url)));
         environment.extend_from_slice(more);
         match kind {
             Kind::Work => Program::work(address, directory.path(), &environment),
@@ -103,7 +114,8 @@ impl Cluster {
         let address = machine.program.base().trim_start_matches("http://").to_owned();
         signal("-KILL", machine.program.id());
         machine.program.wait();
-        machine.program = self.program(machine.kind, &machine.directory, &address, &[]);
+        let way = machine.way.as_ref();
+        machine.program = self.program(machine.kind, &machine.directory, &address, (way, &[]));
     }
 
     /// What a command of the program on a data directory says, and whether it succeeds.
@@ -140,9 +152,15 @@ struct Machine {
     program: Program,
     kind: Kind,
     directory: TempDir,
+    /// Its way to the database.
+    way: Option<Way>,
 }
 
 impl Machine {
+    fn set_way(&self, weather: Weather) {
+        self.way.as_ref().expect("it was asked for").set(weather);
+    }
+
     fn client(&self, token: Option<&str>) -> Client {
         Client::new(self.program.base(), token).expect("a client")
     }

@@ -1,5 +1,6 @@
 //! A PostgreSQL of a test's own, which `scripts/postgres.sh` starts.
 
+use std::net::SocketAddr;
 use std::process::{Command, Output};
 
 /// A running PostgreSQL that ends with the test.
@@ -26,6 +27,17 @@ impl Postgres {
     /// A URL of it with a password, which it does not ask for.
     pub fn url(&self) -> String {
         self.url.replace("rigcast@", "rigcast:hunter3hunter3@")
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        let (_, place) = self.url.split_once('@').expect("a user");
+        place.split('/').next().and_then(|place| place.parse().ok()).expect("an address")
+    }
+
+    /// The same URL by way of another address.
+    pub fn url_by(&self, way: SocketAddr) -> String {
+        self.url().replace(&self.address().to_string(), &way.to_string())
     }
 
     /// The URL of another database of it, which is made.

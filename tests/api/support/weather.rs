@@ -15,6 +15,8 @@ pub enum Weather {
     Failing = 1,
     /// They are not answered.
     Silent = 2,
+    /// What is sent gets lost, on connections that are open too, and nobody is told; what is sent again later arrives.
+    Lost = 3,
 }
 
 /// Passes connections on to a server, while the weather is fair.
@@ -46,9 +48,12 @@ impl Way {
         self.address
     }
 
-    /// Changes the weather, for connections that are open too.
+    /// Changes the weather, for connections that are open too: these end, if nothing gets lost on them.
     pub fn set(&self, weather: Weather) {
-        self.weather.store(weather as u8, Ordering::SeqCst);
+        let before = self.weather.swap(weather as u8, Ordering::SeqCst);
+        if is_lost(before) || is_lost(weather as u8) {
+            return;
+        }
         for connection in self.open.lock().expect("whole").drain(..) {
             // It may have ended.
             let _ = connection.shutdown(std::net::Shutdown::Both);
@@ -56,15 +61,27 @@ impl Way {
     }
 }
 
-fn pass(mut client: TcpStream, server: SocketAddr, weather: &AtomicU8, open: &Mutex<Vec<TcpStream>>) {
+fn is_lost(weather: u8) -> bool {
+    weather == Weather::Lost as u8
+}
+
+fn wait_while_lost(weather: &AtomicU8) {
+    while is_lost(weather.load(Ordering::SeqCst)) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn pass(mut client: TcpStream, server: SocketAddr, weather: &Arc<AtomicU8>, open: &Mutex<Vec<TcpStream>>) {
+    wait_while_lost(weather);
     match weather.load(Ordering::SeqCst) {
         0 => {
             let Ok(server) = TcpStream::connect(server) else { return };
             let copies = [client.try_clone(), server.try_clone(), client.try_clone(), server.try_clone()];
             let [Ok(from), Ok(to), Ok(kept), Ok(other)] = copies else { return };
             open.lock().expect("whole").extend([kept, other]);
-            let back = std::thread::spawn(move || copy(server, client));
-            copy(from, to);
+            let seen = weather.clone();
+            let back = std::thread::spawn(move || copy(server, client, &seen));
+            copy(from, to, weather);
             let _ = back.join();
         }
         1 => {
@@ -84,10 +101,12 @@ fn pass(mut client: TcpStream, server: SocketAddr, weather: &AtomicU8, open: &Mu
     }
 }
 
-fn copy(mut from: TcpStream, mut to: TcpStream) {
+fn copy(mut from: TcpStream, mut to: TcpStream, weather: &AtomicU8) {
     let mut bytes = vec![0; 1 << 16];
     loop {
-        match from.read(&mut bytes) {
+        let read = from.read(&mut bytes);
+        wait_while_lost(weather);
+        match read {
             Ok(0) => break,
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(_) => break,
