@@ -2,6 +2,7 @@
 """Measures what others need for the works of `examples/speed`, one JSON line a row.
 
     cargo run --release --example speed && python3 scripts/peers.py [--works infer,train,frf]
+    python3 scripts/peers.py --works lab --kept FOLDER      # the hybrid 2 of a lab's noise: peers_lab.py
 
 Run both in turn on the same machine: only the ratios hold elsewhere. Needs numpy and scipy; the
 rows of `infer` and `train` also need torch and are left out without it. Sizes are those of
@@ -17,6 +18,8 @@ import time
 import numpy as np
 import scipy.fft
 import scipy.signal
+
+import peers_lab
 
 FS, SEGMENT, WINDOW = 1000, 4096, 256
 CORES = 2
@@ -162,7 +165,9 @@ def train(torch):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--works", default="infer,train,frf")
-    works = parser.parse_args().works.split(",")
+    parser.add_argument("--kept", help="folder of `whole_work --kept`, for the work `lab`")
+    args = parser.parse_args()
+    works = args.works.split(",")
     try:
         import torch
     except ImportError:
@@ -173,6 +178,10 @@ def main():
         train(torch)
     if "frf" in works:
         frf()
+    if "lab" in works:
+        if not (torch and args.kept):
+            parser.error("the work `lab` needs torch, and the folder of `whole_work --kept`")
+        peers_lab.run(torch, args.kept)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,8 @@ pub struct Lab<'a> {
     client: Client,
     rig: &'a dyn Rig,
     args: &'a Args,
+    /// Ids of the runs of noise.
+    noise: Vec<String>,
     /// Versions by kind.
     versions: Vec<(&'static str, u64)>,
     /// Floating-point operations of the active network for one second of signal.
@@ -51,8 +53,17 @@ impl<'a> Lab<'a> {
         let body =
             json!({"id": rig.id(), "name": rig.id(), "sample_rate_hz": RATE_HZ, "channels": rig.channels()});
         client.post("/v1/rigs", &body).await?;
-        let versions = Vec::new();
-        Ok(Self { service, client, rig, args, versions, flop_per_s: 0.0, done: Vec::new(), failed: false })
+        Ok(Self {
+            service,
+            client,
+            rig,
+            args,
+            noise: Vec::new(),
+            versions: Vec::new(),
+            flop_per_s: 0.0,
+            done: Vec::new(),
+            failed: false,
+        })
     }
 
     /// All stages that were asked for, and the upload that they build on.
@@ -151,6 +162,7 @@ impl<'a> Lab<'a> {
         channels: &[Vec<f64>],
     ) -> Result<(String, f64), AnyError> {
         let file = write(channels, Dtype::F4, Order::C)?;
+        self.keep(&format!("{name}.npy"), &file)?;
         let rate = RATE_HZ.to_string();
         let mut all = vec![("name", name), ("sample_rate_hz", rate.as_str())];
         all.extend_from_slice(query);
@@ -158,6 +170,13 @@ impl<'a> Lab<'a> {
         let run = self.client.upload(self.rig.id(), &all, "application/x-npy", file).await?;
         let seconds = began.elapsed().as_secs_f64();
         Ok((run["id"].as_str().ok_or(ClientError::Missing("id"))?.to_owned(), seconds))
+    }
+
+    /// Leaves a file for other programs, if that was asked for.
+    fn keep(&self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
+        let Some(folder) = &self.args.kept else { return Ok(()) };
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(folder.join(name), bytes)
     }
 
     fn seed(&self, number: u64) -> u64 {
@@ -172,7 +191,9 @@ impl<'a> Lab<'a> {
             let drive = self.rig.drive(kind, seconds, self.seed(run as u64))?;
             let channels = self.rig.record(&drive, State::Fitted, self.seed(50 + run as u64))?;
             let query = [("kind", "noise"), ("split", "training"), ("tag", tag)];
-            calls_s += self.upload(&format!("noise-{run}"), &query, &channels).await?.1;
+            let (id, seconds) = self.upload(&format!("noise-{run}"), &query, &channels).await?;
+            self.noise.push(id);
+            calls_s += seconds;
             bar.inc(1);
         }
         bar.finish_and_clear();
@@ -211,6 +232,10 @@ impl<'a> Lab<'a> {
         let model = self.client.fitted_model(&job).await?;
         let version = model["version"].as_u64().ok_or(ClientError::Missing("version"))?;
         self.versions.push((kind, version));
+        if kind == "hybrid2" {
+            let kept = json!({"runs": self.noise, "seconds": elapsed_s(&job), "model": model});
+            self.keep("hybrid2.json", kept.to_string().as_bytes())?;
+        }
         let network = Network::of(&model, self.rig.drives());
         self.flop_per_s = network.as_ref().map_or(0.0, Network::flop_per_s);
         let trained = network.map(|network| network.training_flop(&model));

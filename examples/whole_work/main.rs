@@ -15,6 +15,7 @@ mod rigs;
 mod service;
 mod table;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
@@ -67,6 +68,9 @@ pub struct Args {
     /// Estimate the FRF of the hybrids from all noise, not from the small, centred noise alone.
     #[arg(long)]
     frf_of_all_noise: bool,
+    /// Folder that gets the noise, the load and the hybrid 2 that was fitted, for `scripts/peers.py --works lab`.
+    #[arg(long)]
+    kept: Option<PathBuf>,
     /// Seed of the rigs and their drives.
     #[arg(long, default_value_t = 1)]
     seed: u64,
