@@ -4,6 +4,9 @@ use crate::diagnosis::input::{self, Input, Mode, Run};
 use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
+/// Samples of the baseline that are screened beside fewer of the runs to explain.
+const BASELINE: usize = 100_000;
+
 /// What the runs tell before any law is tried.
 pub(super) struct Runs {
     /// Names of the records.
@@ -19,17 +22,31 @@ pub(super) struct Runs {
 impl Runs {
     /// The runs to explain; in situ also the baseline, which the rig drove with the effect in it. With adopted effects
     /// only what these add to a baseline run makes it of use.
+    ///
+    /// The baseline is there for its drives and levels: it counts as much as the runs to explain at most, by the beginning
+    /// of each of its runs, since hours of it tell no law better and take hours.
     pub fn of(input: &Input) -> Self {
         let again = |run: &Run| input.runs.iter().any(|other| other.name == run.name);
         let known = |run: &Run| !input.has_adopted() || run.added.is_some();
-        let baseline =
-            input.baseline.iter().filter(|run| input.mode == Mode::InSitu && known(run) && !again(run));
-        Self::of_runs(input, input.runs.iter().chain(baseline))
+        let baseline: Vec<&Run> = input
+            .baseline
+            .iter()
+            .filter(|run| input.mode == Mode::InSitu && known(run) && !again(run))
+            .collect();
+        let samples = |run: &Run| run.drive.n_samples();
+        let whole: usize = baseline.iter().map(|run| samples(run)).sum();
+        let most = input.runs.iter().map(samples).sum::<usize>().max(BASELINE);
+        let kept = |run: &Run| (samples(run) as f64 * (most as f64 / whole as f64).min(1.0)).ceil() as usize;
+        let all = |run| (run, samples(run));
+        Self::of_runs(
+            input,
+            input.runs.iter().map(all).chain(baseline.into_iter().map(|run| (run, kept(run)))),
+        )
     }
 
     /// The runs to explain alone.
     pub fn without_baseline(input: &Input) -> Self {
-        Self::of_runs(input, input.runs.iter())
+        Self::of_runs(input, input.runs.iter().map(|run| (run, run.drive.n_samples())))
     }
 
     /// Whether runs of the baseline are among them.
@@ -37,8 +54,9 @@ impl Runs {
         self.recording.records.len() > input.runs.len()
     }
 
-    fn of_runs<'a>(input: &Input, runs: impl Iterator<Item = &'a Run> + Clone) -> Self {
-        let names = runs.clone().map(|run| run.name.clone()).collect();
+    /// Runs, of each its first samples.
+    fn of_runs<'a>(input: &Input, runs: impl Iterator<Item = (&'a Run, usize)> + Clone) -> Self {
+        let names = runs.clone().map(|(run, _)| run.name.clone()).collect();
         let recording = recording(input, runs);
         let grouping = group(&recording, &input.repeats);
         let (noise, shares) = (noise(&recording, &grouping), shares(&recording));
@@ -46,12 +64,12 @@ impl Runs {
     }
 }
 
-fn recording<'a>(input: &Input, runs: impl Iterator<Item = &'a Run>) -> Recording {
+fn recording<'a>(input: &Input, runs: impl Iterator<Item = (&'a Run, usize)>) -> Recording {
     let channel = |c: &input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
-    let record = |run: &Run| Record {
-        drive: run.drive.clone(),
-        response: run.response.clone(),
-        added: run.added.clone(),
+    let record = |(run, samples): (&Run, usize)| Record {
+        drive: run.drive.slice(0..samples),
+        response: run.response.slice(0..samples),
+        added: run.added.as_ref().map(|added| added.slice(0..samples)),
         started_s: run.started_s,
     };
     Recording {
@@ -111,4 +129,33 @@ fn noise(recording: &Recording, grouping: &Grouping) -> Option<Vec<f64>> {
         }
     }
     sums.iter().all(|s| s.1 > 0.0).then(|| sums.iter().map(|(sum, n)| (sum / n).sqrt()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tests::rig::{noise_drive, none, request, run};
+
+    /// Samples of each record that is not a run to explain.
+    fn of_baseline(baseline: Vec<Run>) -> Vec<usize> {
+        let input = Input { baseline, mode: Mode::InSitu, ..request(none, 0.01) };
+        let records = Runs::of(&input).recording.records;
+        records[input.runs.len()..].iter().map(|record| record.response.n_samples()).collect()
+    }
+
+    #[test]
+    fn a_long_baseline_counts_by_the_beginnings_of_its_runs_and_a_short_one_whole() {
+        let baseline = |seconds| {
+            vec![
+                run("one", noise_drive(seconds, 1.0, 1), none, 0.01, 1),
+                run("other", noise_drive(0.5 * seconds, 1.0, 2), none, 0.01, 2),
+            ]
+        };
+        let short = baseline(40.0);
+        let whole: Vec<usize> = short.iter().map(|run| run.drive.n_samples()).collect();
+        assert_eq!(of_baseline(short), whole);
+        let kept = of_baseline(baseline(800.0));
+        assert!(kept.iter().sum::<usize>() <= BASELINE + kept.len(), "{kept:?}");
+        assert!(kept[0].abs_diff(2 * kept[1]) <= 2, "alike of each: {kept:?}");
+    }
 }
