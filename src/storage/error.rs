@@ -246,7 +246,14 @@ impl StoreError {
         /// server that stops or stands by, a transaction in which nothing came for too long, failing reads and writes.
         const AWAY: [&str; 9] = ["08", "40", "53", "55P03", "57", "25006", "25P03", "58", "XX"];
         match self {
-            Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_)) => true,
+            Self::Database(
+                sqlx::Error::PoolTimedOut
+                | sqlx::Error::PoolClosed
+                | sqlx::Error::Io(_)
+                | sqlx::Error::Tls(_)
+                // A proxy before a database that starts takes the connection and ends it in the middle of a message.
+                | sqlx::Error::Protocol(_),
+            ) => true,
             Self::Database(error) => {
                 sqlite_code(error).is_some_and(|c| UNAVAILABLE.contains(&(c & 0xff)))
                     || postgres_code(error).is_some_and(|code| AWAY.iter().any(|away| code.starts_with(away)))

@@ -1,5 +1,5 @@
-//! Machines whose way to the database is cut: nobody is told, and what they had begun there stays open. The others go on, what is
-//! asked at the machine itself is answered, and it is back when the way is.
+//! Machines whose way to the database is cut, or that stand still: nobody is told, and what they had begun there stays open. The
+//! others go on, what is asked at the machine itself is answered, and it is back when the way is.
 //!
 //! `RIGCAST_TEST_CUTS=20 cargo test --test api many_machines::partitions -- --nocapture` cuts more often.
 
@@ -8,10 +8,12 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use reqwest::StatusCode;
+use rigcast::client::Client;
 use serde_json::json;
+use tokio::task::JoinHandle;
 
-use super::{Cluster, Kind, until};
-use crate::support::{Weather, bench, setting};
+use super::{Cluster, Kind, Machine, until};
+use crate::support::{Weather, bench, setting, signal};
 
 /// Longest time until a service answers, whatever has become of its database.
 const ANSWER: Duration = Duration::from_secs(30);
@@ -44,11 +46,16 @@ impl Writer {
                 let asked = Instant::now();
                 let request = http.post(format!("{}/v1/rigs", self.base)).json(&body);
                 let answer = request.header("Idempotency-Key", &id).send().await.expect("an answer");
-                let mut longest = self.longest.lock().expect("whole");
-                *longest = longest.max(asked.elapsed());
+                {
+                    let mut longest = self.longest.lock().expect("whole");
+                    *longest = longest.max(asked.elapsed());
+                }
                 match answer.status() {
                     StatusCode::CREATED => break,
-                    status => assert_eq!(status, StatusCode::SERVICE_UNAVAILABLE),
+                    status => {
+                        let said = answer.text().await.unwrap_or_default();
+                        assert_eq!(status, StatusCode::SERVICE_UNAVAILABLE, "{said}");
+                    }
                 }
                 self.refused.fetch_add(1, Ordering::Relaxed);
             }
@@ -57,62 +64,135 @@ impl Writer {
     }
 }
 
+/// Clients that write at a service.
+struct Load {
+    writers: Vec<Arc<Writer>>,
+    writing: Vec<JoinHandle<()>>,
+}
+
+impl Load {
+    fn at(service: &Machine) -> Self {
+        let writer = |name: usize| {
+            Arc::new(Writer {
+                base: service.program.base().to_owned(),
+                name,
+                ends: AtomicBool::default(),
+                made: Mutex::default(),
+                longest: Mutex::default(),
+                refused: AtomicU64::default(),
+            })
+        };
+        let writers: Vec<_> = (0..16).map(writer).collect();
+        let writing = writers.iter().map(|writer| tokio::spawn(writer.clone().write())).collect();
+        Self { writers, writing }
+    }
+
+    /// Ends it, and checks that another service has what was acknowledged; what came of it, for people.
+    async fn ended(self, other: &Client) -> String {
+        for writer in &self.writers {
+            writer.ends.store(true, Ordering::Relaxed);
+        }
+        for writing in self.writing {
+            writing.await.expect("201 or 503");
+        }
+        let (mut longest, mut refused, mut made) = (Duration::ZERO, 0, 0);
+        for writer in &self.writers {
+            longest = longest.max(*writer.longest.lock().expect("whole"));
+            refused += writer.refused.load(Ordering::Relaxed);
+            let ids = std::mem::take(&mut *writer.made.lock().expect("whole"));
+            for id in &ids {
+                other.get(&format!("/v1/rigs/{id}")).await.expect("an acknowledged rig");
+            }
+            made += ids.len();
+        }
+        assert!(longest < ANSWER, "an answer took {longest:?}");
+        format!(
+            "{made} rigs acknowledged, 0 lost; the service answered within {:.1} s ({refused} times with 503)",
+            longest.as_secs_f64()
+        )
+    }
+}
+
+/// How long another service cannot write.
+async fn held_up(other: &Client, id: String) -> Duration {
+    let mut body = bench();
+    body["id"] = json!(id);
+    until(HELD_UP, "a write of the other service", async || other.post("/v1/rigs", &body).await.is_ok()).await
+}
+
+/// How long a service needs until it is ready.
+async fn back(client: &Client) -> Duration {
+    until(Duration::from_secs(10), "the way back", async || {
+        client.get("/readyz").await.is_ok_and(|ready| ready["status"] == "ready")
+    })
+    .await
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_is_cut_off_in_the_middle_of_its_writes_holds_up_nobody() {
     let Some(cluster) = Cluster::start_behind_weather() else { return };
     let cuts = setting("RIGCAST_TEST_CUTS", 1);
     let (cut, other) = (cluster.machine(Kind::Serve), cluster.machine(Kind::Serve));
-    let writer = |name: usize| {
-        Arc::new(Writer {
-            base: cut.program.base().to_owned(),
-            name,
-            ends: AtomicBool::default(),
-            made: Mutex::default(),
-            longest: Mutex::default(),
-            refused: AtomicU64::default(),
-        })
-    };
-    let writers: Vec<_> = (0..16).map(writer).collect();
-    let writing: Vec<_> = writers.iter().map(|writer| tokio::spawn(writer.clone().write())).collect();
-    let clients = [cut.client(None), other.client(None)];
-    let (mut held_up, mut back) = (Duration::ZERO, Duration::ZERO);
+    let (client, other) = (cut.client(None), other.client(None));
+    let load = Load::at(&cut);
+    let mut longest = [Duration::ZERO; 2];
     for k in 0..cuts {
         tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
         cut.set_way(Weather::Lost);
-        let mut body = bench();
-        body["id"] = json!(format!("other-{k}"));
-        let wrote = until(HELD_UP, "a write of the other service", async || {
-            clients[1].post("/v1/rigs", &body).await.is_ok()
-        });
-        held_up = held_up.max(wrote.await);
+        longest[0] = longest[0].max(held_up(&other, format!("other-{k}")).await);
         // Longer than anything is waited for.
         tokio::time::sleep(ANSWER).await;
         cut.set_way(Weather::Fair);
-        let ready = until(Duration::from_secs(10), "the way back", async || {
-            clients[0].get("/readyz").await.is_ok_and(|ready| ready["status"] == "ready")
-        });
-        back = back.max(ready.await);
+        longest[1] = longest[1].max(back(&client).await);
     }
-    for writer in &writers {
-        writer.ends.store(true, Ordering::Relaxed);
-    }
-    for writing in writing {
-        writing.await.expect("201 or 503");
-    }
-    let longest = writers.iter().map(|w| *w.longest.lock().expect("whole")).max().unwrap_or_default();
-    assert!(longest < ANSWER, "an answer took {longest:?}");
-    let refused: u64 = writers.iter().map(|w| w.refused.load(Ordering::Relaxed)).sum();
-    let made: Vec<String> =
-        writers.iter().flat_map(|w| std::mem::take(&mut *w.made.lock().expect("whole"))).collect();
-    for id in &made {
-        clients[1].get(&format!("/v1/rigs/{id}")).await.expect("an acknowledged rig");
-    }
+    let [held_up, back] = longest.map(|longest| longest.as_secs_f64());
+    let ended = load.ended(&other).await;
     println!(
-        "{cuts} partitions of a service that writes: {} rigs acknowledged, 0 lost; another one wrote after {:.1} s at most, the \
-         service answered within {:.1} s ({refused} times with 503) and was back after {:.1} s",
-        made.len(),
-        held_up.as_secs_f64(),
-        longest.as_secs_f64(),
-        back.as_secs_f64(),
+        "{cuts} partitions of a service that writes: {ended}; another one wrote after {held_up:.1} s at most, and it was back \
+              after {back:.1} s"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_stands_still_in_the_middle_of_its_writes_holds_up_nobody() {
+    let Some(cluster) = Cluster::start() else { return };
+    let pauses = setting("RIGCAST_TEST_PAUSES", 3);
+    let (paused, other) = (cluster.machine(Kind::Serve), cluster.machine(Kind::Serve));
+    let (client, other) = (paused.client(None), other.client(None));
+    let load = Load::at(&paused);
+    let mut longest = [Duration::ZERO; 2];
+    for k in 0..pauses {
+        tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
+        signal("-STOP", paused.program.id());
+        longest[0] = longest[0].max(held_up(&other, format!("other-{k}")).await);
+        tokio::time::sleep(Duration::from_secs(2)).await;
+        signal("-CONT", paused.program.id());
+        longest[1] = longest[1].max(back(&client).await);
+    }
+    let [held_up, back] = longest.map(|longest| longest.as_secs_f64());
+    let ended = load.ended(&other).await;
+    println!(
+        "{pauses} pauses of a service that writes: {ended}; another one wrote after {held_up:.1} s at most, and it was back \
+              after {back:.1} s"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_restarts_in_the_middle_of_writes_is_away_for_them_and_nothing_else() {
+    let Some(cluster) = Cluster::start() else { return };
+    let restarts = setting("RIGCAST_TEST_RESTARTS", 3);
+    let (service, other) = (cluster.machine(Kind::Serve), cluster.machine(Kind::Serve));
+    let (client, other) = (service.client(None), other.client(None));
+    let load = Load::at(&service);
+    let mut longest = Duration::ZERO;
+    for k in 0..restarts {
+        tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
+        cluster.postgres.restart();
+        longest = longest.max(back(&client).await);
+    }
+    let ended = load.ended(&other).await;
+    println!(
+        "{restarts} restarts of the database beneath a service that writes: {ended}; back after {:.1} s",
+        longest.as_secs_f64()
     );
 }
