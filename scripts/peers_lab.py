@@ -91,13 +91,18 @@ class Lab:
 
     def scaled(self, linear, training):
         """Standardised inputs and outputs of all runs, [sample, channel], and the scalers."""
-        x = [np.concatenate([run[: self.inputs], lin]) for run, lin in zip(self.noise, linear)]
+        x = [np.concatenate([run[: self.inputs], response]) for run, response in zip(self.noise, linear)]
         y = [run[self.inputs :] for run in self.noise]
-        scaler = lambda of: (lambda all: (all.mean(1, dtype=np.float64), all.std(1, dtype=np.float64)))(
-            np.concatenate([of[run][:, a:b] for run, a, b in training], axis=1))
+
+        def scaler(of):
+            seen = np.concatenate([of[run][:, first:last] for run, first, last in training], axis=1)
+            return seen.mean(1, dtype=np.float64), seen.std(1, dtype=np.float64)
+
+        def scale(of, mean, std):
+            return [((run - mean[:, None]) / std[:, None]).astype(np.float32).T.copy() for run in of]
+
         of_x, of_y = scaler(x), scaler(y)
-        planes = lambda of, s: [((v - s[0][:, None]) / s[1][:, None]).astype(np.float32).T.copy() for v in of]
-        return planes(x, of_x), planes(y, of_y), of_x, of_y
+        return scale(x, *of_x), scale(y, *of_y), of_x, of_y
 
 
 def start(torch, lab, of_x, of_y, seed):
@@ -129,6 +134,7 @@ def forward(net, x):
 
 
 def windows(spans, lab, offsets):
+    """(run, first sample) of all windows of the spans, each span's from its offset on."""
     window, hop = lab.lstm["window_len"], lab.lstm["hop"]
     return [(run, first) for (run, a, b), offset in zip(spans, offsets)
             for first in range(a + offset, b - window + 1, hop)]
@@ -144,7 +150,10 @@ def train(torch, lab, signals, spans, stopping, seed, until):
     net = start(torch, lab, of_x, of_y, seed)
     optimizer = torch.optim.Adam(net.parameters(), s["learning_rate"])
     every = s.get("validate_every") or max(epochs // 100, 1)
-    cut = lambda of, part: torch.stack([of[run][first : first + window] for run, first in part])
+
+    def cut(of, part):
+        return torch.stack([of[run][first : first + window] for run, first in part])
+
     stops = windows(stopping, lab, [0] * len(stopping))
 
     @torch.inference_mode()
@@ -243,9 +252,10 @@ def run(torch, folder):
     net = start(torch, lab, *signals[2:], seeds[k])
     net.load_state_dict(trained[k][2])
     compared = []
-    for run_, a, b in lab.spans("validation"):
-        found = predicted(torch, lab, net, signals, h, lab.noise[run_][: lab.inputs])
-        compared.append(error(lab.noise[run_][lab.inputs :, a:b], found[:, a:b]))
+    for number, first, last in lab.spans("validation"):
+        signal = lab.noise[number][:, first:last]
+        found = predicted(torch, lab, net, signals, h, signal[: lab.inputs])
+        compared.append(error(signal[lab.inputs :], found))
     lap("compared")
     torch.set_num_threads(CORES)
     spans = lab.spans("training")

@@ -1,5 +1,6 @@
-//! Machines whose way to the database is cut, or that stand still: nobody is told, and what they had begun there stays open. The
-//! others go on, what is asked at the machine itself is answered, and it is back when the way is.
+//! What happens in the middle of writes: the way of a machine to the database is cut, a machine stands still, the database
+//! restarts. Nobody is told of the first two, and what had begun stays open. The others go on, what is asked at the machine itself
+//! is answered, nothing acknowledged is lost, and everything is back soon.
 //!
 //! `RIGCAST_TEST_CUTS=20 cargo test --test api many_machines::partitions -- --nocapture` cuts more often.
 
