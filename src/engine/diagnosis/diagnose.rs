@@ -64,12 +64,21 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
         if let Some(Drifting { verdict, outcome, .. }) = drifts.take_if(|d| d.left < input.material_gap) {
             return finish(input, &prepared, &overview, verdict, Some(outcome), watch);
         }
-        let first = |p: Progress<'_>| watch(p.within(&(0.0..0.5)));
-        let found = by_transfer(input, &overview, &first)?;
+        let half = if prepared.from_repeats { 0.5 } else { 0.0 };
+        let first = |p: Progress<'_>| watch(p.within(&(0.0..half)));
+        let second = |p: Progress<'_>| watch(p.within(&(half..1.0)));
+        let mut by_repeats = None;
         if prepared.from_repeats {
-            let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
-            let outcome = contest(input, &input.catalogue, &prepared, &overview, &second)?;
+            let outcome = contest(input, &input.catalogue, &prepared, &overview, &first)?;
             let verdict = judge(input, &prepared, &overview, &outcome);
+            // Whatever transfer says, that stands.
+            if verdict.kind == VerdictKind::Identified {
+                return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
+            }
+            by_repeats = Some((verdict, outcome));
+        }
+        let found = by_transfer(input, &overview, &second)?;
+        if let Some((verdict, outcome)) = by_repeats {
             let fitted = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining);
             let carried = found.hypotheses.first().map_or(1.0, |(best, _)| best.remaining_share);
             if let Some(verdict) = verdict.beside(&found.verdict, [fitted, carried]) {

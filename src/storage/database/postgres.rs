@@ -272,14 +272,13 @@ pub(in crate::storage) async fn set_service(session: &mut Session, service: Uuid
 pub(in crate::storage) async fn others(pool: &PgPool) -> Result<i64, StoreError> {
     let count = "SELECT count(*) FROM pg_stat_activity
                  WHERE datname = current_database() AND application_name = 'rigcast' AND pid <> pg_backend_pid()";
-    Ok(sqlx::query_scalar(count).fetch_one(pool).await?)
+    Ok(answered(Box::pin(sqlx::query_scalar(count).fetch_one(pool))).await?)
 }
 
 /// The time by the database's clock.
 pub(in crate::storage) async fn time(pool: &PgPool) -> Result<Timestamp, StoreError> {
-    let us: i64 = sqlx::query_scalar("SELECT (extract(epoch FROM clock_timestamp()) * 1000000)::bigint")
-        .fetch_one(pool)
-        .await?;
+    let asked = sqlx::query_scalar("SELECT (extract(epoch FROM clock_timestamp()) * 1000000)::bigint");
+    let us: i64 = answered(Box::pin(asked.fetch_one(pool))).await?;
     let bad =
         |error: jiff::Error| StoreError::Row { table: "clock", key: us.to_string(), what: error.to_string() };
     Timestamp::from_microsecond(us).map_err(bad)
