@@ -126,12 +126,12 @@ impl UsedCore {
 
 /// Effects of a model by name.
 fn adopted_effects(model: &RigModel, effects: &[AddedEffect]) -> Vec<AdoptedEffect> {
-    let named = |added: &AddedEffect| {
-        let effect = added.augmented.effect();
-        let channel = model.outputs[added.augmented.response()].clone();
-        AdoptedEffect { effect, family: effect.family(), channel }
+    let named = |(effect, response): (Effect, usize)| AdoptedEffect {
+        effect,
+        family: effect.family(),
+        channel: model.outputs[response].clone(),
     };
-    effects.iter().map(named).collect()
+    effects.iter().flat_map(|added| added.augmented.effects()).map(named).collect()
 }
 
 /// The origin of an adopted effect.

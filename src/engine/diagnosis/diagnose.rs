@@ -8,8 +8,8 @@ use super::report::{
     DataSplit, Fingerprints, Gap, Hypothesis, NoiseSource, Remaining, Report, RunPart, SecondEffect, Verdict,
     VerdictKind,
 };
-use super::transfer::{Found, by_transfer, sentence};
-use super::verdict::{SURE_OF_TWO, judge};
+use super::transfer::{Found, by_transfer};
+use super::verdict::judge;
 use super::views::Views;
 use crate::EngineError;
 use crate::diagnosis::data::locate;
@@ -19,9 +19,9 @@ use crate::diagnosis::data::prepare::{Prepared, prepare};
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::findings::fingerprint;
 use crate::diagnosis::findings::held_out::Place;
-use crate::diagnosis::findings::hypothesis::{closes_most, hypothesis};
+use crate::diagnosis::findings::hypothesis::{Explanation, closes_most, hypothesis};
 use crate::diagnosis::findings::next::next_experiment;
-use crate::diagnosis::findings::second::second_effect;
+use crate::diagnosis::findings::second::{SURE_OF_TWO, second_effect};
 use crate::diagnosis::findings::whereabouts::location;
 use crate::diagnosis::search::contest::{Outcome, contest};
 use crate::diagnosis::search::decide::Ranked;
@@ -158,7 +158,7 @@ fn from_transfer(
         schema: "gap-diagnosis/1".into(),
         mode: input.mode,
         noise_floor_source: found.noise,
-        verdict: found.verdict,
+        verdict: found.verdict.naming(hypotheses.first()),
         remaining: Remaining {
             chi2: left * found.gap.chi2_select,
             ..remaining_after(input, prepared, overview, None, None)
@@ -193,10 +193,11 @@ fn finish(
     // What names an effect that does not bend to whatever it meets stands; else two effects together may.
     let nothing = verdict.kind == VerdictKind::NoneOfCatalogue;
     let named = verdict.effect.filter(|effect| effect.tier() != Tier::Free);
-    let two = outcome
-        .as_ref()
-        .and_then(|outcome| second_effect(input, prepared, overview, outcome, named))
-        .filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
+    let two = match &outcome {
+        Some(outcome) => second_effect(input, prepared, overview, outcome, named, watch)?,
+        None => None,
+    };
+    let two = two.filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
     let open = named.is_none() && verdict.kind != VerdictKind::NoMaterialGap;
     if let Some(two) = two.as_ref().filter(|_| open) {
@@ -205,17 +206,31 @@ fn finish(
     }
     report(watch, "second effect", 0.88)?;
     let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();
-    let made: Vec<(Hypothesis, Augmented)> =
-        listed.par_iter().filter_map(|ranked| hypothesis(input, prepared, overview, ranked)).collect();
-    let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
-    let mut verdict = verdict.on_test(hypotheses.first());
-    if verdict.in_words.is_empty() {
-        verdict.in_words = sentence(&verdict, hypotheses.first());
+    let mut made: Vec<(Hypothesis, Augmented)> = listed
+        .par_iter()
+        .filter_map(|Ranked { scored, probability, .. }| {
+            hypothesis(input, prepared, overview, &Explanation::of(prepared, scored), *probability)
+        })
+        .collect();
+    let mut verdict = verdict.on_test(made.first().map(|(hypothesis, _)| hypothesis));
+    // Where something is blamed, the best hypothesis holds all that helps.
+    let alone = listed.first().map(|best| Explanation::of(prepared, &best.scored));
+    let mut best = alone.as_ref();
+    if let (Some(two), Some(alone)) = (&two, made.first_mut())
+        && verdict.kind.blames()
+        && (open || two.first == 0)
+        && let Some(together) = hypothesis(input, prepared, overview, &two.explanation, alone.0.probability)
+        && together.0.helps_beyond(&alone.0)
+    {
+        *alone = together;
+        best = Some(&two.explanation);
     }
+    let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
+    verdict = verdict.naming(hypotheses.first());
     report(watch, "next experiment", 0.95)?;
     let next_experiment = next_experiment(input, prepared, &ranked, &verdict);
-    let best = listed.first().map(|best| closes_most(best.scored.places(prepared), overview));
-    let problem = best.as_ref().map_or(&prepared.problems[overview.worst()], |b| &b.problem);
+    let best = best.map(|best| closes_most(&best.places(), overview));
+    let problem = best.map_or(&prepared.problems[overview.worst()], |b| &b.problem);
     let rate = input.sample_rate_hz();
     let names: Vec<String> = input.runs.iter().map(|run| run.name.clone()).collect();
     let fingerprints = Fingerprints {
@@ -241,14 +256,20 @@ fn finish(
         location: location(input, prepared, overview, &names, rate),
         fingerprints,
         hypotheses,
-        remaining: remaining_after(input, prepared, overview, best.as_ref(), two.map(|t| t.second)),
+        remaining: remaining_after(
+            input,
+            prepared,
+            overview,
+            best,
+            two.as_ref().map(|two| two.second.clone()),
+        ),
         next_experiment,
         data_split: data_split(prepared, &names, rate),
         warnings,
     };
     report(watch, "report", 1.0)?;
     let host = listed.first().map(|b| (&prepared.problems[b.scored.problem], &b.scored.fitted));
-    let views = Views::new(input, prepared, (problem, best.as_ref().map(|b| &b.fitted)), host);
+    let views = Views::new(input, prepared, (problem, best.map(|b| &b.fitted)), host);
     Ok(Diagnosis { report: report_of_all, views, augmented })
 }
 

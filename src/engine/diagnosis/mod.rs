@@ -46,6 +46,7 @@ mod verdict;
 pub mod views;
 
 pub use augmented::Augmented;
+pub(crate) use augmented::sum;
 pub use diagnose::{Diagnosis, diagnose};
 pub use effects::effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};

@@ -67,6 +67,9 @@ pub struct Verdict {
     pub probability: f64,
     /// Effects that these runs cannot tell apart, the blamed one first.
     pub equivalence_set: Vec<Effect>,
+    /// What is blamed, the first effect and those beside it; empty where none is named.
+    #[serde(default)]
+    pub effects: Vec<EffectShare>,
     /// Reasons, in words.
     pub because: Vec<String>,
 }
@@ -283,10 +286,27 @@ pub struct TransferRow {
     pub parameters_alone: Vec<f64>,
 }
 
-/// One effect with what it explains.
+/// One of the effects that a hypothesis holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EffectShare {
+    /// Effect.
+    pub effect: Effect,
+    /// Family.
+    pub family: Family,
+    /// Axis of the effect.
+    pub axis: Option<String>,
+    /// Channel at which it acts.
+    pub at: Option<String>,
+    /// Or the two channels between which it acts.
+    pub between: Option<[String; 2]>,
+    /// Share of the gap that it closes beside those listed before it, on the select runs; 0..1.
+    pub share_of_gap: f64,
+}
+
+/// What is simulated, one effect or two together, with what that explains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hypothesis {
-    /// Effect.
+    /// Effect; of two the first.
     pub effect: Effect,
     /// Family.
     pub family: Family,
@@ -304,7 +324,10 @@ pub struct Hypothesis {
     pub probability: f64,
     /// Share of the gap that it leaves on the select runs.
     pub remaining_share: f64,
-    /// Its numbers.
+    /// All effects that it holds, the first one first.
+    #[serde(default)]
+    pub effects: Vec<EffectShare>,
+    /// Its numbers; of two effects each with its effect before it, as in `backlash.half_width`.
     pub parameters: Vec<Parameter>,
     /// How strong it is in terms of a drive; none where that is not known.
     #[serde(default)]
@@ -347,7 +370,8 @@ pub struct Remaining {
     pub chi2: f64,
     /// By band.
     pub bands: Vec<BandShare>,
-    /// A second effect, if one closes a good part of the rest.
+    /// A second effect, if one closes a good part of the rest. Where the verdict blames an effect, the best hypothesis
+    /// holds both.
     pub second_effect: Option<SecondEffect>,
 }
 

@@ -5,14 +5,12 @@ use super::report::{Hypothesis, Verdict, VerdictKind};
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::effects::effect::{Effect, Tier};
-use crate::diagnosis::findings::hypothesis::{axis, closes_most, place};
-use crate::diagnosis::findings::second::Two;
+use crate::diagnosis::findings::hypothesis::{axis, closed_most, place};
+use crate::diagnosis::findings::second::{SURE_OF_TWO, Two};
 use crate::diagnosis::search::contest::Outcome;
 use crate::diagnosis::search::decide::{NOISE_LEFT, Ranked, Ruling, rule};
-use crate::diagnosis::transfer::MODEL_ERRS;
+use crate::diagnosis::transfer::{MODEL_ERRS, sentence};
 
-/// Below this probability two effects together are no answer.
-pub(super) const SURE_OF_TWO: f64 = 0.7;
 /// What an equation is believed at most that leaves more than the noise and that transfer does not name.
 const BESIDE_TRANSFER: f64 = 0.8;
 /// What it is believed at most that the catalogue lacks the cause, where the gap holds more than a change: even odds.
@@ -44,7 +42,7 @@ impl Verdict {
             two.second.effect.name(),
             two.second.chi2
         ));
-        let channel = closes_most(first.scored.places(prepared), overview).problem.response;
+        let channel = closed_most(prepared, overview, &first.scored);
         Self {
             kind: VerdictKind::Partial,
             effect: Some(effect),
@@ -56,6 +54,7 @@ impl Verdict {
             channel: Some(input.responses[channel].name.clone()),
             probability: two.probability,
             equivalence_set: vec![effect],
+            effects: Vec::new(),
             because,
         }
     }
@@ -123,6 +122,17 @@ impl Verdict {
         self
     }
 
+    /// Names the effects of the first hypothesis, if it is the effect that is blamed, and says it in a sentence.
+    pub(super) fn naming(mut self, first: Option<&Hypothesis>) -> Self {
+        if let Some(first) = first.filter(|first| self.kind.blames() && self.effect == Some(first.effect)) {
+            self.effects.clone_from(&first.effects);
+        }
+        if self.in_words.is_empty() {
+            self.in_words = sentence(&self, first);
+        }
+        self
+    }
+
     /// What was chosen on the select runs is only part of the answer if the test runs hold a good deal
     /// that it does not close: a rare effect may be missing from the others.
     pub(super) fn on_test(mut self, chosen: Option<&Hypothesis>) -> Self {
@@ -148,7 +158,7 @@ pub(super) fn judge(
     let ranked = &outcome.ranked;
     let (ruling, probability, set) = rule(ranked, outcome.chi2_none, outcome.rows, input.seed);
     let channel = match ranked.first() {
-        Some(best) => closes_most(best.scored.places(prepared), overview).problem.response,
+        Some(best) => closed_most(prepared, overview, &best.scored),
         None => overview.worst(),
     };
     let best = ranked.first();
@@ -221,6 +231,7 @@ pub(super) fn judge(
         channel: Some(input.responses[channel].name.clone()),
         probability: probability.clamp(0.0, 1.0),
         equivalence_set: set,
+        effects: Vec::new(),
         because,
     }
 }

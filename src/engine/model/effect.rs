@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use crate::diagnosis::Augmented;
+use crate::diagnosis::{Augmented, sum};
 use crate::progress::{Watch, report, unwatched};
 use crate::{EngineError, Signal};
 
@@ -98,11 +98,6 @@ fn fold(
         response = next;
     }
     Ok((response, added))
-}
-
-fn sum(a: &Signal, b: &Signal) -> Result<Signal, EngineError> {
-    let of = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| a + b).collect();
-    Signal::new(a.sample_rate_hz(), a.channels().iter().zip(b.channels()).map(of).collect())
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::labels::words;
-use super::sentence::closure;
+use super::sentence::{closure, held};
 use super::{figure, heading};
 use crate::engine::diagnosis::{Effect, Report};
 use crate::ui::plot::{WhiskerRow, whiskers};
@@ -17,7 +17,7 @@ pub fn section(report: &Report) -> Markup {
         .hypotheses
         .iter()
         .map(|h| WhiskerRow {
-            name: words(h.effect).name.into(),
+            name: held(h),
             value: h.held_out.closure,
             interval: h.held_out.closure_ci90,
             probability: Some(h.probability),
@@ -26,7 +26,7 @@ pub fn section(report: &Report) -> Markup {
         .collect();
     let description = format!(
         "One row per candidate, the most probable first: {} closes {} of the gap.",
-        words(best.effect).name,
+        held(best),
         closure(best)
     );
     html! {
@@ -60,6 +60,13 @@ fn explained(report: &Report) -> Markup {
     let v = &report.verdict;
     let line = |effect: Effect| html! { b { (capital(words(effect).name)) ". " } (words(effect).plain) };
     match v.effect {
+        Some(_) if v.effects.len() > 1 => html! {
+            ul {
+                @for (k, e) in v.effects.iter().enumerate() {
+                    li { (line(e.effect)) " It closes " (percent(e.share_of_gap)) " of the gap" @if k > 0 { " beside what is named before it" } "." }
+                }
+            }
+        },
         Some(effect) => html! { p { (line(effect)) } },
         None => html! { ul { @for effect in &v.equivalence_set { li { (line(*effect)) } } } },
     }

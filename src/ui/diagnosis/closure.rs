@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::labels::words;
 use super::location::spectral;
+use super::sentence::held;
 use super::{figure, heading};
 use crate::engine::diagnosis::views::UnseenRun;
 use crate::engine::diagnosis::{Hypothesis, Report, Views};
@@ -61,7 +61,7 @@ fn in_words(best: &Hypothesis, unseen: &UnseenRun) -> String {
     };
     format!(
         "With {} simulated, the RMS error on unseen runs goes from {} to {}{rest} ({}). In terms of RMS {} of the gap is closed.{damage}",
-        words(best.effect).name,
+        held(best),
         with_unit(h.rms_before, unit),
         with_unit(h.rms_after, unit),
         with_unit(h.noise_rms, unit),
@@ -82,15 +82,15 @@ fn by_response(best: &Hypothesis) -> Markup {
             chosen: true,
         })
         .collect();
-    let description = format!("One row per response that {} acts on.", words(best.effect).name);
+    let description = format!("One row per response that {} acts on.", held(best));
     figure(
         &whiskers("by-response", "Closure by response", &description, &rows),
         &html! { b { "By response. " } "One effect, simulated where it acts, with its influence on every other response." },
     )
 }
 
-fn effect(best: Option<&Hypothesis>) -> &'static str {
-    best.map_or("the effect", |b| words(b.effect).name)
+fn effect(best: Option<&Hypothesis>) -> String {
+    best.map_or_else(|| "the effect".into(), held)
 }
 
 fn time(unseen: &UnseenRun) -> Vec<f64> {

@@ -218,6 +218,12 @@ pub fn in_words(text: &str) -> String {
 
 /// The name of a parameter in words, and its power of ten.
 pub fn parameter(name: &str) -> String {
+    // Of two effects together each number has its effect before it.
+    if let Some((effect, number)) = name.split_once('.') {
+        let known = Effect::ALL.into_iter().find(|e| e.name() == effect);
+        let effect = known.map_or_else(|| effect.replace('_', " "), |effect| words(effect).name.into());
+        return format!("{effect}: {}", parameter(number));
+    }
     match name {
         "relative_gain" => "relative change of gain".into(),
         "corner" => "corner frequency".into(),

@@ -22,11 +22,13 @@ pub fn remaining(report: &Report) -> Markup {
     html! {
         (heading("remains", "What remains?"))
         p {
-            "With " (words(best.effect).name) " in the model the RMS error, on the runs on which it was chosen, is " (number(size)) " noise floors"
+            "With " (sentence::held(best)) " in the model the RMS error, on the runs on which it was chosen, is " (number(size)) " noise floors"
             @if size < 1.15 { ": the remaining error cannot be told from noise." }
             @else if size < 2.0 { ": a little error remains besides the noise." }
             @else { ": more error remains than noise explains." }
-            @if let Some(second) = &r.second_effect {
+            @if best.effects.len() > 1 {
+                " A third was not sought: adopt these and diagnose again."
+            } @else if let Some(second) = &r.second_effect {
                 " A second effect helps: " b { (words(second.effect).name) } " (" (family(second.family)) ")"
                 @if let Some(axis) = &second.axis { " on axis " (axis) }
                 " on top leaves " (second.channel) " at "
@@ -171,7 +173,7 @@ fn parameters(best: &Hypothesis) -> Markup {
         html! { tr { td { (parameter(&p.name)) } td.number { (with_unit(p.value, &p.unit)) (error) } } }
     };
     html! {
-        h3 { "Fitted numbers of " (words(best.effect).name) }
+        h3 { "Fitted numbers of " (sentence::held(best)) }
         table { tbody { @for p in &best.parameters { (row(p)) } } }
         p.soft { "With standard errors. They describe the simulation; they are not measurements of a part." }
     }

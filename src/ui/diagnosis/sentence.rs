@@ -1,7 +1,7 @@
 //! The verdict in one plain sentence.
 
 use super::labels::{family, words};
-use crate::engine::diagnosis::{Effect, Hypothesis, Report, Verdict, VerdictKind};
+use crate::engine::diagnosis::{Effect, EffectShare, Hypothesis, Report, Verdict, VerdictKind};
 use crate::ui::text::{listed, number, percent, share};
 
 /// The answer in one sentence.
@@ -13,6 +13,14 @@ pub fn verdict(report: &Report) -> String {
             "{sure}, the samples{} are rounded to coarse steps, and that rounding makes up the gap.",
             v.channel.as_ref().map_or_else(String::new, |c| format!(" of {c}")),
         ),
+        (VerdictKind::Identified | VerdictKind::Partial, Some(_)) if v.effects.len() > 1 => {
+            let all: Vec<String> =
+                v.effects.iter().map(|e| format!("{}{}", words(e.effect).noun, place(e.into()))).collect();
+            let closes = best(report).map_or_else(String::new, |best| {
+                format!(": together they close {} of the gap on unseen runs", closure(best))
+            });
+            format!("{sure}, the rig has {}, which the model lacks{closes}.", listed(&all, "and"))
+        }
         (VerdictKind::Identified | VerdictKind::Partial, Some(effect)) => {
             format!("{sure}, {}{}", has(v, effect), closes(report, effect))
         }
@@ -20,7 +28,7 @@ pub fn verdict(report: &Report) -> String {
             let kind = v.family.map_or("kind not known", family);
             format!(
                 "{sure}, the model lacks an effect of the kind “{kind}”{}, but these runs cannot tell which{}.",
-                place(v),
+                place(v.into()),
                 among(v)
             )
         }
@@ -72,14 +80,34 @@ fn none(report: &Report, sure: &str) -> String {
 fn has(v: &Verdict, effect: Effect) -> String {
     let words = words(effect);
     if words.other {
-        format!("the rig has {}{} than the model", words.noun, place(v))
+        format!("the rig has {}{} than the model", words.noun, place(v.into()))
     } else {
-        format!("the rig has {}{} that the model lacks", words.noun, place(v))
+        format!("the rig has {}{} that the model lacks", words.noun, place(v.into()))
     }
 }
 
-fn place(v: &Verdict) -> String {
-    match (&v.between, &v.axis, v.at.as_ref().or(v.channel.as_ref())) {
+/// Where something acts.
+struct Acts<'a> {
+    between: Option<&'a [String; 2]>,
+    axis: Option<&'a String>,
+    channel: Option<&'a String>,
+}
+
+impl<'a> From<&'a Verdict> for Acts<'a> {
+    fn from(v: &'a Verdict) -> Self {
+        let channel = v.at.as_ref().or(v.channel.as_ref());
+        Self { between: v.between.as_ref(), axis: v.axis.as_ref(), channel }
+    }
+}
+
+impl<'a> From<&'a EffectShare> for Acts<'a> {
+    fn from(e: &'a EffectShare) -> Self {
+        Self { between: e.between.as_ref(), axis: e.axis.as_ref(), channel: e.at.as_ref() }
+    }
+}
+
+fn place(acts: Acts<'_>) -> String {
+    match (acts.between, acts.axis, acts.channel) {
         (Some([a, b]), ..) => format!(" between {a} and {b}"),
         (None, Some(axis), _) => format!(" on axis {axis}"),
         (None, None, Some(channel)) => format!(" at {channel}"),
@@ -112,6 +140,12 @@ fn among(v: &Verdict) -> String {
 
 fn names(effects: &[Effect]) -> Vec<String> {
     effects.iter().map(|e| words(*e).name.to_owned()).collect()
+}
+
+/// The effects of a hypothesis in a list.
+pub fn held(hypothesis: &Hypothesis) -> String {
+    let all: Vec<Effect> = hypothesis.effects.iter().map(|e| e.effect).collect();
+    listed(&names(if all.is_empty() { std::slice::from_ref(&hypothesis.effect) } else { &all }), "and")
 }
 
 /// The first hypothesis.

@@ -111,6 +111,22 @@ fn a_page_of_runs_without_repeats_shows_what_the_law_leaves_of_each_group() {
 }
 
 #[test]
+fn two_effects_are_told_in_one_sentence_and_weighed() {
+    let spring_and_friction = |x: f64, v: f64| 260.0 * x * x * x + 300.0 * v.tanh();
+    let input = Input { catalogue: few(), ..request(spring_and_friction, 0.01) };
+    let found = diagnose(&input, &unwatched).unwrap();
+    let said = sentence::verdict(&found.report);
+    for part in ["cubic stiffness on axis x", "Coulomb friction on axis x", "together they close"] {
+        assert!(said.contains(part), "{said}");
+    }
+    let html = page(&heading(), &found.report, &found.views);
+    tags(&html);
+    assert_eq!(html.matches("beside what is named before it").count(), 1);
+    assert!(html.contains("Coulomb friction: transition velocity"), "the numbers say whose they are");
+    assert!(html.contains("adopt these and diagnose again"));
+}
+
+#[test]
 fn every_kind_of_verdict_has_a_sentence_of_its_own() {
     let found = hostile();
     let mut seen = std::collections::BTreeSet::new();

@@ -13,6 +13,7 @@ use crate::diagnosis::numerics::spline::Spline;
 /// Bounds far above what a diagnosis makes: a file must not set how long a prediction takes.
 const MAX_ORDER: usize = 200;
 const MAX_PARTS: usize = 8;
+const MAX_FURTHER: usize = 8;
 const MAX_KNOTS: usize = 1000;
 
 /// Largest magnitude of any number.
@@ -36,6 +37,7 @@ impl Augmented {
         numbers("time", &[self.time])?;
         if let Some(added) = &self.added {
             count("members", self.members.len(), 0)?;
+            count("further effects", self.further.len(), 0)?;
             return added.check(drives, responses, sample_rate_hz);
         }
         let Some(host) = self.members.first() else { return Err("members: none".into()) };
@@ -49,6 +51,14 @@ impl Augmented {
             // Only now: a file's knots could have made the sum of their numbers overflow.
             count("parameters", member.p.len(), member.candidate.parameters(&member.plant))?;
             numbers("parameters", &member.p)?;
+        }
+        within("further effects", self.further.len(), MAX_FURTHER + 1)?;
+        for next in &self.further {
+            count("further effects of a further one", next.further.len(), 0)?;
+            if next.added.is_some() {
+                return Err("further effects: laws that were found by transfer".into());
+            }
+            next.checked(drives, responses, sample_rate_hz)?;
         }
         Ok(())
     }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::core::Core;
-use crate::diagnosis::effects::candidate::Candidate;
+use crate::diagnosis::effects::candidate::{Candidate, Part};
 use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::effects::kernel::Clock;
 use crate::diagnosis::effects::plant::{Course, Plant};
@@ -37,6 +37,9 @@ pub struct Augmented {
     /// Whether the effect was found on a sim with adopted effects, which its core then runs with.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) on_effects: bool,
+    /// Effects that were found after it in the same diagnosis: each acts in the motion with those before it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) further: Vec<Self>,
 }
 
 /// One response with the effect.
@@ -75,7 +78,7 @@ impl Member {
 impl Augmented {
     /// A law that was found by transfer between runs.
     pub(super) fn of_transfer(added: Added, on_effects: bool) -> Self {
-        Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects }
+        Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects, further: Vec::new() }
     }
 
     /// Takes out the taps of a law that was found by transfer; empty of any other. What is left is small text.
@@ -97,7 +100,7 @@ impl Augmented {
         added.forward.attach_taps(taps).map_err(|what| EngineError::Weights(format!("effect: {what}")))
     }
 
-    /// Responses with the effect, `[response][sample]`, as [`Augmented::apply`]; `None` where the free run diverges.
+    /// Responses with the effect and none of the further ones, `[response][sample]`, as [`Augmented::apply`]; `None` where the free run diverges.
     pub(super) fn predict(
         &self,
         drives: &[Vec<f64>],
@@ -115,12 +118,21 @@ impl Augmented {
         Some(out)
     }
 
-    /// The effect.
-    pub fn effect(&self) -> Effect {
+    /// Each effect and the index of the response where it acts, the first one first.
+    pub fn effects(&self) -> Vec<(Effect, usize)> {
         if let Some(added) = &self.added {
-            return added.effect;
+            return vec![(added.effect, added.response)];
         }
-        self.members[0].candidate.parts[0].effect
+        let mut all = Vec::new();
+        for (k, member) in self.members.iter().enumerate() {
+            // What the host's effects do at other responses is no effect of its own.
+            let mapped = |part: &Part| part.input.is_some() && self.members[0].candidate.parts.contains(part);
+            let of_host = |part: &Part| k > 0 && (part.is_carried() || mapped(part));
+            let own = member.candidate.parts.iter().filter(|part| !of_host(part));
+            all.extend(own.map(|part| (part.effect, member.plant.response)));
+        }
+        all.extend(self.further.iter().flat_map(Self::effects));
+        all
     }
 
     /// Index of the response where it acts.
@@ -148,6 +160,55 @@ impl Augmented {
         simulated: &Signal,
         before: Option<&Signal>,
     ) -> Result<Signal, EngineError> {
+        Ok(self.with_further(drive, simulated, before, false)?.0)
+    }
+
+    /// What the effect adds to its linear core, `[response, sample]`; zero where it is not felt. Arguments
+    /// and errors as [`Augmented::apply`].
+    pub fn addition(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+    ) -> Result<Signal, EngineError> {
+        let with_further = || self.with_further(drive, simulated, before, true);
+        match if self.further.is_empty() { None } else { with_further()?.1 } {
+            Some(added) => Ok(added),
+            None => self.addition_alone(drive, simulated, before),
+        }
+    }
+
+    /// The responses with all effects, and what they add; of the last that only where it is `wanted`.
+    fn with_further(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+        wanted: bool,
+    ) -> Result<(Signal, Option<Signal>), EngineError> {
+        let mut response = self.apply_alone(drive, simulated, before)?;
+        if self.further.is_empty() && !wanted {
+            return Ok((response, None));
+        }
+        let mut added = self.addition_alone(drive, simulated, before)?;
+        for (k, next) in self.further.iter().enumerate() {
+            let all = before.map_or_else(|| Ok(added.clone()), |before| sum(before, &added))?;
+            let with = next.apply_alone(drive, &response, Some(&all))?;
+            if wanted || k + 1 < self.further.len() {
+                added = sum(&added, &next.addition_alone(drive, &response, Some(&all))?)?;
+            }
+            response = with;
+        }
+        Ok((response, Some(added)))
+    }
+
+    /// The responses with the effect and none of the further ones.
+    fn apply_alone(
+        &self,
+        drive: &Signal,
+        simulated: &Signal,
+        before: Option<&Signal>,
+    ) -> Result<Signal, EngineError> {
         if let Some(added) = &self.added {
             let before = self.before(before, simulated)?;
             let found = added.predict(self.drives_of(drive, simulated)?, simulated.channels(), before);
@@ -160,9 +221,8 @@ impl Augmented {
         Signal::new(drive.sample_rate_hz(), channels)
     }
 
-    /// What the effect adds to its linear core, `[response, sample]`; zero where it is not felt. Arguments
-    /// and errors as [`Augmented::apply`].
-    pub fn addition(
+    /// What it adds without the further ones.
+    fn addition_alone(
         &self,
         drive: &Signal,
         simulated: &Signal,
@@ -283,8 +343,18 @@ impl Augmented {
         let end = &y[y.len() - 100..];
         let swing = end.iter().fold(f64::NEG_INFINITY, |m, y| m.max(*y))
             - end.iter().fold(f64::INFINITY, |m, y| m.min(*y));
-        all < BOUND * reference && swing < 0.5 * reference
+        let own = all < BOUND * reference && swing < 0.5 * reference;
+        own && self.further.iter().all(|next| next.bounded(drives, limit))
     }
+}
+
+/// The sum of two signals of one shape.
+///
+/// # Errors
+/// A sum that is not finite.
+pub(crate) fn sum(a: &Signal, b: &Signal) -> Result<Signal, EngineError> {
+    let of = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| a + b).collect();
+    Signal::new(a.sample_rate_hz(), a.channels().iter().zip(b.channels()).map(of).collect())
 }
 
 /// Checks the shape of a signal.

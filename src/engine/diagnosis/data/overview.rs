@@ -105,6 +105,11 @@ impl Overview {
         this
     }
 
+    /// Mean over the responses with a gap of something that each has.
+    pub fn mean_of_seen(&self, of: &[f64]) -> f64 {
+        self.seen.iter().map(|&r| of[r]).sum::<f64>() / self.seen.len().max(1) as f64
+    }
+
     /// Systematic RMS relative to the response's.
     pub fn systematic(&self, r: usize) -> f64 {
         let p = &self.power[r];
@@ -139,6 +144,7 @@ impl Overview {
             channel: Some(input.responses[r].name.clone()),
             probability: 0.95,
             equivalence_set: effect.into_iter().collect(),
+            effects: Vec::new(),
             because: vec![because],
         };
         let may = |effect: Effect| input.catalogue.contains(&effect);

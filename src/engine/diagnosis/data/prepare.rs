@@ -21,6 +21,7 @@ use crate::diagnosis::numerics::smooth::smooth;
 use crate::{EngineError, Signal};
 
 /// A request made ready.
+#[derive(Clone)]
 pub struct Prepared {
     pub problems: Vec<Problem>,
     pub noises: Vec<Noise>,

@@ -121,6 +121,11 @@ impl Part {
         (self.output.is_none()).then(|| Self { forces, sandwich: false, other: None, ..self.clone() })
     }
 
+    /// Whether its force is that of an effect at another response.
+    pub fn is_carried(&self) -> bool {
+        self.forces.iter().any(|law| matches!(law, Law::Carried(_)))
+    }
+
     /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
     pub fn shapes(&self) -> usize {
         let laws: usize = self.forces.iter().map(Law::shapes).sum();

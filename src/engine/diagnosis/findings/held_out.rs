@@ -34,7 +34,7 @@ impl Scored {
 }
 
 /// The same at every place; `None` where a free run of a test stretch runs away.
-pub fn held_out_at(input: &Input, prepared: &Prepared, places: &[Place]) -> Option<Vec<ChannelHeldOut>> {
+pub fn held_out_at(input: &Input, prepared: &Prepared, places: &[&Place]) -> Option<Vec<ChannelHeldOut>> {
     places
         .iter()
         .map(|place| {
@@ -47,13 +47,14 @@ pub fn held_out_at(input: &Input, prepared: &Prepared, places: &[Place]) -> Opti
         .collect()
 }
 
-/// Closure on the test stretches of one response; `None` where a free run runs away.
+/// Closure on the test stretches of one response, from what the sim leaves that was `prepared`; `None` where a free
+/// run runs away.
 pub fn held_out(input: &Input, prepared: &Prepared, problem: &Problem, fitted: &Fitted) -> Option<HeldOut> {
     let rate = input.sample_rate_hz();
     let noise = &prepared.noises[problem.response];
     let predictions = fitted.candidate.predictions(problem, &problem.test, &fitted.p)?;
-    let simulated: Vec<Vec<f64>> =
-        problem.test.iter().map(|s| s.sim(input, problem.response).to_vec()).collect();
+    let sim = &prepared.problems[problem.response].test;
+    let simulated: Vec<Vec<f64>> = sim.iter().map(|s| s.sim(input, problem.response).to_vec()).collect();
     let before: Vec<Vec<f64>> = problem.test.iter().zip(&simulated).map(|(s, y)| s.residual(y)).collect();
     let after: Vec<Vec<f64>> = problem.test.iter().zip(&predictions).map(|(s, p)| s.residual(p)).collect();
     let (chi2_before, chi2_after) =

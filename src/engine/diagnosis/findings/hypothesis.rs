@@ -10,23 +10,27 @@ use crate::diagnosis::effects::candidate::Part;
 use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::numerics::linear::rms;
-use crate::diagnosis::report::Hypothesis;
-use crate::diagnosis::search::decide::Ranked;
-use crate::diagnosis::search::score::remaining;
+use crate::diagnosis::report::{ChannelHeldOut, EffectShare, Hypothesis, Parameter};
+use crate::diagnosis::search::score::{Scored, remaining};
 
 /// Of an effect's places the one on which it closes most, in noise floors.
-pub fn closes_most(mut places: Vec<Place>, overview: &Overview) -> Place {
-    let at = closing(&places, overview);
-    places.swap_remove(at)
+pub fn closes_most<'a>(places: &[&'a Place], overview: &Overview) -> &'a Place {
+    places[closing(places, overview)]
 }
 
-fn closing(places: &[Place], overview: &Overview) -> usize {
+/// Index of the response on which an effect closes most.
+pub fn closed_most(prepared: &Prepared, overview: &Overview, scored: &Scored) -> usize {
+    let places = scored.places(prepared);
+    closes_most(&places.iter().collect::<Vec<_>>(), overview).problem.response
+}
+
+fn closing(places: &[&Place], overview: &Overview) -> usize {
     let closed = |place: &Place| {
         let none = overview.chi2_select[place.problem.response];
         (1.0 - remaining(place.chi2, none)).max(0.0) * none.ln().max(0.0)
     };
     // Of equals the first, which is the host.
-    let best = (0..places.len()).rev().max_by(|&a, &b| closed(&places[a]).total_cmp(&closed(&places[b])));
+    let best = (0..places.len()).rev().max_by(|&a, &b| closed(places[a]).total_cmp(&closed(places[b])));
     best.unwrap_or(0)
 }
 
@@ -68,51 +72,158 @@ fn better_alone(input: &Input, place: &Place) -> bool {
     })
 }
 
-/// A ranked candidate as the report has it; `None` where its free run of a test stretch runs away.
+/// One of the effects of an explanation: the response at whose motion it acts, and what falls to it.
+pub struct Held {
+    pub response: usize,
+    pub part: Part,
+    /// Share of the gap.
+    pub share: f64,
+}
+
+impl Held {
+    fn share(&self, input: &Input) -> EffectShare {
+        EffectShare {
+            effect: self.part.effect,
+            family: self.part.effect.family(),
+            axis: axis(input, self.response, &self.part),
+            at: place(input, self.response, &self.part),
+            between: None,
+            share_of_gap: self.share,
+        }
+    }
+
+    /// Its numbers, from the place that fitted them.
+    fn parameters(&self, input: &Input, places: &[Place]) -> Vec<Parameter> {
+        let units: Vec<String> = input.drives.iter().map(|d| d.unit.clone()).collect();
+        let own = places.iter().find_map(|place| {
+            let part = place.fitted.candidate.parts.iter().position(|part| *part == self.part)?;
+            (place.problem.response == self.response).then_some((place, part))
+        });
+        own.map_or_else(Vec::new, |(Place { problem, fitted, .. }, part)| {
+            parameters::named(problem, fitted, part, (&input.responses[self.response].unit, &units))
+        })
+    }
+}
+
+/// Effects that are simulated together.
+pub struct Explanation {
+    /// Where they act. The effects of a later layer act in the motion that those before it make.
+    pub layers: Vec<Vec<Place>>,
+    /// Each of them, the first one first.
+    pub held: Vec<Held>,
+    /// Share of the gap that they leave on the select runs.
+    pub remaining: f64,
+}
+
+impl Explanation {
+    /// All that a candidate explains.
+    pub fn of(prepared: &Prepared, scored: &Scored) -> Self {
+        let share = (1.0 - scored.remaining).max(0.0);
+        let part = scored.fitted.candidate.parts[0].clone();
+        let held = vec![Held { response: scored.problem, part, share }];
+        Self { layers: vec![scored.places(prepared)], held, remaining: scored.remaining }
+    }
+
+    /// Where they act with all that acts there, the first one's host first.
+    pub fn places(&self) -> Vec<&Place> {
+        let mut all: Vec<&Place> = Vec::new();
+        for place in self.layers.iter().flatten() {
+            match all.iter_mut().find(|known| known.problem.response == place.problem.response) {
+                Some(known) => *known = place,
+                None => all.push(place),
+            }
+        }
+        all
+    }
+
+    /// The sim with them.
+    fn augmented(&self, input: &Input, prepared: &Prepared) -> Augmented {
+        let mut acted: Vec<usize> = Vec::new();
+        let mut layers = self.layers.iter().enumerate().map(|(k, places)| {
+            let host = &places[0].problem;
+            let stands = |r: usize| prepared.stands[r] && !acted.contains(&r);
+            let member = |place: &Place| Member {
+                plant: place.problem.plant.clone(),
+                candidate: place.fitted.candidate.clone(),
+                p: place.fitted.p.clone(),
+                alone: stands(place.problem.response) && better_alone(input, place),
+            };
+            let of_layer = Augmented {
+                added: None,
+                members: places.iter().map(member).collect(),
+                time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
+                on_effects: k > 0 || input.has_adopted(),
+                further: Vec::new(),
+            };
+            acted.extend(places.iter().map(|place| place.problem.response));
+            of_layer
+        });
+        let first = layers.next().expect("an explanation has an effect");
+        Augmented { further: layers.collect(), ..first }
+    }
+}
+
+impl Hypothesis {
+    /// Whether a further effect, which this one holds beside that of `alone`, helps on the test runs too, and does not
+    /// run away where `alone` does not.
+    pub fn helps_beyond(&self, alone: &Self) -> bool {
+        let left_alone = |r: &ChannelHeldOut| {
+            let same = alone.responses.iter().find(|other| other.channel == r.channel);
+            same.map_or(r.held_out.chi2_before, |same| same.held_out.chi2_after)
+        };
+        let alone_leaves: f64 = self.responses.iter().map(left_alone).sum();
+        let leaves: f64 = self.responses.iter().map(|r| r.held_out.chi2_after).sum();
+        self.remaining_share < alone.remaining_share
+            && leaves < alone_leaves
+            && (self.stable_over_envelope || !alone.stable_over_envelope)
+    }
+}
+
+/// An explanation as the report has it, with the probability of its first effect; `None` where its free run of a test
+/// stretch runs away.
 pub fn hypothesis(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    ranked: &Ranked,
+    explanation: &Explanation,
+    probability: f64,
 ) -> Option<(Hypothesis, Augmented)> {
-    let effect = ranked.scored.effect();
-    let places = ranked.scored.places(prepared);
+    let Explanation { layers, held, remaining } = explanation;
+    let places = explanation.places();
     let responses = held_out_at(input, prepared, &places)?;
     let at = closing(&places, overview);
-    let (host, fitted) = (&places[0].problem, &places[0].fitted);
-    let units: Vec<String> = input.drives.iter().map(|d| d.unit.clone()).collect();
-    let limit = input.limits(&host.drive_peak);
-    let loudest = host.fit.iter().max_by(|a, b| {
+    let host = &layers[0][0];
+    let limit = input.limits(&host.problem.drive_peak);
+    let loudest = host.problem.fit.iter().max_by(|a, b| {
         let level = |s: &Stretch| s.drives.iter().map(|d| rms(d)).sum::<f64>();
         level(a).total_cmp(&level(b))
     });
-    let member = |place: &Place| Member {
-        plant: place.problem.plant.clone(),
-        candidate: place.fitted.candidate.clone(),
-        p: place.fitted.p.clone(),
-        alone: prepared.stands[place.problem.response] && better_alone(input, place),
-    };
-    let augmented = Augmented {
-        added: None,
-        members: places.iter().map(member).collect(),
-        time: host.fit.iter().chain(&host.test).map(|s| s.clock.start).fold(0.0, f64::max),
-        on_effects: input.has_adopted(),
-    };
+    let augmented = explanation.augmented(input, prepared);
     let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
+    let mut numbers = Vec::new();
+    for one in held {
+        let named = |p: Parameter| Parameter { name: format!("{}.{}", one.part.effect.name(), p.name), ..p };
+        let own = layers.iter().map(|places| one.parameters(input, places)).find(|own| !own.is_empty());
+        let own = own.into_iter().flatten();
+        numbers.extend(own.map(|p| if held.len() > 1 { named(p) } else { p }));
+    }
+    numbers.extend(parameters::modes(&host.problem, &host.fitted));
+    let first = held.first()?.share(input);
     Some((
         Hypothesis {
-            effect,
-            family: effect.family(),
-            axis: axis(input, host.response, &fitted.candidate.parts[0]),
-            at: place(input, host.response, &fitted.candidate.parts[0]),
+            effect: first.effect,
+            family: first.family,
+            axis: first.axis,
+            at: first.at,
             between: None,
             channel: responses[at].channel.clone(),
-            probability: ranked.probability,
-            remaining_share: ranked.scored.remaining,
+            probability,
+            remaining_share: *remaining,
+            effects: held.iter().map(|held| held.share(input)).collect(),
             strength: None,
             shape: None,
             transfer: Vec::new(),
-            parameters: parameters::named(host, fitted, (&input.responses[host.response].unit, &units)),
+            parameters: numbers,
             held_out: responses[at].held_out.clone(),
             responses,
             stable_over_envelope,

@@ -19,14 +19,16 @@ struct Reading {
     unit: String,
 }
 
-/// Named parameters of the candidate's first part with standard errors, which hold only as far as
-/// the linearisation does; of a linear change the modes before and after.
-pub fn named(problem: &Problem, fitted: &Fitted, units: (&str, &[String])) -> Vec<Parameter> {
-    let part = &fitted.candidate.parts[0];
+/// Named parameters of one of the candidate's parts with standard errors, which hold only as far as
+/// the linearisation does.
+pub fn named(problem: &Problem, fitted: &Fitted, part: usize, units: (&str, &[String])) -> Vec<Parameter> {
+    let (before, part) = (&fitted.candidate.parts[..part], &fitted.candidate.parts[part]);
+    let from: usize = before.iter().map(|part| part.parameters(problem.core.modes.order())).sum();
     let rows = |p: &[f64]| fitted.candidate.fit_rows(problem, p);
     let se = standard_errors(rows, &fitted.p, &fitted.scale, fitted.chi2_fit.max(1.0));
     let mut out = Vec::new();
     for (at, reading) in readings(problem, part, units) {
+        let at = from + at;
         let raw = fitted.p[at];
         let value = reading.factor * if reading.exponential { raw.exp() } else { raw };
         let slope = if reading.exponential { value.abs() } else { reading.factor.abs() };
@@ -37,9 +39,14 @@ pub fn named(problem: &Problem, fitted: &Fitted, units: (&str, &[String])) -> Ve
             unit: reading.unit,
         });
     }
-    if problem.retunes_freely(&fitted.candidate) {
-        out.extend(modes_after(problem, fitted));
-    }
+    out.retain(|p| p.value.is_finite());
+    out
+}
+
+/// Natural frequency and damping of each mode before and after a retune of the linear part, if there is one.
+pub fn modes(problem: &Problem, fitted: &Fitted) -> Vec<Parameter> {
+    let retuned = problem.retunes_freely(&fitted.candidate);
+    let mut out = if retuned { modes_after(problem, fitted) } else { Vec::new() };
     out.retain(|p| p.value.is_finite());
     out
 }

@@ -1,12 +1,14 @@
-//! A further effect on top of the first, where that leaves a gap.
+//! A second effect where the first leaves a gap.
 
 use rayon::prelude::*;
 
+use super::further::further;
 use super::held_out::{Place, held_out};
-use super::hypothesis::axis;
+use super::hypothesis::{Explanation, Held, axis};
+use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
-use crate::diagnosis::data::problem::scored_rows;
+use crate::diagnosis::data::problem::{Problem, scored_rows};
 use crate::diagnosis::effects::candidate::{Candidate, Part};
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::fit::fitting::{Effort, Fitted, fit};
@@ -15,10 +17,12 @@ use crate::diagnosis::input::{Input, Mode};
 use crate::diagnosis::report::SecondEffect;
 use crate::diagnosis::search::catalogue::{FreeRanges, parts};
 use crate::diagnosis::search::contest::Outcome;
-use crate::diagnosis::search::decide::{Ranked, charged, of_two};
+use crate::diagnosis::search::decide::{Ranked, charged, of_several};
 use crate::diagnosis::search::pairs::best_pair;
 use crate::diagnosis::search::placement::Placement;
+use crate::diagnosis::search::propagation::BaselineScore;
 use crate::diagnosis::search::score::{Scored, remaining, score};
+use crate::progress::Watch;
 
 /// Above this, in noise floors squared, a second effect is tried; beside a shape that bends to what it
 /// meets always.
@@ -26,76 +30,119 @@ const SECOND: f64 = 1.2;
 /// Candidates that are fitted after a regression has sorted them.
 const FITTED: usize = 6;
 /// Share of the first hypothesis' rest that a second effect must close.
-const CLOSES: f64 = 0.5;
+pub const CLOSES: f64 = 0.5;
+/// Below this probability two effects together are no answer.
+pub const SURE_OF_TWO: f64 = 0.7;
 
-/// The response with the largest rest, and what is known of the first effect there.
-fn place(
-    prepared: &Prepared,
-    overview: &Overview,
-    placement: &Placement,
-    first: &Scored,
-) -> Option<(Place, bool)> {
+/// The response with the largest rest, with what the first effect does there; `None` where it leaves only noise.
+fn rest(prepared: &Prepared, overview: &Overview, placement: &Placement, first: &Scored) -> Option<Place> {
     let mut places = first.places(prepared);
     places.retain(|p| p.problem.response == first.problem || placement.motion.contains(&p.problem.response));
     let untouched = placement.motion.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
     let bare = |&r: &usize| {
-        let retune = prepared.problems[first.problem].retunes_freely(&first.fitted.candidate);
-        let candidate = Candidate { parts: Vec::new(), retune };
+        let candidate = Candidate { parts: Vec::new(), retune: false };
         let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: f64::NAN };
-        (Place { problem: prepared.problems[r].clone(), fitted, chi2: overview.chi2_select[r] }, false)
+        Place { problem: prepared.problems[r].clone(), fitted, chi2: overview.chi2_select[r] }
     };
-    let untouched: Vec<(Place, bool)> = untouched.map(bare).collect();
-    let all = places.into_iter().map(|p| (p, true)).chain(untouched);
+    let untouched: Vec<Place> = untouched.map(bare).collect();
     let bends = first.effect().tier() == Tier::Free;
-    all.max_by(|a, b| a.0.chi2.total_cmp(&b.0.chi2)).filter(|p| bends || p.0.chi2 > SECOND)
+    let all = places.into_iter().chain(untouched);
+    all.max_by(|a, b| a.chi2.total_cmp(&b.chi2)).filter(|p| bends || p.chi2 > SECOND)
 }
 
-/// Two effects that together close what one alone does not.
+/// Effects that together close what one alone does not.
 pub struct Two {
     /// The first's place among the ranked ones.
     pub first: usize,
     pub second: SecondEffect,
-    /// How believable it is that these two, of two families, are what the sim lacks; 0 where they were not
-    /// sought together, and where one of them works as it cannot.
+    /// How believable it is that these are what the sim lacks; 0 where two were not sought together at one response, or
+    /// are of one family there, and where one of them works as it cannot.
     pub probability: f64,
+    /// All of them.
+    pub explanation: Explanation,
 }
 
-/// A second effect where one leaves more than the noise: the best pair at the first's host if the verdict
-/// names nothing or a member of that pair, else what closes most of the first's rest.
+/// Two effects at one response before they are scored over all.
+struct Found {
+    first: usize,
+    second: SecondEffect,
+    probability: f64,
+    both: Scored,
+}
+
+/// A second effect where one leaves more than the noise. At the first's host it is of the best pair, if the verdict
+/// names nothing or a member of that pair, else what closes most of the first's rest; elsewhere see [`further`].
+///
+/// # Errors
+/// [`EngineError::Cancelled`].
 pub fn second_effect(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
     outcome: &Outcome<'_>,
     named: Option<Effect>,
-) -> Option<Two> {
+    watch: Watch<'_>,
+) -> Result<Option<Two>, EngineError> {
     let ranked = &outcome.ranked;
-    let first = &ranked.first()?.scored;
+    let Some(Ranked { scored: first, .. }) = ranked.first() else { return Ok(None) };
     let placement = Placement::of(input, prepared, overview);
-    let (rest, acts) = place(prepared, overview, &placement, first)?;
-    if rest.problem.response == first.problem {
-        let (_, regression) = outcome.regressions.iter().find(|(r, _)| *r == first.problem)?;
-        if let Some(two) = together(input, prepared, regression, ranked, named) {
-            return Some(two);
-        }
+    let Some(rest) = rest(prepared, overview, &placement, first) else { return Ok(None) };
+    let elsewhere = || further(input, prepared, overview, first, watch);
+    if rest.problem.response != first.problem {
+        return elsewhere();
     }
-    let second = on_top(input, prepared, overview, first, (rest, acts))?;
-    Some(Two { first: 0, second, probability: 0.0 })
+    let at_host = || {
+        let (_, regression) = outcome.regressions.iter().find(|(r, _)| *r == first.problem)?;
+        let found = together(input, prepared, overview, regression, ranked, named)
+            .or_else(|| on_top(input, prepared, overview, first, &rest))?;
+        Some(found.over_all(input, prepared, overview, ranked))
+    };
+    let at_host = at_host();
+    // On a rig of several axes the first's host may feel what acts on another.
+    if placement.motion.len() > 1
+        && at_host.as_ref().is_none_or(|two| two.probability < SURE_OF_TWO)
+        && let Some(two) = elsewhere()?
+        && at_host.as_ref().is_none_or(|here| here.probability < two.probability)
+    {
+        return Ok(Some(two));
+    }
+    Ok(at_host)
+}
+
+impl Found {
+    fn over_all(self, input: &Input, prepared: &Prepared, overview: &Overview, ranked: &[Ranked]) -> Two {
+        let rate = input.sample_rate_hz();
+        let baseline = BaselineScore::of(prepared, overview, rate);
+        let alone = &ranked[self.first].scored;
+        let both = baseline.join(prepared, self.both, rate, true);
+        let members = &both.fitted.candidate.parts;
+        let gained = (alone.chi2 - both.chi2) / (baseline.chi2 - 1.0).max(f64::MIN_POSITIVE);
+        let held = |part: &Part, share: f64| Held {
+            response: both.problem,
+            part: part.clone(),
+            share: share.clamp(0.0, 1.0),
+        };
+        let held = vec![held(&members[0], 1.0 - alone.remaining), held(&members[members.len() - 1], gained)];
+        let explanation =
+            Explanation { layers: vec![both.places(prepared)], held, remaining: both.remaining };
+        Two { first: self.first, second: self.second, probability: self.probability, explanation }
+    }
 }
 
 /// The best pair of effects on one response, if it closes a good part of what the best one leaves.
 fn together(
     input: &Input,
     prepared: &Prepared,
+    overview: &Overview,
     regression: &Regression<'_>,
     ranked: &[Ranked],
     named: Option<Effect>,
-) -> Option<Two> {
+) -> Option<Found> {
     let in_situ = input.mode == Mode::InSitu;
     let problem = regression.problem;
     let ranges = FreeRanges::of(problem, &regression.smooth);
     let parts = parts(problem, &input.catalogue, in_situ, ranges);
-    let pair = best_pair(regression, &parts, in_situ, named)?;
+    let mut pair = best_pair(regression, &parts, in_situ, named)?;
     let best = &ranked[0].scored;
     let members = &pair.fitted.candidate.parts;
     let none = problem.chi2_none(&problem.select);
@@ -117,49 +164,67 @@ fn together(
             .position(|r| r.scored.problem == problem.response && r.scored.fitted.candidate.parts[0] == *part)
     };
     // The one that closes more alone comes first.
-    let (first, second) = match [at(&members[0]), at(&members[1])] {
-        [Some(a), Some(b)] => (a.min(b), if a < b { &members[1] } else { &members[0] }),
-        [Some(a), None] => (a, &members[1]),
-        [None, Some(b)] => (b, &members[0]),
+    let (first, exchanged) = match [at(&members[0]), at(&members[1])] {
+        [Some(a), Some(b)] => (a.min(b), b < a),
+        [Some(a), None] => (a, false),
+        [None, Some(b)] => (b, true),
         [None, None] => return None,
     };
-    let held = held_out(input, prepared, problem, &pair.fitted)?;
+    if exchanged {
+        pair.fitted.exchange(problem.core.modes.order());
+    }
     // Two of one family bend to almost anything, and friction that drives the rig is no friction.
+    let members = &pair.fitted.candidate.parts;
     let believable = members[0].effect.family() != members[1].effect.family() && !pair.not_collocated;
-    Some(Two {
+    Some(Found {
         first,
-        probability: if believable { of_two(left, none, rows) } else { 0.0 },
-        second: SecondEffect {
-            effect: second.effect,
-            family: second.effect.family(),
-            axis: axis(input, problem.response, second),
-            channel: input.responses[problem.response].name.clone(),
-            chi2: pair.chi2,
-            closure: held.closure,
+        probability: if believable { of_several(left, none, rows, false) } else { 0.0 },
+        second: told(input, prepared, problem, &pair.fitted, pair.chi2)?,
+        both: {
+            let (r, rate) = (problem.response, input.sample_rate_hz());
+            score(r, problem, pair.fitted, overview.chi2_select[r], rate)?
         },
     })
 }
 
-/// The effect that closes most of what the first leaves, if it closes a good part of it.
+/// The last part of a fit as the report has a second effect.
+fn told(
+    input: &Input,
+    prepared: &Prepared,
+    problem: &Problem,
+    fitted: &Fitted,
+    chi2: f64,
+) -> Option<SecondEffect> {
+    let part = fitted.candidate.parts.last()?;
+    Some(SecondEffect {
+        effect: part.effect,
+        family: part.effect.family(),
+        axis: axis(input, problem.response, part),
+        channel: input.responses[problem.response].name.clone(),
+        chi2,
+        closure: held_out(input, prepared, problem, fitted)?.closure,
+    })
+}
+
+/// The effect that closes most of what the first leaves at its host, if it closes a good part of it.
 fn on_top(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
     first: &Scored,
-    (Place { problem, fitted: of_first, chi2 }, acts): (Place, bool),
-) -> Option<SecondEffect> {
+    Place { problem, fitted: of_first, chi2 }: &Place,
+) -> Option<Found> {
     let r = problem.response;
     let retune = problem.retunes_freely(&of_first.candidate);
-    let regression = Regression::new(&problem, retune);
-    let ranges = FreeRanges::of(&problem, &regression.smooth);
-    let known: &[f64] =
-        if acts { &of_first.p[..of_first.p.len() - of_first.candidate.retuned(&problem)] } else { &[] };
+    let regression = Regression::new(problem, retune);
+    let ranges = FreeRanges::of(problem, &regression.smooth);
+    let known = &of_first.p[..of_first.p.len() - of_first.candidate.retuned(problem)];
     let differs = |part: &Part| {
         part.effect.tier() != Tier::Free
-            && (r != first.problem || part.effect != first.effect())
+            && part.effect != first.effect()
             && (part.effect != Effect::LinearChange || retune)
     };
-    let pairs: Vec<Candidate> = parts(&problem, &input.catalogue, input.mode == Mode::InSitu, ranges)
+    let pairs: Vec<Candidate> = parts(problem, &input.catalogue, input.mode == Mode::InSitu, ranges)
         .into_iter()
         .filter(differs)
         .map(|part| {
@@ -176,22 +241,14 @@ fn on_top(
         .par_iter()
         .take(FITTED)
         .filter_map(|(_, c)| {
-            let fitted = fit(&problem, &regression, c, known, Effort { rounds: 10 })?;
-            score(r, &problem, fitted, overview.chi2_select[r], rate)
+            let fitted = fit(problem, &regression, c, known, Effort { rounds: 10 })?;
+            score(r, problem, fitted, overview.chi2_select[r], rate)
         })
         .collect();
     let best = fitted.into_iter().min_by(|a, b| a.chi2.total_cmp(&b.chi2))?;
     if best.chi2 - 1.0 > CLOSES * (chi2 - 1.0) {
         return None;
     }
-    let part = best.fitted.candidate.parts.last()?;
-    let held = held_out(input, prepared, &problem, &best.fitted)?;
-    Some(SecondEffect {
-        effect: part.effect,
-        family: part.effect.family(),
-        axis: axis(input, r, part),
-        channel: input.responses[r].name.clone(),
-        chi2: best.chi2,
-        closure: held.closure,
-    })
+    let second = told(input, prepared, problem, &best.fitted, best.chi2)?;
+    Some(Found { first: 0, second, probability: 0.0, both: best })
 }

@@ -29,6 +29,16 @@ pub struct Fitted {
     pub chi2_fit: f64,
 }
 
+impl Fitted {
+    /// Puts the second of two effects first; `order` is that of the core.
+    pub fn exchange(&mut self, order: usize) {
+        let [first, second] = [0, 1].map(|k| self.candidate.parts[k].parameters(order));
+        self.candidate.parts.swap(0, 1);
+        self.p[..first + second].rotate_left(first);
+        self.scale[..first + second].rotate_left(first);
+    }
+}
+
 /// How much work a fit may be.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {

@@ -109,12 +109,12 @@ impl<'a> Regression<'a> {
         starts
     }
 
-    /// The start of a propagation (see [`Part::propagated`]): its input map as `map` has it, its paths by least
-    /// squares.
-    pub fn propagated(&self, candidate: &Candidate, map: &[f64]) -> Option<Start> {
+    /// The start of a propagation (see [`Part::propagated`]) of the last part on top of those whose parameters are
+    /// `known`: its input map as `map` has it, its paths by least squares.
+    pub fn propagated(&self, candidate: &Candidate, known: &[f64], map: &[f64]) -> Option<Start> {
         let part = candidate.parts.last()?;
         let shapes = vec![Vec::new(); part.forces.len()];
-        self.regress(candidate, part, &[], &Guess { input: map.to_vec(), shapes, ..Guess::default() })
+        self.regress(candidate, part, known, &Guess { input: map.to_vec(), shapes, ..Guess::default() })
     }
 
     /// Nonlinear parameters to try: of the input map, of each force, of the output map.

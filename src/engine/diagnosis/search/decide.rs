@@ -80,7 +80,7 @@ const STATED: Stated =
 const SUREST: f64 = 0.99;
 /// Share of the gap that the right law leaves at most where nothing but the core errs.
 const PLAIN: f64 = 0.01;
-/// The same for two effects together, which bend to more.
+/// The same for two effects at one place, which bend to more.
 const OF_TWO: f64 = 0.001;
 /// Part of what a law may leave, beside the noise, that a change of all poles and zeros may, and a free shape: they
 /// bend to what a law's own equation errs by.
@@ -135,7 +135,7 @@ impl Scored {
 
     /// Whether it may not be named however well it fits: it is no more than a linear change or a map
     /// of the drive, or a force that works as none at its place does.
-    fn unnamed(&self) -> bool {
+    pub fn unnamed(&self) -> bool {
         self.overflexible || self.not_collocated
     }
 
@@ -189,9 +189,11 @@ pub fn allowed(plain: bool) -> f64 {
     if plain { PLAIN } else { ABSTAIN }
 }
 
-/// Probability that two effects which together leave so much are what the sim lacks.
-pub fn of_two(remaining: f64, chi2_none: f64, rows: f64) -> f64 {
-    Ruling::Partial.stated(catalogue_probability(Tier::Law, remaining, chi2_none, rows, OF_TWO))
+/// Probability that several effects which together leave so much are what the sim lacks. Two at one place bend to more
+/// than each does; `apart`, each at a place of its own, none helps another to bend.
+pub fn of_several(remaining: f64, chi2_none: f64, rows: f64, apart: bool) -> f64 {
+    let share = if apart { allowed(false) } else { OF_TWO };
+    Ruling::Partial.stated(catalogue_probability(Tier::Law, remaining, chi2_none, rows, share))
 }
 
 /// Charge of one effect's tier and shape on the logarithm of the remaining share.

@@ -4,6 +4,7 @@
 //! response, where it enters by a path `E` of that response's own: linear, so one regression fits
 //! it. A drive that is mapped is mapped for all.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::score::{Scored, blocks, remaining};
@@ -12,6 +13,7 @@ use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::{Problem, Stretch, scored_rows};
 use crate::diagnosis::effects::candidate::Candidate;
 use crate::diagnosis::effects::effect::Effect;
+use crate::diagnosis::effects::input_map::InputMap;
 use crate::diagnosis::effects::plant::Course;
 use crate::diagnosis::fit::fitting::{Effort, Fitted, fit, improve};
 use crate::diagnosis::fit::start::Regression;
@@ -53,19 +55,20 @@ impl Problem {
 }
 
 impl Candidate {
-    /// The same effects as another response sees them; `None` where they are the host's sensor's.
-    pub fn propagated(&self) -> Option<Self> {
-        let mut laws = 0;
-        let parts = self
-            .parts
-            .iter()
-            .map(|part| {
-                let propagated = part.propagated(laws)?;
-                laws += part.forces.len() + usize::from(part.sandwich);
-                Some(propagated)
-            })
-            .collect::<Option<Vec<_>>>()?;
-        Some(Self { parts, retune: self.retune })
+    /// The same effects as another response sees them, without those of the host's sensor; each with the place of its
+    /// input map in the host's parameters `p`. `None` where the sensor has all of them.
+    fn propagated(&self, order: usize) -> Option<(Self, Vec<Range<usize>>)> {
+        let (mut laws, mut at) = (0, 0);
+        let (mut parts, mut maps) = (Vec::new(), Vec::new());
+        for part in &self.parts {
+            if let Some(propagated) = part.propagated(laws) {
+                maps.push(at..at + part.input.as_ref().map_or(0, InputMap::parameters));
+                parts.push(propagated);
+            }
+            laws += part.forces.len() + usize::from(part.sandwich);
+            at += part.parameters(order);
+        }
+        (!parts.is_empty()).then_some((Self { parts, retune: self.retune }, maps))
     }
 }
 
@@ -73,17 +76,24 @@ impl Candidate {
 fn propagated(host: &Problem, fitted: &Fitted, other: &Problem) -> Option<Propagation> {
     let problem = other.carrying(host, fitted)?;
     // What a linear part may move by is known of the host alone.
-    let candidate =
-        Candidate { retune: host.retunes_freely(&fitted.candidate), ..fitted.candidate.propagated()? };
+    let (effects, maps) = fitted.candidate.propagated(host.core.modes.order())?;
+    let candidate = Candidate { retune: host.retunes_freely(&fitted.candidate), ..effects };
     let regression = Regression::new(&problem, candidate.retune);
     let fitted = if candidate.parts[0].effect == Effect::LinearChange {
         fit(&problem, &regression, &candidate, &[], Effort { rounds: 10 })?
     } else {
-        let map = candidate.parts[0].input.as_ref().map_or(0, |map| map.parameters());
-        let start = regression.propagated(&candidate, &fitted.p[..map])?;
-        // Without a retune all that is free is linear, and fitted.
-        let rounds = if candidate.retune { 8 } else { 0 };
-        improve(&problem, &candidate, &start, Effort { rounds })?
+        // One part on top of the others, each with the numbers that its drive's map has at the host.
+        let mut known: Option<Fitted> = None;
+        for (k, map) in maps.into_iter().enumerate() {
+            let upto = Candidate { parts: candidate.parts[..=k].to_vec(), ..candidate };
+            let before =
+                known.as_ref().map_or(&[][..], |f| &f.p[..f.p.len() - f.candidate.retuned(&problem)]);
+            let start = regression.propagated(&upto, before, &fitted.p[map])?;
+            // Without a retune all that is free of one part is linear, and fitted.
+            let rounds = if candidate.retune || k > 0 { 8 } else { 0 };
+            known = Some(improve(&problem, &upto, &start, Effort { rounds })?);
+        }
+        known?
     };
     let predictions = fitted.candidate.predictions(&problem, &problem.select, &fitted.p)?;
     Some(Propagation { response: other.response, chi2: problem.chi2(&problem.select, &predictions), fitted })

@@ -27,10 +27,9 @@ fn friction(_: f64, v: f64) -> f64 {
 }
 
 /// `[response][sample]`: displacements, then the forces that the springs and the effect take up.
-fn respond(drives: &[Vec<f64>], effect: Option<(usize, Force)>, clip: [f64; 3]) -> Vec<Vec<f64>> {
-    let force = |axis: usize, x: f64, v: f64| match effect {
-        Some((at, force)) if at == axis => force(x, v),
-        _ => 0.0,
+fn respond(drives: &[Vec<f64>], effects: &[(usize, Force)], clip: [f64; 3]) -> Vec<Vec<f64>> {
+    let force = |axis: usize, x: f64, v: f64| -> f64 {
+        effects.iter().filter(|(at, _)| *at == axis).map(|(_, force)| force(x, v)).sum()
     };
     let held = |x: &[f64; 3], v: &[f64; 3]| -> [f64; 3] {
         std::array::from_fn(|a| STIFFNESS[a] * x[a] + 4.0 * v[a] + force(a, x[a], v[a]))
@@ -96,7 +95,7 @@ fn run(name: &str, drives: &[Vec<f64>], response: Vec<Vec<f64>>, seed: u64) -> R
     }
 }
 
-fn request(effect: Option<(usize, Force)>, clip: [f64; 3], catalogue: Vec<Effect>) -> Input {
+fn request(effects: &[(usize, Force)], clip: [f64; 3], catalogue: Vec<Effect>) -> Input {
     let channel = |name: &str, axis: &str, unit: &str, quantity| Channel {
         name: format!("{name}_{axis}"),
         axis: Some(axis.into()),
@@ -108,7 +107,7 @@ fn request(effect: Option<(usize, Force)>, clip: [f64; 3], catalogue: Vec<Effect
     let half = drives(12.0, 0.5, 2);
     let low = drives(40.0, 0.4, 3);
     let measured =
-        |name: &str, drives: &[Vec<f64>], seed| run(name, drives, respond(drives, effect, clip), seed);
+        |name: &str, drives: &[Vec<f64>], seed| run(name, drives, respond(drives, effects, clip), seed);
     Input {
         drives: axes.map(|a| channel("drive", a, "mm", Quantity::Displacement)).to_vec(),
         responses: axes
@@ -116,7 +115,7 @@ fn request(effect: Option<(usize, Force)>, clip: [f64; 3], catalogue: Vec<Effect
             .map(|a| channel("disp", a, "mm", Quantity::Displacement))
             .chain(axes.iter().map(|a| channel("force", a, "kN", Quantity::Force)))
             .collect(),
-        baseline: vec![run("low", &low, respond(&low, None, NO_CLIP), 10)],
+        baseline: vec![run("low", &low, respond(&low, &[], NO_CLIP), 10)],
         runs: vec![
             measured("a", &full, 11),
             measured("b", &half, 12),
@@ -139,7 +138,7 @@ fn the_axis_with_the_effect_is_named_and_the_forces_follow_its_motion() {
     for (axis, force, family) in
         [(1, hardening as Force, Family::Stiffness), (2, friction, Family::FrictionHysteresis)]
     {
-        let found = diagnose(&request(Some((axis, force)), NO_CLIP, few()), &unwatched).unwrap();
+        let found = diagnose(&request(&[(axis, force)], NO_CLIP, few()), &unwatched).unwrap();
         let verdict = &found.report.verdict;
         assert_eq!(verdict.family, Some(family), "{verdict:?}");
         assert_eq!(verdict.axis.as_deref(), Some(["x", "y", "z"][axis]), "{verdict:?}");
@@ -153,14 +152,14 @@ fn the_axis_with_the_effect_is_named_and_the_forces_follow_its_motion() {
 
 #[test]
 fn the_effect_is_simulated_at_every_response_that_feels_it() {
-    let found = diagnose(&request(Some((0, hardening)), NO_CLIP, few()), &unwatched).unwrap();
+    let found = diagnose(&request(&[(0, hardening)], NO_CLIP, few()), &unwatched).unwrap();
     // A hyperbolic sine is no law of the catalogue, which may say no more than its family.
     let verdict = &found.report.verdict;
     assert!(matches!(verdict.kind, VerdictKind::Identified | VerdictKind::FamilyOnly), "{verdict:?}");
     assert_eq!((verdict.family, verdict.axis.as_deref()), (Some(Family::Stiffness), Some("x")));
     let drive = drives(10.0, 0.9, 9);
-    let truth = respond(&drive, Some((0, hardening)), NO_CLIP);
-    let linear = respond(&drive, None, NO_CLIP);
+    let truth = respond(&drive, &[(0, hardening)], NO_CLIP);
+    let linear = respond(&drive, &[], NO_CLIP);
     let signal = |channels: &[Vec<f64>]| Signal::new(RATE, channels.to_vec()).unwrap();
     let predicted = found.augmented[0].apply(&signal(&drive), &signal(&linear), None).unwrap();
     for r in [0, 3] {
@@ -175,10 +174,37 @@ fn a_clipped_drive_is_named_by_its_axis() {
     let mut catalogue = few();
     catalogue.push(Effect::DriveSaturation);
     let clip = [f64::INFINITY, 1.4, f64::INFINITY];
-    let found = diagnose(&request(None, clip, catalogue), &unwatched).unwrap();
+    let found = diagnose(&request(&[], clip, catalogue), &unwatched).unwrap();
     let verdict = &found.report.verdict;
     assert_eq!(verdict.effect, Some(Effect::DriveSaturation), "{verdict:?}");
     assert_eq!(verdict.axis.as_deref(), Some("y"));
     let limits: Vec<f64> = found.report.hypotheses[0].parameters.iter().map(|p| p.value.abs()).collect();
     assert!(limits.iter().all(|l| (l - 1.4).abs() < 0.05), "{limits:?}");
+}
+
+#[test]
+fn effects_on_two_axes_are_one_hypothesis_and_are_simulated_together() {
+    let effects = [(0, hardening as Force), (1, friction)];
+    let found = diagnose(&request(&effects, NO_CLIP, few()), &unwatched).unwrap();
+    let (verdict, best) = (&found.report.verdict, &found.report.hypotheses[0]);
+    let on = |axis: &str| best.effects.iter().find(|e| e.axis.as_deref() == Some(axis)).map(|e| e.family);
+    assert_eq!(on("x"), Some(Family::Stiffness), "{verdict:?} {:?}", best.effects);
+    assert_eq!(on("y"), Some(Family::FrictionHysteresis), "{verdict:?} {:?}", best.effects);
+    let drive = drives(10.0, 0.9, 9);
+    let truth = respond(&drive, &effects, NO_CLIP);
+    let linear = respond(&drive, &[], NO_CLIP);
+    let signal = |channels: &[Vec<f64>]| Signal::new(RATE, channels.to_vec()).unwrap();
+    let predicted = found.augmented[0].apply(&signal(&drive), &signal(&linear), None).unwrap();
+    for r in [0, 1] {
+        let error = |y: &[f64]| -> f64 { truth[r].iter().zip(y).map(|(t, y)| (t - y).powi(2)).sum() };
+        let (before, after) = (error(&linear[r]), error(predicted.channel(r)));
+        assert!(after < 0.1 * before, "response {r}: {before} {after}");
+    }
+    let mut adopted = found.augmented[0].effects();
+    adopted.sort_by_key(|(_, response)| *response);
+    assert_eq!(
+        adopted.iter().map(|(effect, r)| (effect.family(), *r)).collect::<Vec<_>>(),
+        [(Family::Stiffness, 0), (Family::FrictionHysteresis, 1),]
+    );
+    assert!(found.augmented[0].check(3, 6, RATE).is_ok());
 }

@@ -9,6 +9,7 @@ mod measured;
 pub(crate) mod recorded;
 mod repeats;
 pub(crate) mod rig;
+mod together;
 mod transfer;
 mod verdicts;
 mod views;

@@ -72,6 +72,7 @@ pub(super) fn verdict(
         probability,
         in_words: String::new(),
         equivalence_set: Vec::new(),
+        effects: Vec::new(),
         because,
     };
     let mut because = vec![words::size(input, evidence)];

@@ -13,7 +13,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::input::{Input, Run};
 use crate::diagnosis::numerics::linear::{mean, rms};
 use crate::diagnosis::report::{
-    ChannelHeldOut, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
+    ChannelHeldOut, EffectShare, HeldOut, Hypothesis, Parameter, Shape, Strength, TransferRow,
 };
 use crate::diagnosis::screen::{FreeRun, Number, NumberOf, Place, Screening};
 
@@ -82,13 +82,22 @@ impl Of<'_> {
         let (at, between) = words::place(self.input, standing.place);
         let (strength, shape) = self.strength(loudest);
         let left = (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
+        let alone = EffectShare {
+            effect: standing.effect,
+            family: standing.family,
+            axis: words::axis(self.input, standing),
+            at,
+            between,
+            share_of_gap: (1.0 - left).max(0.0),
+        };
         Some(Listed {
             hypothesis: Hypothesis {
-                effect: standing.effect,
-                family: standing.family,
-                axis: words::axis(self.input, standing),
-                at,
-                between,
+                effect: alone.effect,
+                family: alone.family,
+                axis: alone.axis.clone(),
+                at: alone.at.clone(),
+                between: alone.between.clone(),
+                effects: vec![alone],
                 channel: self.input.responses[standing.response].name.clone(),
                 probability: self.ranked.probability,
                 remaining_share: left,

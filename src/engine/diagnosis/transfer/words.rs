@@ -86,12 +86,19 @@ pub(in crate::diagnosis) fn sentence(verdict: &Verdict, first: Option<&Hypothesi
     let strength = first.and_then(|h| h.strength.as_ref());
     let strength = strength
         .map_or(String::new(), |s| format!(", about {} {} in terms of {}", short(s.rms), s.unit, s.as_drive));
+    let together = verdict.effects.len() > 1;
     let explains = first.map_or(String::new(), |h| {
         let closed = 100.0 * h.held_out.closure_rms.clamp(0.0, 1.0);
-        format!("; it explains {closed:.0} % of the gap on runs not used before")
+        let who = if together { "together they explain" } else { "it explains" };
+        format!("; {who} {closed:.0} % of the gap on runs not used before")
     });
     let effect = |v: &Verdict| v.effect.map_or_else(|| "an effect".into(), words);
     let text = match verdict.kind {
+        VerdictKind::Identified | VerdictKind::Partial if together => {
+            let all = verdict.effects.iter();
+            let all = all.map(|e| words(e.effect) + " " + &named_place((e.at.clone(), e.between.clone())));
+            format!("{}{explains}.", all.collect::<Vec<_>>().join(" and "))
+        }
         VerdictKind::Identified => format!("{} {place}{strength}{explains}.", effect(verdict)),
         VerdictKind::Partial => format!("In part {} {place}{strength}{explains}.", effect(verdict)),
         VerdictKind::FamilyOnly | VerdictKind::NotDistinguishable => {

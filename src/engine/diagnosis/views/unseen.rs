@@ -66,8 +66,9 @@ pub(super) fn view(
     let channel = &input.responses[problem.response];
     let noise = &prepared.noises[problem.response].ar;
     let predictions = best.and_then(|b| b.candidate.predictions(problem, &problem.test, &b.p));
-    let gaps: Vec<Vec<f64>> =
-        problem.test.iter().map(|s| s.residual(s.sim(input, problem.response))).collect();
+    // Before any effect.
+    let sim = &prepared.problems[problem.response].test;
+    let gaps: Vec<Vec<f64>> = sim.iter().map(|s| s.residual(s.sim(input, problem.response))).collect();
     let (which, from, len) = worst_window(problem, &gaps)?;
     let stretch = &problem.test[which];
     let cut = |x: &[f64]| shorten(x[from..from + len].iter().copied());
@@ -78,7 +79,7 @@ pub(super) fn view(
         from_s: (stretch.from + from) as f64 / rate,
         step_s: 1.0 / rate,
         measured: cut(&stretch.measured),
-        simulated: cut(stretch.sim(input, problem.response)),
+        simulated: cut(sim[which].sim(input, problem.response)),
         with_effect: predictions.as_ref().map(|p| cut(&p[which])),
         noise_rms: short(noise.mean_power([0.0, 0.5]).sqrt()),
         spectra: spectra(prepared, problem, &gaps, predictions.as_deref(), rate),

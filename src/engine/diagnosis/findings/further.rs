@@ -1,0 +1,170 @@
+//! Further effects, one at a time, each in the motion that the rig has with those before it.
+
+use std::sync::Arc;
+
+use super::held_out::{Place, held_out};
+use super::hypothesis::{Explanation, Held, axis};
+use super::second::{CLOSES, Two};
+use crate::EngineError;
+use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::problem::{Problem, Stretch};
+use crate::diagnosis::effects::effect::Tier;
+use crate::diagnosis::effects::plant::Course;
+use crate::diagnosis::input::Input;
+use crate::diagnosis::report::SecondEffect;
+use crate::diagnosis::search::contest::contest;
+use crate::diagnosis::search::decide::of_several;
+use crate::diagnosis::search::propagation::BaselineScore;
+use crate::diagnosis::search::score::{Scored, remaining};
+use crate::progress::{Progress, Watch};
+
+/// Effects that are simulated together at most.
+const MOST: usize = 4;
+
+/// What further effects explain beside a first one that leaves a gap at other responses than its own: each of the whole
+/// catalogue is tried in the motion that the rig has with those before it, and stays if it closes a good part of what
+/// these leave. `None` where none does.
+///
+/// # Errors
+/// [`EngineError::Cancelled`].
+pub fn further(
+    input: &Input,
+    prepared: &Prepared,
+    overview: &Overview,
+    first: &Scored,
+    watch: Watch<'_>,
+) -> Result<Option<Two>, EngineError> {
+    let baseline = BaselineScore::of(prepared, overview, input.sample_rate_hz());
+    let mut chi2 = overview.chi2_select.clone();
+    let mut moved = prepared.clone();
+    let (mut layers, mut held) = (Vec::new(), Vec::new());
+    let mut believable = true;
+    let mut next = Some(first.clone());
+    while let Some(scored) = next.take() {
+        let before = overview.mean_of_seen(&chi2);
+        let places = scored.places(&moved);
+        leave(&mut chi2, &places);
+        let share = (before - overview.mean_of_seen(&chi2)) / (baseline.chi2 - 1.0).max(f64::MIN_POSITIVE);
+        let part = scored.fitted.candidate.parts[0].clone();
+        held.push(Held { response: scored.problem, part, share: share.clamp(0.0, 1.0) });
+        believable &= may_be_named(&scored);
+        let with = acted_on(&moved, &places);
+        layers.push(places);
+        let Some(with) = with.filter(|_| layers.len() < MOST) else { break };
+        moved = with;
+        let now = Overview::new(input, &moved);
+        if now.seen.is_empty() {
+            break;
+        }
+        let in_part = |p: Progress<'_>| watch(p.within(&(0.8..0.88)));
+        let outcome = contest(input, &input.catalogue, &moved, &now, &in_part)?;
+        let rest = overview.mean_of_seen(&chi2);
+        next = outcome.ranked.into_iter().map(|ranked| ranked.scored).find(may_be_named).filter(|scored| {
+            let mut with = chi2.clone();
+            leave(&mut with, &scored.places(&moved));
+            overview.mean_of_seen(&with) - 1.0 <= CLOSES * (rest - 1.0)
+        });
+    }
+    let Some(second) = layers.get(1).and_then(|places| told(input, prepared, &places[0], &held[1])) else {
+        return Ok(None);
+    };
+    let remaining = remaining(overview.mean_of_seen(&chi2), baseline.chi2);
+    let apart = (1..held.len()).all(|k| held[..k].iter().all(|other| other.response != held[k].response));
+    let probability = of_several(remaining, baseline.chi2, baseline.rows, apart);
+    let probability = if believable { probability } else { 0.0 };
+    Ok(Some(Two { first: 0, second, probability, explanation: Explanation { layers, held, remaining } }))
+}
+
+/// Whether an effect is a law of the catalogue that acts as it can.
+fn may_be_named(scored: &Scored) -> bool {
+    scored.effect().tier() != Tier::Free && !scored.unnamed()
+}
+
+/// What is left, by response, with an effect at these places.
+fn leave(chi2: &mut [f64], places: &[Place]) {
+    for place in places {
+        chi2[place.problem.response] = place.chi2;
+    }
+}
+
+/// The effect that was found after the first one, at its host; `None` where its free run of a test stretch runs away.
+fn told(input: &Input, prepared: &Prepared, host: &Place, held: &Held) -> Option<SecondEffect> {
+    let effect = held.part.effect;
+    Some(SecondEffect {
+        effect,
+        family: effect.family(),
+        axis: axis(input, held.response, &held.part),
+        channel: input.responses[held.response].name.clone(),
+        chi2: host.chi2,
+        closure: held_out(input, prepared, &host.problem, &host.fitted)?.closure,
+    })
+}
+
+/// The stretches of each role.
+const ROLES: [fn(&mut Problem) -> &mut Vec<Stretch>; 3] =
+    [|p| &mut p.fit, |p| &mut p.select, |p| &mut p.test];
+
+/// What an effect makes of one response.
+struct Acted {
+    response: usize,
+    /// Sim and core with it, `[role][stretch]`.
+    runs: [Vec<[Arc<Vec<f64>>; 2]>; 3],
+}
+
+impl Acted {
+    fn of(place: &Place) -> Option<Self> {
+        let Place { problem, fitted, .. } = place;
+        let (r, candidate) = (problem.response, &fitted.candidate);
+        let of_stretch = |stretch: &Stretch| -> Option<[Arc<Vec<f64>>; 2]> {
+            let mut simulated = stretch.simulated.to_vec();
+            simulated[r] = stretch.core.to_vec();
+            let of_core = Course { simulated: simulated.into(), ..stretch.course.clone() };
+            let free = |course: &Course| candidate.predict(problem, course, &fitted.p).map(Arc::new);
+            Some([free(stretch)?, free(&of_core)?])
+        };
+        let of_role = |stretches: &[Stretch]| candidate.map_unique(stretches, of_stretch);
+        let runs = [of_role(&problem.fit)?, of_role(&problem.select)?, of_role(&problem.test)?];
+        Some(Self { response: r, runs })
+    }
+}
+
+/// The request with an effect in its sim, which acts at these places; `None` where a free run runs away.
+fn acted_on(prepared: &Prepared, places: &[Place]) -> Option<Prepared> {
+    let acted: Vec<Acted> = places.iter().map(Acted::of).collect::<Option<_>>()?;
+    let mut moved = prepared.clone();
+    for at in &acted {
+        // The sim is what was adopted there.
+        moved.stands[at.response] = false;
+    }
+    for (role, stretches) in ROLES.iter().enumerate() {
+        let before: Vec<Arc<Vec<Vec<f64>>>> =
+            stretches(&mut moved.problems[0]).iter().map(|s| Arc::clone(&s.simulated)).collect();
+        let mut sims: Vec<Arc<Vec<Vec<f64>>>> = Vec::new();
+        for (i, sim) in before.iter().enumerate() {
+            // Repeats that shared their runs share them still.
+            let alike = (0..i).find(|&j| {
+                let same = |at: &Acted| Arc::ptr_eq(&at.runs[role][i][0], &at.runs[role][j][0]);
+                Arc::ptr_eq(sim, &before[j]) && acted.iter().all(same)
+            });
+            let with = || {
+                let mut sim = sim.to_vec();
+                for at in &acted {
+                    sim[at.response] = at.runs[role][i][0].to_vec();
+                }
+                Arc::new(sim)
+            };
+            sims.push(alike.map_or_else(with, |j| Arc::clone(&sims[j])));
+        }
+        for problem in &mut moved.problems {
+            let own = acted.iter().find(|at| at.response == problem.response);
+            for (i, (stretch, sim)) in stretches(problem).iter_mut().zip(&sims).enumerate() {
+                if let Some(own) = own {
+                    stretch.course.core = Arc::clone(&own.runs[role][i][1]);
+                }
+                stretch.course.simulated = Arc::clone(sim);
+            }
+        }
+    }
+    Some(moved)
+}
