@@ -114,8 +114,13 @@ impl Case {
         let axis = rng.random_range(0..axes);
         let force = axes > 1 && rng.random_bool(0.5);
         let sensor = axis + if force { axes } else { 0 };
-        let place = |flaw: Flaw| Placed { flaw, strength: 0.0, axis, sensor };
-        let mut placed: Vec<Placed> = kinds.iter().map(|&flaw| place(flaw)).collect();
+        let place = |(k, &flaw): (usize, &Flaw)| {
+            // Of effects on several axes each is on the next.
+            let beside = if suite == Suite::TwoAxes { k } else { 0 };
+            let on = |channel: usize| channel - channel % axes + (channel + beside) % axes;
+            Placed { flaw, strength: 0.0, axis: on(axis), sensor: on(sensor) }
+        };
+        let mut placed: Vec<Placed> = kinds.iter().enumerate().map(place).collect();
         let mut gap = 0.0;
         if !kinds.iter().all(|flaw| flaw.of_recording()) {
             let (low, long) = (first(&low, SHORT_S), first(&long, SHORT_S));

@@ -202,6 +202,13 @@ pub fn three_axes(rng: &mut impl Rng) -> Vec<Named> {
     catalogue(rng).into_iter().filter(|n| !other.contains(&n.effect)).collect()
 }
 
+/// An effect each of two axes, of any family and of one as well.
+pub fn on_two_axes(rng: &mut impl Rng) -> Vec<Named> {
+    let list: Vec<Named> =
+        for_pairs(rng).into_iter().filter(|n| n.effect != "cross_axis_kinematic").collect();
+    (0..2).map(|_| list[rng.random_range(0..list.len())]).collect()
+}
+
 /// Effects that are easily confused on runs of one level.
 pub fn ambiguous(rng: &mut impl Rng) -> Vec<Named> {
     let families = ["stiffness", "friction_hysteresis", "damping", "actuator", "deadband_backlash"];

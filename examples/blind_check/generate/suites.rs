@@ -39,6 +39,8 @@ pub enum Suite {
     Place,
     /// Drives that are displacements, responses that are forces.
     ForceOverDisplacement,
+    /// Three axes as above, an effect on two of them.
+    TwoAxes,
 }
 
 /// Lengths of the runs of one case, s. `long` and `half` (at half the level) are each run twice.
@@ -55,7 +57,7 @@ const STRIDE: usize = 11;
 
 impl Suite {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Catalogue,
         Self::Nothing,
         Self::Outside,
@@ -71,6 +73,7 @@ impl Suite {
         Self::RoughRigs,
         Self::Place,
         Self::ForceOverDisplacement,
+        Self::TwoAxes,
     ];
 
     /// As labels and the command line write it.
@@ -89,21 +92,26 @@ impl Suite {
             Self::Catalogue | Self::Nothing | Self::NextExperiment => 200,
             Self::Outside | Self::Struck | Self::OtherEquation | Self::InSitu => 60,
             Self::NoRepeats | Self::SimsThatErr | Self::RoughRigs => 60,
-            Self::TwoEffects | Self::ThreeAxes | Self::Place | Self::ForceOverDisplacement => 40,
+            Self::TwoEffects | Self::ThreeAxes | Self::Place => 40,
+            Self::ForceOverDisplacement | Self::TwoAxes => 40,
             Self::Time => 2,
         }
     }
 
     /// Axes of the rig of one case.
     pub fn axes(self, index: usize) -> usize {
-        if self == Self::ThreeAxes || (self == Self::Time && index % 2 == 1) { 3 } else { 1 }
+        if matches!(self, Self::ThreeAxes | Self::TwoAxes) || (self == Self::Time && index % 2 == 1) {
+            3
+        } else {
+            1
+        }
     }
 
     /// Lengths of its runs: 100 s as the clocked cases but for the three axes, of six responses, and the next
     /// experiment, which begins with a short look that leaves more open.
     pub fn lengths(self) -> Lengths {
         match self {
-            Self::ThreeAxes => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
+            Self::ThreeAxes | Self::TwoAxes => Lengths { long: 20.0, half: Some(15.0), baseline: 40.0 },
             Self::NextExperiment => Lengths { long: 8.0, half: None, baseline: 30.0 },
             _ => Lengths { long: 30.0, half: Some(20.0), baseline: 40.0 },
         }
@@ -162,6 +170,7 @@ impl Suite {
             Self::OtherEquation => effects::other_equation(rng),
             Self::InSitu => effects::in_situ(rng),
             Self::TwoEffects => return pair(effects::for_pairs(rng), rng),
+            Self::TwoAxes => return effects::on_two_axes(rng),
             Self::ThreeAxes => effects::three_axes(rng),
             Self::NextExperiment | Self::Time => effects::ambiguous(rng),
             Self::NoRepeats => effects::without_repeats(rng),

@@ -185,6 +185,13 @@ impl Case {
         self.is_one_of(first) && self.is_one_of(second) && first != second
     }
 
+    /// How many true effects the verdict names, each with its axis.
+    pub fn axes_found(&self) -> usize {
+        let named = self.verdict()["effects"].as_array().map_or(&[][..], Vec::as_slice);
+        let same = |a: &Value, b: &Value| a["effect"] == b["effect"] && a["axis"] == b["axis"];
+        self.effects().filter(|e| self.names_effect() && named.iter().any(|n| same(e, n))).count()
+    }
+
     /// Whether the verdict as it is stated is true: what its probability is of.
     pub fn verdict_is_true(&self) -> bool {
         let set_holds_family = || {

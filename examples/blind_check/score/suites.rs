@@ -40,6 +40,15 @@ pub fn rows(cases: &[Case]) -> Vec<Row> {
         let both = Share::count(cases, |c| c.both_are_found());
         vec![Row::share(suite, "both among the first two", both, Bar::AtLeast(0.80))]
     });
+    add("two-axes", |suite, cases| {
+        let found = |count: usize| Share::count(cases, |c| c.axes_found() >= count);
+        let wrong = |c: &Case| c.is_blamed() && !c.is_right();
+        vec![
+            Row::share(suite, "both effects, each with its axis", found(2), Bar::AtLeast(0.80)),
+            Row::share(suite, "one of them at least", found(1), Bar::None),
+            Row::share(suite, "blamed wrongly", Share::count(cases, |c| wrong(c)), Bar::AtMost(0.03)),
+        ]
+    });
     add("three-axes", |suite, cases| {
         let right = Share::count(cases, |c| c.is_right());
         vec![Row::share(suite, "effect and axis right", right, Bar::AtLeast(0.90))]

@@ -67,7 +67,8 @@ pub struct Verdict {
     pub probability: f64,
     /// Effects that these runs cannot tell apart, the blamed one first.
     pub equivalence_set: Vec<Effect>,
-    /// What is blamed, the first effect and those beside it; empty where none is named.
+    /// What is blamed, the first effect and those beside it that close more than its equation may err by; empty where none
+    /// is named.
     #[serde(default)]
     pub effects: Vec<EffectShare>,
     /// Reasons, in words.

@@ -8,7 +8,7 @@ use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::findings::hypothesis::{axis, closed_most, place};
 use crate::diagnosis::findings::second::{SURE_OF_TWO, Two};
 use crate::diagnosis::search::contest::Outcome;
-use crate::diagnosis::search::decide::{NOISE_LEFT, Ranked, Ruling, rule};
+use crate::diagnosis::search::decide::{NOISE_LEFT, PARTIAL, Ranked, Ruling, rule};
 use crate::diagnosis::transfer::{MODEL_ERRS, sentence};
 
 /// What an equation is believed at most that leaves more than the noise and that transfer does not name.
@@ -122,10 +122,13 @@ impl Verdict {
         self
     }
 
-    /// Names the effects of the first hypothesis, if it is the effect that is blamed, and says it in a sentence.
+    /// Names the effects of the first hypothesis, if it is the effect that is blamed, and says it in a sentence. A further
+    /// effect that closes no more than the equation of the first may err by helps to predict, and is no cause.
     pub(super) fn naming(mut self, first: Option<&Hypothesis>) -> Self {
         if let Some(first) = first.filter(|first| self.kind.blames() && self.effect == Some(first.effect)) {
-            self.effects.clone_from(&first.effects);
+            let causes =
+                first.effects.iter().enumerate().filter(|(k, e)| *k == 0 || e.share_of_gap > PARTIAL);
+            self.effects = causes.map(|(_, effect)| effect.clone()).collect();
         }
         if self.in_words.is_empty() {
             self.in_words = sentence(&self, first);
@@ -261,6 +264,23 @@ mod tests {
         assert!(found.because[0].contains("47 %"), "{:?}", found.because);
         first.held_out.chi2_after = 1.1;
         assert_eq!(verdict.clone().on_test(Some(&first)), verdict, "nothing is left above the noise");
+    }
+
+    #[test]
+    fn a_further_effect_is_named_where_it_closes_more_than_an_equation_errs_by() {
+        let report =
+            diagnose(&Input { catalogue: few(), ..request(friction, 0.01) }, &unwatched).unwrap().report;
+        let bare = Verdict { effects: Vec::new(), in_words: String::new(), ..report.verdict };
+        let mut first = report.hypotheses[0].clone();
+        first.effects.push(first.effects[0].clone());
+        for (share, named) in [(0.01, 1), (0.05, 2)] {
+            first.effects[1].share_of_gap = share;
+            let verdict = bare.clone().naming(Some(&first));
+            assert_eq!(verdict.effects, first.effects[..named]);
+            assert_eq!(verdict.in_words.contains("together they explain"), named > 1, "{}", verdict.in_words);
+        }
+        let other = Verdict { effect: Some(Effect::Gain), ..bare };
+        assert_eq!(other.naming(Some(&first)).effects, [], "the first hypothesis is not what is blamed");
     }
 
     #[test]

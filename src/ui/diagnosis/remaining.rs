@@ -27,7 +27,7 @@ pub fn remaining(report: &Report) -> Markup {
             @else if size < 2.0 { ": a little error remains besides the noise." }
             @else { ": more error remains than noise explains." }
             @if best.effects.len() > 1 {
-                " A third was not sought: adopt these and diagnose again."
+                " For a further effect adopt these and diagnose again."
             } @else if let Some(second) = &r.second_effect {
                 " A second effect helps: " b { (words(second.effect).name) } " (" (family(second.family)) ")"
                 @if let Some(axis) = &second.axis { " on axis " (axis) }

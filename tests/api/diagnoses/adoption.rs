@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::rig::{DIAGNOSES, Lab, RATE, csv, drive, measure, respond, upload, upload_csv};
+use super::rig::{CUBIC, DIAGNOSES, Lab, RATE, csv, drive, measure, respond, upload, upload_csv};
 use crate::support::{f8, npy, read_f4};
 
 /// Adopts an effect; returns the version and its model.
@@ -21,6 +21,53 @@ pub async fn predicted(lab: &Lab, version: u64, u: &[f64]) -> Vec<f64> {
     let answer = lab.app.post_json("/v1/rigs/mass/predict", &request).await.expect(200).json();
     let samples = answer["response"]["channels"]["disp"].as_array().expect("samples").clone();
     samples.iter().map(|v| v.as_f64().expect("a number")).collect()
+}
+
+/// A run of the rig whose sensor reads 0.4 mm more than it did.
+async fn shifted(lab: &Lab, query: &str, drive: &[f64], seed: u64) -> String {
+    let read: Vec<f64> = measure(drive, CUBIC, seed).iter().map(|y| y + 0.4).collect();
+    upload_csv(&lab.app, query, &csv(&[("drive", drive), ("disp", &read)])).await
+}
+
+#[tokio::test]
+async fn two_effects_are_adopted_together() {
+    let lab = Lab::with_frf().await;
+    let (a, b) = (drive(16.0, 1.0, 1), drive(16.0, 0.7, 2));
+    let mut runs = Vec::new();
+    for (k, drive) in [&a, &b, &b, &a].into_iter().enumerate() {
+        runs.push(shifted(&lab, "kind=service&tag=shifted", drive, 51 + k as u64).await);
+    }
+    let mut request = lab.request();
+    request["repeats"] = json!([[runs[0], runs[3]], [runs[1], runs[2]]]);
+    request["runs"] = json!(runs);
+    request["catalogue"] = json!(["linear_change", "cubic_stiffness", "coulomb_friction", "offset"]);
+    let (href, report) = lab.report(&request).await;
+    let named = |effects: &Value| -> Vec<String> {
+        let list = effects.as_array().expect("effects");
+        let mut names: Vec<String> =
+            list.iter().map(|e| e["effect"].as_str().expect("a name").to_owned()).collect();
+        names.sort();
+        names
+    };
+    let both = ["cubic_stiffness", "offset"];
+    assert_eq!(named(&report["verdict"]["effects"]), both, "{}", report["verdict"]);
+    let hypothesis = &report["hypotheses"][0];
+    assert_eq!(
+        (named(&hypothesis["effects"]), &hypothesis["effect"]),
+        (both.map(String::from).to_vec(), &report["verdict"]["effect"])
+    );
+    let page = lab.app.call("GET", &href).header("accept", "text/html").send().await.expect(200);
+    assert!(String::from_utf8_lossy(&page.bytes).contains("together they close"));
+
+    let (version, model) = adopted(&lab, &href, json!({})).await;
+    assert_eq!(named(&model["effects"]), both);
+    let u = drive(10.0, 0.9, 99);
+    let unseen = shifted(&lab, "kind=service&split=test", &u, 98).await;
+    let (before, after) = (lab.error_of(1, &unseen).await, lab.error_of(version, &unseen).await);
+    assert!(before > 0.2 && after < 0.15 * before, "{before} before, {after} after");
+    let weights = lab.app.get(&format!("/v1/rigs/mass/models/{version}/weights")).await.expect(200).bytes;
+    let again = lab.import(weights).await;
+    assert_eq!(predicted(&lab, again, &u).await, predicted(&lab, version, &u).await);
 }
 
 #[tokio::test]

@@ -126,6 +126,11 @@ impl Part {
         self.forces.iter().any(|law| matches!(law, Law::Carried(_)))
     }
 
+    /// Whether the other is the same effect of the same drive.
+    pub fn is_alike(&self, other: &Self) -> bool {
+        self.effect == other.effect && self.drive == other.drive && self.other == other.other
+    }
+
     /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
     pub fn shapes(&self) -> usize {
         let laws: usize = self.forces.iter().map(Law::shapes).sum();

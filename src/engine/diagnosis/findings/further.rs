@@ -46,7 +46,7 @@ pub fn further(
         let places = scored.places(&moved);
         leave(&mut chi2, &places);
         let share = (before - overview.mean_of_seen(&chi2)) / (baseline.chi2 - 1.0).max(f64::MIN_POSITIVE);
-        let part = scored.fitted.candidate.parts[0].clone();
+        let part = scored.part().clone();
         held.push(Held { response: scored.problem, part, share: share.clamp(0.0, 1.0) });
         believable &= may_be_named(&scored);
         let with = acted_on(&moved, &places);
@@ -63,7 +63,9 @@ pub fn further(
         next = outcome.ranked.into_iter().map(|ranked| ranked.scored).find(may_be_named).filter(|scored| {
             let mut with = chi2.clone();
             leave(&mut with, &scored.places(&moved));
-            overview.mean_of_seen(&with) - 1.0 <= CLOSES * (rest - 1.0)
+            // What was fitted while a later effect was not there yet may ask for a little of itself again.
+            let again = |held: &Held| held.response == scored.problem && held.part.is_alike(scored.part());
+            overview.mean_of_seen(&with) - 1.0 <= CLOSES * (rest - 1.0) && !held.iter().any(again)
         });
     }
     let Some(second) = layers.get(1).and_then(|places| told(input, prepared, &places[0], &held[1])) else {

@@ -119,7 +119,7 @@ impl Explanation {
     /// All that a candidate explains.
     pub fn of(prepared: &Prepared, scored: &Scored) -> Self {
         let share = (1.0 - scored.remaining).max(0.0);
-        let part = scored.fitted.candidate.parts[0].clone();
+        let part = scored.part().clone();
         let held = vec![Held { response: scored.problem, part, share }];
         Self { layers: vec![scored.places(prepared)], held, remaining: scored.remaining }
     }

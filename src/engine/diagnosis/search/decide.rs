@@ -88,7 +88,7 @@ const BENT: [f64; 2] = [0.3, 0.5];
 /// Above this share left the catalogue does not hold the effect.
 pub const ABSTAIN: f64 = 0.10;
 /// Above this share left a named effect is only part of the answer,
-const PARTIAL: f64 = 0.02;
+pub const PARTIAL: f64 = 0.02;
 /// and above this mean square, 1.2 times the RMS of the noise.
 pub const NOISE_LEFT: f64 = 1.44;
 /// Share of what the winner leaves, below which a free shape that nothing needs speaks against it.
@@ -128,9 +128,14 @@ pub enum Ruling {
 }
 
 impl Scored {
+    /// Its first part.
+    pub fn part(&self) -> &Part {
+        &self.fitted.candidate.parts[0]
+    }
+
     /// The effect of its first part.
     pub fn effect(&self) -> Effect {
-        self.fitted.candidate.parts[0].effect
+        self.part().effect
     }
 
     /// Whether it may not be named however well it fits: it is no more than a linear change or a map
