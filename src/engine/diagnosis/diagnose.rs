@@ -213,11 +213,12 @@ fn finish(
         })
         .collect();
     let mut verdict = verdict.on_test(made.first().map(|(hypothesis, _)| hypothesis));
-    // Where something is blamed, the best hypothesis holds all that helps.
+    // Where something is blamed, the best hypothesis holds all that is surely there.
     let alone = listed.first().map(|best| Explanation::of(prepared, &best.scored));
     let mut best = alone.as_ref();
     if let (Some(two), Some(alone)) = (&two, made.first_mut())
         && verdict.kind.blames()
+        && two.probability >= SURE_OF_TWO
         && (open || two.first == 0)
         && let Some(together) = hypothesis(input, prepared, overview, &two.explanation, alone.0.probability)
         && together.0.helps_beyond(&alone.0)
