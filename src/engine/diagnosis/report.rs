@@ -328,7 +328,8 @@ pub struct Hypothesis {
     /// All effects that it holds, the first one first.
     #[serde(default)]
     pub effects: Vec<EffectShare>,
-    /// Its numbers; of two effects each with its effect before it, as in `backlash.half_width`.
+    /// Its numbers; of several effects each with its effect before it, as in `backlash.half_width`, and of one effect at two
+    /// places with the place, as in `backlash@drive_x.half_width`.
     pub parameters: Vec<Parameter>,
     /// How strong it is in terms of a drive; none where that is not known.
     #[serde(default)]

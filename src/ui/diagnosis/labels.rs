@@ -218,11 +218,14 @@ pub fn in_words(text: &str) -> String {
 
 /// The name of a parameter in words, and its power of ten.
 pub fn parameter(name: &str) -> String {
-    // Of two effects together each number has its effect before it.
-    if let Some((effect, number)) = name.split_once('.') {
-        let known = Effect::ALL.into_iter().find(|e| e.name() == effect);
-        let effect = known.map_or_else(|| effect.replace('_', " "), |effect| words(effect).name.into());
-        return format!("{effect}: {}", parameter(number));
+    // Of several effects together each number has its effect before it, and the place of one that is there twice.
+    let of = |effect: &str| Effect::ALL.into_iter().find(|e| e.name() == effect).map(|e| words(e).name);
+    if let Some((acting, number)) = name.split_once('.') {
+        let (effect, place) = acting.split_once('@').map_or((acting, None), |(e, place)| (e, Some(place)));
+        if let Some(effect) = of(effect) {
+            let at = place.map_or_else(String::new, |place| format!(" at {place}"));
+            return format!("{effect}{at}: {}", parameter(number));
+        }
     }
     match name {
         "relative_gain" => "relative change of gain".into(),
@@ -241,6 +244,14 @@ pub fn parameter(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_of_several_effects_say_whose_they_are() {
+        assert_eq!(parameter("relative_gain"), "relative change of gain");
+        assert_eq!(parameter("backlash.half_width"), "backlash: half width");
+        assert_eq!(parameter("bump_stop@disp_x.gap"), "bump stops at disp_x: free travel");
+        assert_eq!(parameter("change_at_0.125"), "change at 0.125");
+    }
 
     #[test]
     fn every_effect_has_words_of_its_own() {

@@ -132,28 +132,42 @@ async fn back(client: &Client) -> Duration {
     .await
 }
 
+/// Takes a service that writes away, so many times for so long, and checks that another one writes soon, that it is back
+/// soon, and that nothing acknowledged is lost; what came of it, for people.
+async fn taken_away(
+    service: &Machine,
+    other: &Machine,
+    (times, long): (u64, Duration),
+    [away, here]: [&dyn Fn(); 2],
+) -> String {
+    let (client, other) = (service.client(None), other.client(None));
+    let load = Load::at(service);
+    let mut longest = [Duration::ZERO; 2];
+    for k in 0..times {
+        tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
+        away();
+        longest[0] = longest[0].max(held_up(&other, format!("other-{k}")).await);
+        tokio::time::sleep(long).await;
+        here();
+        longest[1] = longest[1].max(back(&client).await);
+    }
+    let [held_up, back] = longest.map(|longest| longest.as_secs_f64());
+    let ended = load.ended(&other).await;
+    format!(
+        "of a service that writes: {ended}; another one wrote after {held_up:.1} s at most, and it was back after {back:.1} s"
+    )
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_is_cut_off_in_the_middle_of_its_writes_holds_up_nobody() {
     let Some(cluster) = Cluster::start_behind_weather() else { return };
     let cuts = setting("RIGCAST_TEST_CUTS", 1);
     let (cut, other) = (cluster.machine(Kind::Serve), cluster.machine(Kind::Serve));
-    let (client, other) = (cut.client(None), other.client(None));
-    let load = Load::at(&cut);
-    let mut longest = [Duration::ZERO; 2];
-    for k in 0..cuts {
-        tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
-        cut.set_way(Weather::Lost);
-        longest[0] = longest[0].max(held_up(&other, format!("other-{k}")).await);
-        tokio::time::sleep(CUT).await;
-        cut.set_way(Weather::Fair);
-        longest[1] = longest[1].max(back(&client).await);
-    }
-    let [held_up, back] = longest.map(|longest| longest.as_secs_f64());
-    let ended = load.ended(&other).await;
-    println!(
-        "{cuts} partitions of a service that writes: {ended}; another one wrote after {held_up:.1} s at most, and it was back \
-              after {back:.1} s"
-    );
+    let way = [Weather::Lost, Weather::Fair].map(|weather| {
+        let cut = &cut;
+        move || cut.set_way(weather)
+    });
+    println!("{cuts} partitions {}", taken_away(&cut, &other, (cuts, CUT), [&way[0], &way[1]]).await);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -161,23 +175,12 @@ async fn a_service_that_stands_still_in_the_middle_of_its_writes_holds_up_nobody
     let Some(cluster) = Cluster::start() else { return };
     let pauses = setting("RIGCAST_TEST_PAUSES", 1);
     let (paused, other) = (cluster.machine(Kind::Serve), cluster.machine(Kind::Serve));
-    let (client, other) = (paused.client(None), other.client(None));
-    let load = Load::at(&paused);
-    let mut longest = [Duration::ZERO; 2];
-    for k in 0..pauses {
-        tokio::time::sleep(Duration::from_millis(700 + 37 * k)).await;
-        signal("-STOP", paused.program.id());
-        longest[0] = longest[0].max(held_up(&other, format!("other-{k}")).await);
-        tokio::time::sleep(Duration::from_secs(2)).await;
-        signal("-CONT", paused.program.id());
-        longest[1] = longest[1].max(back(&client).await);
-    }
-    let [held_up, back] = longest.map(|longest| longest.as_secs_f64());
-    let ended = load.ended(&other).await;
-    println!(
-        "{pauses} pauses of a service that writes: {ended}; another one wrote after {held_up:.1} s at most, and it was back \
-              after {back:.1} s"
-    );
+    let long = Duration::from_secs(2);
+    let [stop, go] = ["-STOP", "-CONT"].map(|what| {
+        let id = paused.program.id();
+        move || signal(what, id)
+    });
+    println!("{pauses} pauses {}", taken_away(&paused, &other, (pauses, long), [&stop, &go]).await);
 }
 
 #[tokio::test(flavor = "multi_thread")]

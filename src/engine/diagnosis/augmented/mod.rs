@@ -100,7 +100,8 @@ impl Augmented {
         added.forward.attach_taps(taps).map_err(|what| EngineError::Weights(format!("effect: {what}")))
     }
 
-    /// Responses with the effect and none of the further ones, `[response][sample]`, as [`Augmented::apply`]; `None` where the free run diverges.
+    /// Responses with the effect and none of the further ones, `[response][sample]`, as [`Augmented::apply`]; `None`
+    /// where the free run diverges.
     pub(super) fn predict(
         &self,
         drives: &[Vec<f64>],

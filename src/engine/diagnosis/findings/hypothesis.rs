@@ -202,7 +202,14 @@ pub fn hypothesis(
     let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
     let mut numbers = Vec::new();
     for one in held {
-        let named = |p: Parameter| Parameter { name: format!("{}.{}", one.part.effect.name(), p.name), ..p };
+        let (effect, share) = (one.part.effect, one.share(input));
+        let of_one = match share.at {
+            Some(at) if held.iter().filter(|other| other.part.effect == effect).count() > 1 => {
+                format!("{}@{at}", effect.name())
+            }
+            _ => effect.name(),
+        };
+        let named = |p: Parameter| Parameter { name: format!("{of_one}.{}", p.name), ..p };
         let own = layers.iter().map(|places| one.parameters(input, places)).find(|own| !own.is_empty());
         let own = own.into_iter().flatten();
         numbers.extend(own.map(|p| if held.len() > 1 { named(p) } else { p }));
