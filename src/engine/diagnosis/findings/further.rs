@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use super::held_out::{Place, held_out};
-use super::hypothesis::{Explanation, Held, axis};
-use super::second::{CLOSES, Two};
+use super::held_out::Place;
+use super::hypothesis::{Explanation, Held};
+use super::second::{CLOSES, Two, told};
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
@@ -12,7 +12,6 @@ use crate::diagnosis::data::problem::{Problem, Stretch};
 use crate::diagnosis::effects::effect::Tier;
 use crate::diagnosis::effects::plant::Course;
 use crate::diagnosis::input::Input;
-use crate::diagnosis::report::SecondEffect;
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::decide::of_several;
 use crate::diagnosis::search::propagation::BaselineScore;
@@ -68,9 +67,11 @@ pub fn further(
             overview.mean_of_seen(&with) - 1.0 <= CLOSES * (rest - 1.0) && !held.iter().any(again)
         });
     }
-    let Some(second) = layers.get(1).and_then(|places| told(input, prepared, &places[0], &held[1])) else {
-        return Ok(None);
-    };
+    let second = layers.get(1).and_then(|places| {
+        let Place { problem, fitted, chi2 } = &places[0];
+        told(input, prepared, problem, fitted, *chi2)
+    });
+    let Some(second) = second else { return Ok(None) };
     let remaining = remaining(overview.mean_of_seen(&chi2), baseline.chi2);
     let apart = (1..held.len()).all(|k| held[..k].iter().all(|other| other.response != held[k].response));
     let probability = of_several(remaining, baseline.chi2, baseline.rows, apart);
@@ -88,19 +89,6 @@ fn leave(chi2: &mut [f64], places: &[Place]) {
     for place in places {
         chi2[place.problem.response] = place.chi2;
     }
-}
-
-/// The effect that was found after the first one, at its host; `None` where its free run of a test stretch runs away.
-fn told(input: &Input, prepared: &Prepared, host: &Place, held: &Held) -> Option<SecondEffect> {
-    let effect = held.part.effect;
-    Some(SecondEffect {
-        effect,
-        family: effect.family(),
-        axis: axis(input, held.response, &held.part),
-        channel: input.responses[held.response].name.clone(),
-        chi2: host.chi2,
-        closure: held_out(input, prepared, &host.problem, &host.fitted)?.closure,
-    })
 }
 
 /// The stretches of each role.

@@ -188,7 +188,7 @@ fn together(
 }
 
 /// The last part of a fit as the report has a second effect.
-fn told(
+pub fn told(
     input: &Input,
     prepared: &Prepared,
     problem: &Problem,
