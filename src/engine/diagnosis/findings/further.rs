@@ -23,7 +23,7 @@ const MOST: usize = 4;
 
 /// What further effects explain beside a first one that leaves a gap at other responses than its own: each of the whole
 /// catalogue is tried in the motion that the rig has with those before it, and stays if it closes a good part of what
-/// these leave. `None` where none does.
+/// these leave. The others are then sought once more in the motion that it makes. `None` where none stays.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
@@ -34,49 +34,119 @@ pub fn further(
     first: &Scored,
     watch: Watch<'_>,
 ) -> Result<Option<Two>, EngineError> {
-    let baseline = BaselineScore::of(prepared, overview, input.sample_rate_hz());
-    let mut chi2 = overview.chi2_select.clone();
-    let mut moved = prepared.clone();
-    let (mut layers, mut held) = (Vec::new(), Vec::new());
-    let mut believable = true;
-    let mut next = Some(first.clone());
-    while let Some(scored) = next.take() {
-        let before = overview.mean_of_seen(&chi2);
-        let places = scored.places(&moved);
-        leave(&mut chi2, &places);
-        let share = (before - overview.mean_of_seen(&chi2)) / (baseline.chi2 - 1.0).max(f64::MIN_POSITIVE);
-        let part = scored.part().clone();
-        held.push(Held { response: scored.problem, part, share: share.clamp(0.0, 1.0) });
-        believable &= may_be_named(&scored);
-        let with = acted_on(&moved, &places);
-        layers.push(places);
-        let Some(with) = with.filter(|_| layers.len() < MOST) else { break };
-        moved = with;
-        let now = Overview::new(input, &moved);
-        if now.seen.is_empty() {
+    let sought = Sought { input, prepared, overview, watch };
+    let mut effects = vec![first.clone()];
+    while effects.len() < MOST {
+        let Some(moved) = moved_by(prepared, &effects) else { break };
+        let rest = overview.mean_of_seen(&leaves(&moved));
+        let Some(next) = sought.best(&moved, &effects)? else { break };
+        if overview.mean_of_seen(&left_by(&moved, &next)) - 1.0 > CLOSES * (rest - 1.0) {
             break;
         }
-        let in_part = |p: Progress<'_>| watch(p.within(&(0.8..0.88)));
-        let outcome = contest(input, &input.catalogue, &moved, &now, &in_part)?;
-        let rest = overview.mean_of_seen(&chi2);
-        next = outcome.ranked.into_iter().map(|ranked| ranked.scored).find(may_be_named).filter(|scored| {
-            let mut with = chi2.clone();
-            leave(&mut with, &scored.places(&moved));
-            // What was fitted while a later effect was not there yet may ask for a little of itself again.
-            let again = |held: &Held| held.response == scored.problem && held.part.is_alike(scored.part());
-            overview.mean_of_seen(&with) - 1.0 <= CLOSES * (rest - 1.0) && !held.iter().any(again)
-        });
+        effects.push(next);
+        effects = sought.again(effects)?;
     }
-    let second = layers.get(1).and_then(|places| {
-        let Place { problem, fitted, chi2 } = &places[0];
-        told(input, prepared, problem, fitted, *chi2)
-    });
-    let Some(second) = second else { return Ok(None) };
-    let remaining = remaining(overview.mean_of_seen(&chi2), baseline.chi2);
-    let apart = (1..held.len()).all(|k| held[..k].iter().all(|other| other.response != held[k].response));
-    let probability = of_several(remaining, baseline.chi2, baseline.rows, apart);
-    let probability = if believable { probability } else { 0.0 };
-    Ok(Some(Two { first: 0, second, probability, explanation: Explanation { layers, held, remaining } }))
+    sought.together(&effects)
+}
+
+/// Where further effects are sought.
+struct Sought<'a> {
+    input: &'a Input,
+    prepared: &'a Prepared,
+    overview: &'a Overview,
+    watch: Watch<'a>,
+}
+
+impl Sought<'_> {
+    /// The foremost effect of the catalogue in the motion that others make, which is none of them.
+    fn best(&self, moved: &Prepared, others: &[Scored]) -> Result<Option<Scored>, EngineError> {
+        let now = Overview::new(self.input, moved);
+        if now.seen.is_empty() {
+            return Ok(None);
+        }
+        let in_part = |p: Progress<'_>| (self.watch)(p.within(&(0.8..0.88)));
+        let outcome = contest(self.input, &self.input.catalogue, moved, &now, &in_part)?;
+        let best = outcome.ranked.into_iter().map(|ranked| ranked.scored).find(may_be_named);
+        // What was fitted while a later effect was not there yet may ask for a little of itself again.
+        let again = |found: &Scored| {
+            others.iter().any(|o| o.problem == found.problem && o.part().is_alike(found.part()))
+        };
+        Ok(best.filter(|found| !again(found)))
+    }
+
+    /// Each effect once more, in the motion that all others make: a first one was fitted while they were not there, and
+    /// has bent to part of them. The same ones where that leaves no less.
+    fn again(&self, effects: Vec<Scored>) -> Result<Vec<Scored>, EngineError> {
+        let left = |effects: &[Scored]| {
+            moved_by(self.prepared, effects)
+                .map_or(f64::INFINITY, |moved| self.overview.mean_of_seen(&leaves(&moved)))
+        };
+        let mut all = effects.clone();
+        for _ in 0..effects.len() {
+            all.remove(0);
+            let Some(moved) = moved_by(self.prepared, &all) else { return Ok(effects) };
+            let Some(found) = self.best(&moved, &all)? else { return Ok(effects) };
+            all.push(found);
+        }
+        Ok(if left(&all) < left(&effects) { all } else { effects })
+    }
+
+    /// All of them as one explanation; `None` of one alone.
+    fn together(&self, effects: &[Scored]) -> Result<Option<Two>, EngineError> {
+        let (input, prepared, overview) = (self.input, self.prepared, self.overview);
+        let baseline = BaselineScore::of(prepared, overview, input.sample_rate_hz());
+        let mut chi2 = overview.chi2_select.clone();
+        let mut moved = prepared.clone();
+        let (mut layers, mut held) = (Vec::new(), Vec::new());
+        for scored in effects {
+            let Some(places) = places(scored, &moved) else { return Ok(None) };
+            let before = overview.mean_of_seen(&chi2);
+            leave(&mut chi2, &places);
+            let closed = before - overview.mean_of_seen(&chi2);
+            let share = (closed / (baseline.chi2 - 1.0).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            held.push(Held { response: scored.problem, part: scored.part().clone(), share });
+            let Some(with) = acted_on(&moved, &places) else { return Ok(None) };
+            moved = with;
+            layers.push(places);
+        }
+        let second = layers.get(1).and_then(|places| {
+            let Place { problem, fitted, chi2 } = &places[0];
+            told(input, prepared, problem, fitted, *chi2)
+        });
+        let Some(second) = second else { return Ok(None) };
+        let remaining = remaining(overview.mean_of_seen(&chi2), baseline.chi2);
+        let apart = (1..held.len()).all(|k| held[..k].iter().all(|other| other.response != held[k].response));
+        let probability = of_several(remaining, baseline.chi2, baseline.rows, apart);
+        let probability = if effects.iter().all(may_be_named) { probability } else { 0.0 };
+        Ok(Some(Two { first: 0, second, probability, explanation: Explanation { layers, held, remaining } }))
+    }
+}
+
+/// The request with effects in its sim, one after the other; `None` where a free run runs away.
+fn moved_by(prepared: &Prepared, effects: &[Scored]) -> Option<Prepared> {
+    effects.iter().try_fold(prepared.clone(), |moved, scored| acted_on(&moved, &scored.places(&moved)))
+}
+
+/// Where an effect acts, with what it leaves there in the motion that others make; `None` where it runs away.
+fn places(scored: &Scored, moved: &Prepared) -> Option<Vec<Place>> {
+    let scored_there = |place: Place| {
+        let Place { problem, fitted, .. } = &place;
+        let made = fitted.candidate.predictions(problem, &problem.select, &fitted.p)?;
+        Some(Place { chi2: problem.chi2(&problem.select, &made), ..place })
+    };
+    scored.places(moved).into_iter().map(scored_there).collect()
+}
+
+/// What is left of the select stretches of each response, in noise floors squared.
+fn leaves(prepared: &Prepared) -> Vec<f64> {
+    prepared.problems.iter().map(|p| p.chi2_none(&p.select)).collect()
+}
+
+/// The same with an effect that was found in this motion.
+fn left_by(moved: &Prepared, found: &Scored) -> Vec<f64> {
+    let mut chi2 = leaves(moved);
+    leave(&mut chi2, &found.places(moved));
+    chi2
 }
 
 /// Whether an effect is a law of the catalogue that acts as it can.

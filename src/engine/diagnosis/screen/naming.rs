@@ -13,6 +13,9 @@ const DRY: f64 = 0.08;
 /// Stribeck's second part relative to its first, where they take each other away so far that the force has no jump where
 /// sliding begins: whatever a linear damper adds to it, it is no friction.
 const WITHOUT_JUMP: std::ops::Range<f64> = -1.35..-0.65;
+/// The cubic part of a polynomial relative to its square, in deviations, below which the square is more of the force: of
+/// a normal displacement their variances beyond a straight line are 6 and 2.
+const LOPSIDED: f64 = 0.577;
 
 /// What stands at a place: its laws have names of their own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,6 +42,10 @@ pub(super) fn effect(
     if matches!(law, Law::Stribeck { .. }) && WITHOUT_JUMP.contains(&second) {
         return Effect::FreeDamping;
     }
+    let law = match law {
+        Law::Polynomial if second.abs() < LOPSIDED => Law::Quadratic,
+        law => law,
+    };
     let moves = |q| matches!(q, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration);
     let role = match place {
         Place::Response(_) | Place::Between(..) => Role::Structure,
@@ -122,5 +129,8 @@ mod tests {
         let sliding = |second| effect(stribeck, Place::Response(0), length, length, -1.0, second);
         assert_eq!(sliding(0.5), Effect::StribeckFriction);
         assert_eq!(sliding(-0.9), Effect::FreeDamping);
+        let spring = |cubic| effect(Law::Polynomial, Place::Response(0), length, length, -1.0, cubic);
+        assert_eq!(spring(0.2), Effect::QuadraticStiffness);
+        assert_eq!(spring(-1.5), Effect::CubicStiffness);
     }
 }

@@ -347,7 +347,9 @@ impl Bench<'_> {
                     self.base.relative_gain(&b.block, b.width, direct, b.response)
                 };
                 let second = match law {
-                    Law::Stribeck { .. } => self.base.second_by_first(&b.block, b.width, b.response),
+                    Law::Stribeck { .. } | Law::Polynomial => {
+                        self.base.second_by_first(&b.block, b.width, b.response)
+                    }
                     _ => 0.0,
                 };
                 (b.response, worst, b.errors.clone(), gain, second)
