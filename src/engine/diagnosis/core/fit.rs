@@ -155,7 +155,7 @@ impl Centred {
 
         let early = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
         let held_out = self.part(1.0 - HELD_OUT, 1.0, band, &noise);
-        let scores: Vec<(usize, f64)> = ORDERS
+        let scored: Vec<(f64, Linear)> = ORDERS
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
@@ -165,12 +165,21 @@ impl Centred {
                     if linear { (of(&early) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
                 let parameters = (drives * (order + 1) + order) as f64;
                 let endless = lasting(&early, &model.modes).is_some();
-                (order, if endless { f64::INFINITY } else { left + share * CHARGE * parameters })
+                (if endless { f64::INFINITY } else { left + share * CHARGE * parameters }, model)
             })
             .collect();
-        let order = scores.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(2, |s| s.0);
+        let best = scored.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
         let all = self.part(0.0, 1.0, band, &noise);
-        let linear = fitted(&all, order, band);
+        let linear = match best {
+            None => fitted(&all, 2, band),
+            Some((_, chosen)) => {
+                // The relocation of poles may end elsewhere on more samples.
+                let anew = fitted(&all, chosen.modes.order(), band);
+                let further = refine(&all, chosen);
+                let left = |of: &Linear| all.iter().map(|s| s.error(of)).sum::<f64>();
+                if left(&further) < left(&anew) { further } else { anew }
+            }
+        };
         let noise = self.noise(&linear);
         (linear, noise)
     }

@@ -1,6 +1,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use realfft::num_complex::Complex64;
 
 use super::*;
 
@@ -82,6 +83,42 @@ fn a_two_mass_rig_is_recovered_with_its_frequencies_through_noise() {
     assert!(relative < 0.003, "{relative}");
     let power: f64 = (0..500).map(|i| found.noise.power(f64::from(i) * 0.001)).sum::<f64>() / 500.0;
     assert!((power.sqrt() / (0.01 * level) - 1.0).abs() < 0.05);
+}
+
+/// Three modes of two drives, the third of them weak.
+fn weak_third_mode(drives: &[Vec<f64>], fs: f64) -> Vec<f64> {
+    let modes = [(5.19, 0.015, [1.0, 0.3]), (14.16, 0.041, [-0.3, 0.21]), (21.6, 0.1, [-0.0042, 0.0084])];
+    let mut out = vec![0.0; drives[0].len()];
+    for (frequency, damping, gains) in modes {
+        let w: f64 = std::f64::consts::TAU * frequency / fs;
+        let pole = Complex64::from_polar((-damping * w).exp(), w * f64::sqrt(1.0 - damping * damping));
+        let mut state = Complex64::new(0.0, 0.0);
+        for (k, out) in out.iter_mut().enumerate() {
+            *out += state.im;
+            state = pole * state + w * (gains[0] * drives[0][k] + gains[1] * drives[1][k]);
+        }
+    }
+    out
+}
+
+#[test]
+fn a_weak_mode_that_the_search_of_the_order_found_is_not_lost_in_the_last_fit() {
+    let fs = 512.0;
+    let drives = [71, 1071].map(|seed| low_passed(8000, 0.6, seed)).to_vec();
+    let clean = weak_third_mode(&drives, fs);
+    let level = (clean.iter().map(|y| y * y).sum::<f64>() / clean.len() as f64).sqrt();
+    let mut rng = ChaCha8Rng::seed_from_u64(571);
+    let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
+    let noisy: Vec<f64> = clean.iter().map(|y| y + 0.012 * level * noise()).collect();
+    let measured: Vec<&[f64]> = drives.iter().map(Vec::as_slice).collect();
+    let band = drive_band(&[measured.clone()]).unwrap();
+    let found = fit(&[Stretch { drives: measured, response: &noisy }], fs, band, true).unwrap();
+    let natural = found.core.natural();
+    assert!(natural.iter().any(|(f, _)| (f / 21.6 - 1.0).abs() < 0.03), "{natural:?}");
+    let predicted = found.core.simulate(&drives);
+    let error: f64 = clean.iter().zip(&predicted).map(|(y, p)| (y - p).powi(2)).sum::<f64>();
+    let relative = (error / clean.iter().map(|y| y * y).sum::<f64>()).sqrt();
+    assert!(relative < 0.004, "{relative}");
 }
 
 #[test]
