@@ -200,9 +200,10 @@ fn finish(
     let two = two.filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
     let open = named.is_none() && verdict.kind != VerdictKind::NoMaterialGap;
+    let of_one = verdict.clone();
     if let Some(two) = two.as_ref().filter(|_| open) {
         ranked[..=two.first].rotate_right(1);
-        verdict = verdict.or_two(input, prepared, overview, &ranked[0], two);
+        verdict = verdict.or_two(input, overview, two);
     }
     report(watch, "second effect", 0.88)?;
     let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();
@@ -223,8 +224,18 @@ fn finish(
         && let Some(together) = hypothesis(input, prepared, overview, &two.explanation, alone.0.probability)
         && together.0.helps_beyond(&alone.0)
     {
+        // Beside the others the first may be another law than it was alone.
+        if verdict.effect != Some(together.0.effect) {
+            verdict = verdict.or_two(input, overview, two);
+        }
         *alone = together;
         best = Some(&two.explanation);
+    } else if let Some((alone, _)) = made.first()
+        && open
+        && two.as_ref().is_some_and(|two| two.probability >= SURE_OF_TWO)
+        && verdict.effect != Some(alone.effect)
+    {
+        verdict = of_one.on_test(Some(alone));
     }
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
     verdict = verdict.naming(hypotheses.first());

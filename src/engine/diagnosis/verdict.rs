@@ -5,7 +5,7 @@ use super::report::{Hypothesis, Verdict, VerdictKind};
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::effects::effect::{Effect, Tier};
-use crate::diagnosis::findings::hypothesis::{axis, closed_most, place};
+use crate::diagnosis::findings::hypothesis::{Held, axis, closed_most, closes_most, place};
 use crate::diagnosis::findings::second::{SURE_OF_TWO, Two};
 use crate::diagnosis::search::contest::Outcome;
 use crate::diagnosis::search::decide::{NOISE_LEFT, PARTIAL, Ranked, Ruling, rule};
@@ -15,45 +15,40 @@ use crate::diagnosis::transfer::{MODEL_ERRS, sentence};
 const BESIDE_TRANSFER: f64 = 0.8;
 /// What it is believed at most that the catalogue lacks the cause, where the gap holds more than a change: even odds.
 const LACKED_MORE: f64 = 0.5;
+/// Share of what a further effect closes that all leave at most where it is named for however little it closes.
+const SETTLED: f64 = 0.1;
 /// What an identified effect closes at least on the test runs.
 const CLOSES: f64 = 0.95;
 
 impl Verdict {
-    /// Where nothing of the catalogue alone is the answer: the `first` of two effects as part of it, if
-    /// both together are; that it is none is less believable for all that they close.
-    pub(super) fn or_two(
-        self,
-        input: &Input,
-        prepared: &Prepared,
-        overview: &Overview,
-        first: &Ranked,
-        two: &Two,
-    ) -> Self {
+    /// Where nothing of the catalogue alone is the answer, or several effects together say that the first is another:
+    /// the first of them as part of it, if they are believed; that it is none is less believable for all that they close.
+    pub(super) fn or_two(self, input: &Input, overview: &Overview, two: &Two) -> Self {
         if two.probability < SURE_OF_TWO {
             let none = self.kind == VerdictKind::NoneOfCatalogue;
             let left = if none { 1.0 - two.probability } else { 1.0 };
             return Self { probability: self.probability * left, ..self };
         }
-        let effect = first.scored.effect();
+        let Held { response, part, .. } = &two.explanation.held[0];
         let mut because = self.because;
         because.push(format!(
             "{} and {} together leave {:.2} noise floors squared",
-            effect.name(),
+            part.effect.name(),
             two.second.effect.name(),
             two.second.chi2
         ));
-        let channel = closed_most(prepared, overview, &first.scored);
+        let channel = closes_most(&two.explanation.places(), overview).problem.response;
         Self {
             kind: VerdictKind::Partial,
-            effect: Some(effect),
-            family: Some(effect.family()),
-            axis: axis(input, first.scored.problem, &first.scored.fitted.candidate.parts[0]),
-            at: place(input, first.scored.problem, &first.scored.fitted.candidate.parts[0]),
+            effect: Some(part.effect),
+            family: Some(part.effect.family()),
+            axis: axis(input, *response, part),
+            at: place(input, *response, part),
             between: None,
             in_words: String::new(),
             channel: Some(input.responses[channel].name.clone()),
             probability: two.probability,
-            equivalence_set: vec![effect],
+            equivalence_set: vec![part.effect],
             effects: Vec::new(),
             because,
         }
@@ -123,11 +118,12 @@ impl Verdict {
     }
 
     /// Names the effects of the first hypothesis, if it is the effect that is blamed, and says it in a sentence. A further
-    /// effect that closes no more than the equation of the first may err by helps to predict, and is no cause.
+    /// effect that closes no more than the equation of the first may err by helps to predict, and is no cause; unless
+    /// next to nothing is left with it, which is more than chance does for such an error.
     pub(super) fn naming(mut self, first: Option<&Hypothesis>) -> Self {
         if let Some(first) = first.filter(|first| self.kind.blames() && self.effect == Some(first.effect)) {
-            let causes =
-                first.effects.iter().enumerate().filter(|(k, e)| *k == 0 || e.share_of_gap > PARTIAL);
+            let closes = |share: f64| share > PARTIAL || first.remaining_share < SETTLED * share;
+            let causes = first.effects.iter().enumerate().filter(|(k, e)| *k == 0 || closes(e.share_of_gap));
             self.effects = causes.map(|(_, effect)| effect.clone()).collect();
         }
         if self.in_words.is_empty() {
@@ -273,8 +269,8 @@ mod tests {
         let bare = Verdict { effects: Vec::new(), in_words: String::new(), ..report.verdict };
         let mut first = report.hypotheses[0].clone();
         first.effects.push(first.effects[0].clone());
-        for (share, named) in [(0.01, 1), (0.05, 2)] {
-            first.effects[1].share_of_gap = share;
+        for (share, left, named) in [(0.01, 0.005, 1), (0.05, 0.005, 2), (0.01, 0.0005, 2)] {
+            (first.effects[1].share_of_gap, first.remaining_share) = (share, left);
             let verdict = bare.clone().naming(Some(&first));
             assert_eq!(verdict.effects, first.effects[..named]);
             assert_eq!(verdict.in_words.contains("together they explain"), named > 1, "{}", verdict.in_words);
