@@ -111,7 +111,7 @@ fn a_weak_mode_that_the_search_of_the_order_found_is_not_lost_in_the_last_fit() 
     let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
     let noisy: Vec<f64> = clean.iter().map(|y| y + 0.012 * level * noise()).collect();
     let measured: Vec<&[f64]> = drives.iter().map(Vec::as_slice).collect();
-    let band = drive_band(&[measured.clone()]).unwrap();
+    let band = drive_band(std::slice::from_ref(&measured)).unwrap();
     let found = fit(&[Stretch { drives: measured, response: &noisy }], fs, band, true).unwrap();
     let natural = found.core.natural();
     assert!(natural.iter().any(|(f, _)| (f / 21.6 - 1.0).abs() < 0.03), "{natural:?}");
