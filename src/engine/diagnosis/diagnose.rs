@@ -199,11 +199,10 @@ fn finish(
     };
     let two = two.filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
-    let open = named.is_none() && verdict.kind != VerdictKind::NoMaterialGap;
-    let of_one = verdict.clone();
+    let gap_matters = verdict.kind != VerdictKind::NoMaterialGap;
+    let open = named.is_none() && gap_matters;
     if let Some(two) = two.as_ref().filter(|_| open) {
         ranked[..=two.first].rotate_right(1);
-        verdict = verdict.or_two(input, overview, two);
     }
     report(watch, "second effect", 0.88)?;
     let listed: Vec<&Ranked> = ranked.iter().take(LISTED).collect();
@@ -213,29 +212,26 @@ fn finish(
             hypothesis(input, prepared, overview, &Explanation::of(prepared, scored), *probability)
         })
         .collect();
-    let mut verdict = verdict.on_test(made.first().map(|(hypothesis, _)| hypothesis));
-    // Where something is blamed, the best hypothesis holds all that is surely there.
+    verdict = verdict.on_test(made.first().map(|(hypothesis, _)| hypothesis));
     let alone = listed.first().map(|best| Explanation::of(prepared, &best.scored));
     let mut best = alone.as_ref();
-    if let (Some(two), Some(alone)) = (&two, made.first_mut())
-        && verdict.kind.blames()
-        && two.probability >= SURE_OF_TWO
-        && (open || two.first == 0)
-        && let Some(together) = hypothesis(input, prepared, overview, &two.explanation, alone.0.probability)
-        && together.0.helps_beyond(&alone.0)
-    {
+    if let (Some(two), Some(alone)) = (&two, made.first_mut()) {
+        let first = two.explanation.held[0].part.effect;
+        let sure = two.probability >= SURE_OF_TWO;
+        // Where something is blamed, the best hypothesis holds all that is surely there.
+        let together = (sure && gap_matters && (open || two.first == 0))
+            .then(|| hypothesis(input, prepared, overview, &two.explanation, alone.0.probability))
+            .flatten()
+            .filter(|(together, _)| together.helps_beyond(&alone.0));
         // Beside the others the first may be another law than it was alone.
-        if verdict.effect != Some(together.0.effect) {
+        let renamed = together.is_some() && verdict.effect != Some(first);
+        if renamed || open && (!sure || alone.0.effect == first) {
             verdict = verdict.or_two(input, overview, two);
         }
-        *alone = together;
-        best = Some(&two.explanation);
-    } else if let Some((alone, _)) = made.first()
-        && open
-        && two.as_ref().is_some_and(|two| two.probability >= SURE_OF_TWO)
-        && verdict.effect != Some(alone.effect)
-    {
-        verdict = of_one.on_test(Some(alone));
+        if let Some(together) = together {
+            *alone = together;
+            best = Some(&two.explanation);
+        }
     }
     let (hypotheses, augmented): (Vec<_>, Vec<_>) = made.into_iter().unzip();
     verdict = verdict.naming(hypotheses.first());

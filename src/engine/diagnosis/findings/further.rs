@@ -4,16 +4,16 @@ use std::sync::Arc;
 
 use super::held_out::Place;
 use super::hypothesis::{Explanation, Held};
-use super::second::{CLOSES, Two, told};
+use super::second::{CLOSES, SURE_OF_TWO, Two, told};
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::{Problem, Stretch};
-use crate::diagnosis::effects::effect::Tier;
+use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::effects::plant::Course;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::search::contest::contest;
-use crate::diagnosis::search::decide::of_several;
+use crate::diagnosis::search::decide::{Ranked, of_several};
 use crate::diagnosis::search::propagation::BaselineScore;
 use crate::diagnosis::search::score::{Scored, remaining};
 use crate::progress::{Progress, Watch};
@@ -21,9 +21,9 @@ use crate::progress::{Progress, Watch};
 /// Effects that are simulated together at most.
 const MOST: usize = 4;
 
-/// What further effects explain beside a first one that leaves a gap at other responses than its own: each of the whole
-/// catalogue is tried in the motion that the rig has with those before it, and stays if it closes a good part of what
-/// these leave. The others are then sought once more in the motion that it makes. `None` where none stays.
+/// What further effects explain beside a first one that leaves a gap at other responses than its own. The first is the
+/// likeliest of `ranked`. Where `named` does not say which it is, and these are no answer, it is then the law that closes
+/// most alone: what acts on one axis only closes little of what acts on several.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
@@ -31,22 +31,19 @@ pub fn further(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    first: &Scored,
+    (ranked, named): (&[Ranked], Option<Effect>),
     watch: Watch<'_>,
 ) -> Result<Option<Two>, EngineError> {
     let sought = Sought { input, prepared, overview, watch };
-    let mut effects = vec![first.clone()];
-    while effects.len() < MOST {
-        let Some(moved) = moved_by(prepared, &effects) else { break };
-        let rest = overview.mean_of_seen(&leaves(&moved));
-        let Some(next) = sought.best(&moved, &effects)? else { break };
-        if overview.mean_of_seen(&left_by(&moved, &next)) - 1.0 > CLOSES * (rest - 1.0) {
-            break;
-        }
-        effects.push(next);
-        effects = sought.again(effects)?;
-    }
-    sought.together(&effects)
+    let of_likeliest = sought.beside(ranked, 0)?;
+    let laws = ranked.iter().enumerate().filter(|(_, ranked)| may_be_named(&ranked.scored));
+    let most = laws.min_by(|(_, a), (_, b)| a.scored.chi2.total_cmp(&b.scored.chi2));
+    let answers = of_likeliest.as_ref().is_some_and(|two| two.probability >= SURE_OF_TWO);
+    let Some((first, _)) = most.filter(|&(first, _)| first > 0 && named.is_none() && !answers) else {
+        return Ok(of_likeliest);
+    };
+    let of_most = sought.beside(ranked, first)?;
+    Ok([of_most, of_likeliest].into_iter().flatten().max_by(|a, b| a.probability.total_cmp(&b.probability)))
 }
 
 /// Where further effects are sought.
@@ -58,6 +55,24 @@ struct Sought<'a> {
 }
 
 impl Sought<'_> {
+    /// What further effects explain beside a first one: each of the whole catalogue is tried in the motion that the rig
+    /// has with those before it, and stays if it closes a good part of what these leave. The others are then sought once
+    /// more in the motion that it makes. `None` where none stays.
+    fn beside(&self, ranked: &[Ranked], first: usize) -> Result<Option<Two>, EngineError> {
+        let mut effects = vec![ranked[first].scored.clone()];
+        while effects.len() < MOST {
+            let Some(moved) = moved_by(self.prepared, &effects) else { break };
+            let rest = self.overview.mean_of_seen(&leaves(&moved));
+            let Some(next) = self.best(&moved, &effects)? else { break };
+            if self.overview.mean_of_seen(&left_by(&moved, &next)) - 1.0 > CLOSES * (rest - 1.0) {
+                break;
+            }
+            effects.push(next);
+            effects = self.again(effects)?;
+        }
+        self.together(&effects, first)
+    }
+
     /// The foremost effect of the catalogue in the motion that others make, which is none of them.
     fn best(&self, moved: &Prepared, others: &[Scored]) -> Result<Option<Scored>, EngineError> {
         let now = Overview::new(self.input, moved);
@@ -91,8 +106,8 @@ impl Sought<'_> {
         Ok(if left(&all) < left(&effects) { all } else { effects })
     }
 
-    /// All of them as one explanation; `None` of one alone.
-    fn together(&self, effects: &[Scored]) -> Result<Option<Two>, EngineError> {
+    /// All of them as one explanation, beside the `first` of the ranked ones; `None` of one alone.
+    fn together(&self, effects: &[Scored], first: usize) -> Result<Option<Two>, EngineError> {
         let (input, prepared, overview) = (self.input, self.prepared, self.overview);
         let baseline = BaselineScore::of(prepared, overview, input.sample_rate_hz());
         let mut chi2 = overview.chi2_select.clone();
@@ -118,7 +133,7 @@ impl Sought<'_> {
         let apart = (1..held.len()).all(|k| held[..k].iter().all(|other| other.response != held[k].response));
         let probability = of_several(remaining, baseline.chi2, baseline.rows, apart);
         let probability = if effects.iter().all(may_be_named) { probability } else { 0.0 };
-        Ok(Some(Two { first: 0, second, probability, explanation: Explanation { layers, held, remaining } }))
+        Ok(Some(Two { first, second, probability, explanation: Explanation { layers, held, remaining } }))
     }
 }
 

@@ -87,7 +87,7 @@ pub fn second_effect(
     let Some(Ranked { scored: first, .. }) = ranked.first() else { return Ok(None) };
     let placement = Placement::of(input, prepared, overview);
     let Some(rest) = rest(prepared, overview, &placement, first) else { return Ok(None) };
-    let elsewhere = || further(input, prepared, overview, first, watch);
+    let elsewhere = || further(input, prepared, overview, (ranked, named), watch);
     if rest.problem.response != first.problem {
         return elsewhere();
     }
