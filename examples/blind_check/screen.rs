@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use rigcast::engine::diagnosis::screen::{Channel, Place, Record, Recording, Screening, group, screen};
-use rigcast::engine::diagnosis::{Family, NAMED, Ranked, ranked};
+use rigcast::engine::diagnosis::{Effect, Family, NAMED, Ranked, Refits, ranked, refits};
 use rigcast::engine::progress::unwatched;
 use rigcast::engine::{Quantity, Signal};
 use rigcast::formats::{csv, npy};
@@ -123,12 +123,12 @@ fn cases(dir: &Path) -> Result<(), AnyError> {
         let recording = case(&dir.join("cases").join(id))?;
         let count = counts.entry(suite.to_owned()).or_default();
         count.cases += 1;
-        let Some(found) = print(&format!("{suite} {id} ({})", truth.join(", ")), &recording) else {
+        let Some((found, refits)) = print(&format!("{suite} {id} ({})", truth.join(", ")), &recording) else {
             continue;
         };
         let is_true = |family: Family| effects().any(|e| e["family"] == serde_json::json!(family));
         count.first += usize::from(found.foremost().first().is_some_and(|f| is_true(f.family)));
-        let Some((best, any)) = decided(&found) else { continue };
+        let Some((best, any)) = decided(&found, &refits) else { continue };
         let right = is_true(best.standing.family);
         count.likeliest += usize::from(right);
         if any < NAMED {
@@ -154,8 +154,8 @@ fn cases(dir: &Path) -> Result<(), AnyError> {
 }
 
 /// The likeliest law, and the probability of any.
-fn decided(found: &Screening) -> Option<(Ranked<'_>, f64)> {
-    let ranked = ranked(found, None);
+fn decided<'a>(found: &'a Screening, refits: &Refits) -> Option<(Ranked<'a>, f64)> {
+    let ranked = ranked(found, refits, None);
     let any = ranked.iter().map(|r| r.probability).sum();
     Some((ranked.into_iter().next()?, any))
 }
@@ -198,9 +198,14 @@ fn case(folder: &Path) -> Result<Recording, AnyError> {
 }
 
 /// Screens a recording and prints a line.
-fn print(name: &str, recording: &Recording) -> Option<Screening> {
+fn print(name: &str, recording: &Recording) -> Option<(Screening, Refits)> {
     let began = Instant::now();
-    let found = match screen(recording, &group(recording, &[]), &unwatched) {
+    let grouping = group(recording, &[]);
+    let found = screen(recording, &grouping, &unwatched).and_then(|found| {
+        let refits = refits(recording, &grouping, &found, &Effect::ALL, &unwatched)?;
+        Ok((found, refits))
+    });
+    let (found, refits) = match found {
         Ok(found) => found,
         Err(e) => {
             println!("{name}: {e}");
@@ -219,10 +224,11 @@ fn print(name: &str, recording: &Recording) -> Option<Screening> {
         .take(3)
         .map(|s| {
             let free = s.free.as_ref().map_or(String::new(), |f| format!(" free x{:.3}", f.ratio));
-            format!("x{:.3}{free} {} {:?}", s.ratio, s.effect.name(), s.place)
+            let refit = refits.left(s.family).map_or(String::new(), |left| format!(" refit x{left:.3}"));
+            format!("x{:.3}{free}{refit} {} {:?}", s.ratio, s.effect.name(), s.place)
         })
         .collect();
-    let decision = decided(&found).map_or(String::new(), |(best, any)| {
+    let decision = decided(&found, &refits).map_or(String::new(), |(best, any)| {
         format!("{} {:.2} of {any:.2}", best.standing.effect.name(), best.probability)
     });
     println!(
@@ -231,5 +237,5 @@ fn print(name: &str, recording: &Recording) -> Option<Screening> {
         families.join(", "),
         began.elapsed().as_secs_f64()
     );
-    Some(found)
+    Some((found, refits))
 }

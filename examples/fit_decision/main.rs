@@ -17,7 +17,7 @@ use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use rigcast::engine::diagnosis::screen::{group, screen};
-use rigcast::engine::diagnosis::{Family, Weights, alternatives};
+use rigcast::engine::diagnosis::{Effect, Family, Weights, alternatives, refits};
 use rigcast::engine::progress::unwatched;
 use serde::{Deserialize, Serialize};
 
@@ -141,7 +141,8 @@ fn screened(seed: u64, case: u64) -> Option<Rig> {
     let drawn = rig::draw(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ case).ok()?;
     let grouping = group(&drawn.recording, &[]);
     let screening = screen(&drawn.recording, &grouping, &unwatched).ok()?;
-    let alternatives = alternatives(&screening);
+    let refits = refits(&drawn.recording, &grouping, &screening, &Effect::ALL, &unwatched).ok()?;
+    let alternatives = alternatives(&screening, &refits);
     Some(Rig {
         features: alternatives.iter().map(|a| a.features.to_vec()).collect(),
         families: alternatives.iter().map(|a| a.standing.family).collect(),

@@ -21,7 +21,8 @@ use crate::diagnosis::findings::fingerprint;
 use crate::diagnosis::findings::held_out::Place;
 use crate::diagnosis::findings::hypothesis::{Explanation, closes_most, hypothesis};
 use crate::diagnosis::findings::next::next_experiment;
-use crate::diagnosis::findings::second::{SURE_OF_TWO, second_effect};
+use crate::diagnosis::findings::refit::fitted_again;
+use crate::diagnosis::findings::second::second_effect;
 use crate::diagnosis::findings::whereabouts::location;
 use crate::diagnosis::search::contest::{Outcome, contest};
 use crate::diagnosis::search::decide::Ranked;
@@ -149,7 +150,15 @@ fn from_transfer(
     let rate = input.sample_rate_hz();
     let names: Vec<String> = input.runs.iter().map(|run| run.name.clone()).collect();
     let problem = &prepared.problems[overview.worst()];
-    let (hypotheses, augmented): (Vec<Hypothesis>, Vec<Augmented>) = found.hypotheses.into_iter().unzip();
+    let mut verdict = found.verdict;
+    let mut made = found.hypotheses;
+    if let Some(first) = made.first_mut()
+        && let Some(again) = fitted_again(input, &verdict, &first.0, watch)?
+    {
+        verdict = verdict.fitted_again(again.0.effect);
+        *first = again;
+    }
+    let (hypotheses, augmented): (Vec<Hypothesis>, Vec<Augmented>) = made.into_iter().unzip();
     // Repeats that were refused are repeats all the same here.
     let used = prepared.warnings.iter().filter(|w| !w.starts_with("repeat_drive_differs"));
     let warnings = used.cloned().chain(found.warnings).collect();
@@ -158,7 +167,7 @@ fn from_transfer(
         schema: "gap-diagnosis/1".into(),
         mode: input.mode,
         noise_floor_source: found.noise,
-        verdict: found.verdict.naming(hypotheses.first()),
+        verdict: verdict.naming(hypotheses.first()),
         remaining: Remaining {
             chi2: left * found.gap.chi2_select,
             ..remaining_after(input, prepared, overview, None, None)
@@ -197,7 +206,7 @@ fn finish(
         Some(outcome) => second_effect(input, prepared, overview, outcome, named, watch)?,
         None => None,
     };
-    let two = two.filter(|two| nothing || two.first == 0 || two.probability >= SURE_OF_TWO);
+    let two = two.filter(|two| nothing || two.first == 0 || two.answers());
     let mut ranked = outcome.map_or_else(Vec::new, |o| o.ranked);
     let gap_matters = verdict.kind != VerdictKind::NoMaterialGap;
     let open = named.is_none() && gap_matters;
@@ -217,7 +226,7 @@ fn finish(
     let mut best = alone.as_ref();
     if let (Some(two), Some(alone)) = (&two, made.first_mut()) {
         let first = two.explanation.held[0].part.effect;
-        let sure = two.probability >= SURE_OF_TWO;
+        let sure = two.answers();
         // Where something is blamed, the best hypothesis holds all that is surely there.
         let together = (sure && gap_matters && (open || two.first == 0))
             .then(|| hypothesis(input, prepared, overview, &two.explanation, alone.0.probability))

@@ -51,5 +51,5 @@ pub use diagnose::{Diagnosis, diagnose};
 pub use effects::effect::{Effect, Family};
 pub use input::{Channel, Input, Mode, Role, Run};
 pub use report::*;
-pub use transfer::{Alternative, FEATURES, NAMED, Ranked, Weights, alternatives, ranked};
+pub use transfer::{Alternative, FEATURES, NAMED, Ranked, Refits, Weights, alternatives, ranked, refits};
 pub use views::Views;

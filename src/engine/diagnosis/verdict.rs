@@ -6,7 +6,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::findings::hypothesis::{Held, axis, closed_most, closes_most, place};
-use crate::diagnosis::findings::second::{SURE_OF_TWO, Two};
+use crate::diagnosis::findings::second::Two;
 use crate::diagnosis::search::contest::Outcome;
 use crate::diagnosis::search::decide::{NOISE_LEFT, PARTIAL, Ranked, Ruling, rule};
 use crate::diagnosis::transfer::{MODEL_ERRS, sentence};
@@ -24,7 +24,7 @@ impl Verdict {
     /// Where nothing of the catalogue alone is the answer, or several effects together say that the first is another:
     /// the first of them as part of it, if they are believed; that it is none is less believable for all that they close.
     pub(super) fn or_two(self, input: &Input, overview: &Overview, two: &Two) -> Self {
-        if two.probability < SURE_OF_TWO {
+        if !two.answers() {
             let none = self.kind == VerdictKind::NoneOfCatalogue;
             let left = if none { 1.0 - two.probability } else { 1.0 };
             return Self { probability: self.probability * left, ..self };
@@ -79,6 +79,15 @@ impl Verdict {
         self.probability = self.probability.min(BESIDE_TRANSFER);
         self.because.extend(transfer.because.iter().cloned());
         Some(self)
+    }
+
+    /// The same where an effect of its family was fitted once more, which is the one that is blamed then.
+    pub(super) fn fitted_again(mut self, effect: Effect) -> Self {
+        self.effect = Some(effect);
+        self.equivalence_set.retain(|one| *one != effect);
+        self.equivalence_set.insert(0, effect);
+        self.in_words.clear();
+        self
     }
 
     /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.

@@ -50,11 +50,35 @@ pub struct Prepared {
 /// # Errors
 /// A request that does not hold together, drives that do not move, runs too short for the core.
 pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
+    above_noise(input, Ar::clone)
+}
+
+/// The same where nothing tells the noise: it is taken for white, with `share` of the power that the cores leave. So
+/// laws are told apart by what they leave down to that share, whatever the noise is.
+///
+/// # Errors
+/// Those of [`prepare`].
+pub fn prepare_down_to(share: f64, input: &Input) -> Result<Prepared, EngineError> {
+    let band = band(input)?;
+    above_noise(input, |left| Ar::white(share * left.mean_power(band)))
+}
+
+/// The band of the drives of the baseline runs, cycles a sample.
+fn band(input: &Input) -> Result<[f64; 2], EngineError> {
+    core::drive_band(&drives(&input.baseline))
+        .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })
+}
+
+/// `[run][drive]`.
+fn drives(runs: &[Run]) -> Vec<Vec<&[f64]>> {
+    runs.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect()
+}
+
+/// `assumed` is the noise where repeats tell none, by what the core leaves of the baseline.
+fn above_noise(input: &Input, assumed: impl Fn(&Ar) -> Ar) -> Result<Prepared, EngineError> {
     input.check()?;
-    let baseline: Vec<Vec<&[f64]>> =
-        input.baseline.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect();
-    let band = core::drive_band(&baseline)
-        .ok_or(EngineError::DeadChannel { what: "drives of the baseline runs", channel: 0 })?;
+    let baseline = drives(&input.baseline);
+    let band = band(input)?;
     let Split { mut pieces, mut warnings, cut: by_drive } = split(input);
     for role in [Role::Fit, Role::Select, Role::Test] {
         if !pieces.iter().any(|p| p.role == role) {
@@ -91,7 +115,7 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
                 n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
             if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
         });
-        noises.push(noise.unwrap_or(Noise { ar: fit.noise.clone(), drive_coherence: 0.0 }));
+        noises.push(noise.unwrap_or_else(|| Noise { ar: assumed(&fit.noise), drive_coherence: 0.0 }));
     }
     // Quarters too short to be scored by themselves keep the usual roles.
     let of_quarter =

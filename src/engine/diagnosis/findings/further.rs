@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use super::held_out::Place;
 use super::hypothesis::{Explanation, Held};
-use super::second::{CLOSES, SURE_OF_TWO, Two, told};
+use super::second::{CLOSES, Two, told};
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::{Problem, Stretch};
-use crate::diagnosis::effects::effect::{Effect, Tier};
+use crate::diagnosis::effects::effect::Tier;
 use crate::diagnosis::effects::plant::Course;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::search::contest::contest;
@@ -22,8 +22,8 @@ use crate::progress::{Progress, Watch};
 const MOST: usize = 4;
 
 /// What further effects explain beside a first one that leaves a gap at other responses than its own. The first is the
-/// likeliest of `ranked`. Where `named` does not say which it is, and these are no answer, it is then the law that closes
-/// most alone: what acts on one axis only closes little of what acts on several.
+/// likeliest of `ranked`. Where none is `named`, and these are no answer, it is then the law that closes most alone: what
+/// acts on one axis only closes little of what acts on several.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
@@ -31,15 +31,15 @@ pub fn further(
     input: &Input,
     prepared: &Prepared,
     overview: &Overview,
-    (ranked, named): (&[Ranked], Option<Effect>),
+    (ranked, named): (&[Ranked], bool),
     watch: Watch<'_>,
 ) -> Result<Option<Two>, EngineError> {
     let sought = Sought { input, prepared, overview, watch };
     let of_likeliest = sought.beside(ranked, 0)?;
     let laws = ranked.iter().enumerate().filter(|(_, ranked)| may_be_named(&ranked.scored));
     let most = laws.min_by(|(_, a), (_, b)| a.scored.chi2.total_cmp(&b.scored.chi2));
-    let answers = of_likeliest.as_ref().is_some_and(|two| two.probability >= SURE_OF_TWO);
-    let Some((first, _)) = most.filter(|&(first, _)| first > 0 && named.is_none() && !answers) else {
+    let answers = of_likeliest.as_ref().is_some_and(Two::answers);
+    let Some((first, _)) = most.filter(|&(first, _)| first > 0 && !named && !answers) else {
         return Ok(of_likeliest);
     };
     let of_most = sought.beside(ranked, first)?;

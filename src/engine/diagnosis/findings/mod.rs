@@ -6,5 +6,6 @@ pub mod held_out;
 pub mod hypothesis;
 pub mod next;
 pub mod parameters;
+pub mod refit;
 pub mod second;
 pub mod whereabouts;

@@ -32,7 +32,7 @@ const FITTED: usize = 6;
 /// Share of the first hypothesis' rest that a second effect must close.
 pub const CLOSES: f64 = 0.5;
 /// Below this probability two effects together are no answer.
-pub const SURE_OF_TWO: f64 = 0.7;
+const SURE: f64 = 0.7;
 
 /// The response with the largest rest, with what the first effect does there; `None` where it leaves only noise.
 fn rest(prepared: &Prepared, overview: &Overview, placement: &Placement, first: &Scored) -> Option<Place> {
@@ -62,6 +62,13 @@ pub struct Two {
     pub explanation: Explanation,
 }
 
+impl Two {
+    /// Whether together they are an answer.
+    pub fn answers(&self) -> bool {
+        self.probability >= SURE
+    }
+}
+
 /// Two effects at one response before they are scored over all.
 struct Found {
     first: usize,
@@ -87,7 +94,7 @@ pub fn second_effect(
     let Some(Ranked { scored: first, .. }) = ranked.first() else { return Ok(None) };
     let placement = Placement::of(input, prepared, overview);
     let Some(rest) = rest(prepared, overview, &placement, first) else { return Ok(None) };
-    let elsewhere = || further(input, prepared, overview, (ranked, named), watch);
+    let elsewhere = || further(input, prepared, overview, (ranked, named.is_some()), watch);
     if rest.problem.response != first.problem {
         return elsewhere();
     }
@@ -100,7 +107,7 @@ pub fn second_effect(
     let at_host = at_host();
     // On a rig of several axes the first's host may feel what acts on another.
     if placement.motion.len() > 1
-        && at_host.as_ref().is_none_or(|two| two.probability < SURE_OF_TWO)
+        && at_host.as_ref().is_none_or(|two| !two.answers())
         && let Some(two) = elsewhere()?
         && at_host.as_ref().is_none_or(|here| here.probability < two.probability)
     {

@@ -56,6 +56,6 @@ pub use free_run::FreeRun;
 pub use groups::{Grouping, Stretch, Transfer, group};
 pub use input::{Channel, Record, Recording};
 pub use law::Law;
-pub use place::Place;
+pub use place::{Moved, Place, moved};
 pub use report::{LinearPart, Screening, Standing};
 pub use run::screen;

@@ -34,12 +34,23 @@ pub(super) fn motion(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits
         Quantity::Velocity => 1,
         _ => 0,
     };
-    let derived = |power: i32| filtered(x, rate_hz, limits, power);
+    let derived = |power: i32| {
+        let low_hz = if power < 0 { limits.low_hz } else { 0.0 };
+        filtered(x, rate_hz, Limits { low_hz, ..limits }, power)
+    };
     let d = if order == 0 { x.to_vec() } else { derived(-order) };
     Motion { d, v: derived(1 - order) }
 }
 
-/// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the lower one holds for integrals only.
+/// What goes with a motion of a quantity: a signal inside the limits that the quantity is integrated in.
+pub(super) fn beside(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Vec<f64> {
+    match quantity {
+        Quantity::Acceleration | Quantity::Velocity => filtered(x, rate_hz, limits, 0),
+        _ => x.to_vec(),
+    }
+}
+
+/// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the mean stays where nothing is integrated.
 /// The signal goes on as its mirror image, so that its ends need not meet.
 fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     let n = x.len();
@@ -56,7 +67,7 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     forward.process(&mut samples, &mut lines).expect("buffers are the plan's own");
     for (k, line) in lines.iter_mut().enumerate() {
         let hz = k as f64 * rate_hz / size as f64;
-        let inside = hz <= limits.high_hz && (power >= 0 || hz >= limits.low_hz) && hz > 0.0;
+        let inside = hz <= limits.high_hz && hz >= limits.low_hz && hz > 0.0;
         let gain = if inside || (power == 0 && k == 0) {
             Complex64::new(0.0, TAU * hz).powi(power)
         } else {
@@ -94,6 +105,21 @@ mod tests {
                 assert!((found.d[k] - d[k]).abs() < 0.05, "{quantity:?} {k}: {} for {}", found.d[k], d[k]);
                 assert!((found.v[k] - v[k]).abs() < 0.05 * w, "{quantity:?} {k}");
             }
+        }
+    }
+
+    #[test]
+    fn what_goes_with_an_integral_has_its_limits_and_what_goes_with_a_displacement_none() {
+        let (rate, n) = (200.0, 4000);
+        let line =
+            |hz: f64| -> Vec<f64> { (0..n).map(|k| (TAU * hz * (k as f64 + 0.5) / rate).cos()).collect() };
+        let (slow, quick) = (line(0.4), line(5.0));
+        let both: Vec<f64> = slow.iter().zip(&quick).map(|(a, b)| a + b).collect();
+        let limits = Limits { low_hz: 1.0, high_hz: 50.0 };
+        assert_eq!(beside(&both, Quantity::Displacement, rate, limits), both);
+        let kept = beside(&both, Quantity::Acceleration, rate, limits);
+        for k in 500..n - 500 {
+            assert!((kept[k] - quick[k]).abs() < 0.02, "{k}: {} for {}", kept[k], quick[k]);
         }
     }
 }

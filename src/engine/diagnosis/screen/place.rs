@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::band::{Band, noisy_below};
-use super::input::{Channel, Recording};
+use super::input::{Channel, Record, Recording};
 use super::law::Scale;
-use super::motion::{Limits, Motion, motion};
+use super::motion::{Limits, Motion, beside, motion};
 use crate::Quantity;
 
 /// The argument of a law.
@@ -82,6 +82,41 @@ impl Seen {
     pub fn is_among(&self, responses: usize) -> bool {
         self.place.is_among(0, responses)
     }
+}
+
+/// The motion at a place, and the drives as far as they go with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moved {
+    /// The displacement at a place of the structure; of an output the response as it was measured. `[record][sample]`.
+    pub d: Vec<Vec<f64>>,
+    /// The drives inside the limits that the displacement was integrated in, so that one follows from the other by
+    /// linear parts as before. `[record][drive][sample]`.
+    pub drives: Vec<Vec<Vec<f64>>>,
+}
+
+/// What moves at places of the structure and at outputs; `None` where nothing does.
+pub fn moved(recording: &Recording, places: &[Place]) -> Vec<Option<Moved>> {
+    let rate = recording.sample_rate_hz();
+    let whole: Vec<usize> = recording.records.iter().map(|r| r.drive.n_samples()).collect();
+    let arguments = arguments(recording, limits(recording, Band::of(recording)), &whole);
+    let drives = |of: &dyn Fn(&Vec<f64>) -> Vec<f64>| -> Vec<Vec<Vec<f64>>> {
+        recording.records.iter().map(|r| r.drive.channels().iter().map(of).collect()).collect()
+    };
+    let of = |place: &Place| match *place {
+        Place::Drive(_) => None,
+        Place::Output(r) => {
+            let of_record = |record: &Record| record.response.channel(r).to_vec();
+            let d = recording.records.iter().map(of_record).collect();
+            Some(Moved { d, drives: drives(&Vec::clone) })
+        }
+        Place::Response(_) | Place::Between(..) => {
+            let argument = arguments.iter().find(|a| a.place == *place)?;
+            let within = |u: &Vec<f64>| beside(u, argument.quantity, rate, argument.limits);
+            let d = argument.motion.iter().map(|m| m.d.clone()).collect();
+            Some(Moved { d, drives: drives(&within) })
+        }
+    };
+    places.iter().map(of).collect()
 }
 
 /// Limits of what is integrated and differentiated.

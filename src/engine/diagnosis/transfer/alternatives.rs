@@ -12,6 +12,7 @@ use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
 
 use super::evidence::root_mean_square;
+use super::refit::Refits;
 
 /// Logarithms are kept within these: what leaves less is as sure as it gets, what leaves more is no law.
 const LEAST_LEFT: f64 = -4.0;
@@ -28,7 +29,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 24] = [
+pub const FEATURES: [&str; 27] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -43,6 +44,9 @@ pub const FEATURES: [&str; 24] = [
     "over_a_predicted_motion",
     "alike_in_every_mode",
     "error_of_linear_part_squared",
+    "fitted_again",
+    "left_by_refit",
+    "left_by_free_run_where_fitted_again",
     "friction_hysteresis",
     "damping",
     "actuator",
@@ -74,6 +78,8 @@ pub struct Alternative<'a> {
     pub standing: &'a Standing,
     /// Its free run.
     pub free: &'a FreeRun,
+    /// What the best law of its family leaves where it is fitted together with the linear part.
+    pub refitted: Option<f64>,
     /// Its features, in the order of [`FEATURES`].
     pub features: [f64; FEATURES.len()],
 }
@@ -91,15 +97,25 @@ static WEIGHTS: LazyLock<Weights> = LazyLock::new(|| {
     serde_json::from_str(include_str!("weights.json")).expect("the weights in the program are JSON")
 });
 
-/// The alternatives of a screening. What runs away when it is simulated forward is no cause, and what a linear part
-/// can do needs no law.
-pub fn alternatives(screening: &Screening) -> Vec<Alternative<'_>> {
-    let foremost = screening.foremost().into_iter().filter(|s| !super::linear(s.effect));
-    foremost.filter_map(|standing| of(screening, standing)).collect()
+/// The foremost laws with their free runs. What runs away when it is simulated forward is no cause, and what a linear
+/// part can do needs no law.
+pub(super) fn foremost(screening: &Screening) -> impl Iterator<Item = (&Standing, &FreeRun)> {
+    let laws = screening.foremost().into_iter().filter(|s| !super::linear(s.effect));
+    laws.filter_map(|standing| Some((standing, standing.free.as_ref()?)))
 }
 
-fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternative<'a>> {
-    let free = standing.free.as_ref()?;
+/// The alternatives of a screening.
+pub fn alternatives<'a>(screening: &'a Screening, refits: &Refits) -> Vec<Alternative<'a>> {
+    foremost(screening).filter_map(|(standing, free)| of(screening, refits, standing, free)).collect()
+}
+
+fn of<'a>(
+    screening: &'a Screening,
+    refits: &Refits,
+    standing: &'a Standing,
+    free: &'a FreeRun,
+) -> Option<Alternative<'a>> {
+    let refitted = refits.left(standing.family);
     let kept = |ratio: f64| ratio.max(f64::MIN_POSITIVE).ln().clamp(LEAST_LEFT, MOST_LEFT);
     let yes = |is: bool| f64::from(u8::from(is));
     let error = root_mean_square(&screening.linear.errors[standing.response]);
@@ -122,11 +138,14 @@ fn of<'a>(screening: &'a Screening, standing: &'a Standing) -> Option<Alternativ
         yes(by_modes),
         yes(by_modes) * standing.gain.abs(),
         error * error,
+        yes(refitted.is_some()),
+        refitted.map_or(0.0, kept),
+        yes(refitted.is_some()) * kept(free.ratio),
     ];
     let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
     let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];
     let all: Vec<f64> = general.into_iter().chain(families).chain(physics).collect();
-    Some(Alternative { standing, free, features: all.try_into().ok()? })
+    Some(Alternative { standing, free, refitted, features: all.try_into().ok()? })
 }
 
 /// Whether a law of dry friction or hysteresis goes with the motion instead of against it.

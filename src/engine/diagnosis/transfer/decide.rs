@@ -3,6 +3,7 @@
 use super::alternatives::{Weights, alternatives, odds_of_none};
 use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
+use super::refit::Refits;
 use super::words;
 use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::input::Input;
@@ -29,13 +30,15 @@ pub struct Ranked<'a> {
     pub standing: &'a Standing,
     /// Its free run.
     pub free: &'a FreeRun,
+    /// What the best law of its family leaves where it is fitted together with the linear part.
+    pub refitted: Option<f64>,
     /// Probability.
     pub probability: f64,
 }
 
 /// Families, the likeliest first. `noise` is the RMS of each response's noise by repeats, relative to the response.
-pub fn ranked<'a>(screening: &'a Screening, noise: Option<&[f64]>) -> Vec<Ranked<'a>> {
-    let alternatives = alternatives(screening);
+pub fn ranked<'a>(screening: &'a Screening, refits: &Refits, noise: Option<&[f64]>) -> Vec<Ranked<'a>> {
+    let alternatives = alternatives(screening, refits);
     let features: Vec<_> = alternatives.iter().map(|a| a.features).collect();
     let none = noise.map_or(1.0, |noise| {
         let left = screening.linear.errors.iter().map(|errors| root_mean_square(errors));
@@ -46,7 +49,12 @@ pub fn ranked<'a>(screening: &'a Screening, noise: Option<&[f64]>) -> Vec<Ranked
     let mut all: Vec<Ranked<'_>> = alternatives
         .into_iter()
         .zip(probabilities)
-        .map(|(a, probability)| Ranked { standing: a.standing, free: a.free, probability })
+        .map(|(a, probability)| Ranked {
+            standing: a.standing,
+            free: a.free,
+            refitted: a.refitted,
+            probability,
+        })
         .collect();
     all.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     all

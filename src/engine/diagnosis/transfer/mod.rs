@@ -11,11 +11,14 @@ mod evidence;
 mod hypotheses;
 mod next;
 mod recording;
+mod refit;
 mod state;
 mod words;
 
 pub use alternatives::{Alternative, FEATURES, Weights, alternatives};
 pub use decide::{NAMED, Ranked, ranked};
+pub(super) use refit::FLOOR;
+pub use refit::{Refits, refits};
 pub(super) use words::{MODEL_ERRS, sentence};
 
 use state::{Screened, screened};
@@ -49,13 +52,15 @@ pub(super) fn by_transfer(
     overview: &Overview,
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
-    let of_screen = |p: Progress<'_>| watch(p.within(&(0.15..0.8)));
+    let of_screen = |p: Progress<'_>| watch(p.within(&(0.15..0.6)));
     let Screened { runs, screening, changed } = screened(input, &of_screen)?;
+    let of_refits = |p: Progress<'_>| watch(p.within(&(0.6..0.8)));
+    let refits = refits(&runs.recording, &runs.grouping, &screening, &input.catalogue, &of_refits)?;
     report(watch, "decision", 0.8)?;
     let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
     let relative: Option<Vec<f64>> =
         runs.noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
-    let ranked = decide::ranked(&screening, relative.as_deref());
+    let ranked = decide::ranked(&screening, &refits, relative.as_deref());
     let listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
     let evidence = evidence::Evidence::of(overview, &screening, &runs, &listed);
     let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);

@@ -64,9 +64,12 @@ fn named_place((at, between): (Option<String>, Option<[String; 2]>)) -> String {
 /// What a law leaves.
 pub(super) fn left(input: &Input, ranked: &Ranked<'_>) -> String {
     let standing = ranked.standing;
+    let refitted = ranked.refitted.map_or(String::new(), |left| {
+        format!(", its family {:.0} % fitted together with the linear part", 100.0 * left)
+    });
     format!(
         "{} {} leaves {:.0} % of the linear part's error on runs that it was not fitted to, {:.0} % when simulated \
-         forward: probability {:.2}",
+         forward{refitted}: probability {:.2}",
         standing.effect.name(),
         named_place(place(input, standing.place)),
         100.0 * standing.ratio,

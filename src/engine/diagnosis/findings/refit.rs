@@ -1,0 +1,112 @@
+//! The law that transfer names, fitted once more together with the linear part of the whole rig.
+//!
+//! Transfer takes the linear part from regressions and stands by what carries over. The sim with the law in it is to
+//! predict as well as it can: all poles, zeros and numbers of the law are fitted together, to what every response does.
+
+use super::hypothesis::{Explanation, hypothesis, place};
+use crate::EngineError;
+use crate::diagnosis::augmented::Augmented;
+use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::data::prepare::prepare_down_to;
+use crate::diagnosis::effects::effect::{Effect, Family, Tier};
+use crate::diagnosis::input::Input;
+use crate::diagnosis::report::{ChannelHeldOut, HeldOut, Hypothesis, Verdict};
+use crate::diagnosis::search::contest::contest;
+use crate::diagnosis::search::score::Scored;
+use crate::diagnosis::transfer::FLOOR;
+use crate::progress::{Progress, Watch};
+
+/// Share of what the named law leaves, fitted alike, below which another of its family takes its place.
+const RENAMES: f64 = 0.5;
+/// Share of what the law leaves by transfer below which the fit takes its place.
+const CLEARLY: f64 = 0.8;
+/// Samples of all responses together that are fitted at most: more would take minutes.
+const SAMPLES: usize = 500_000;
+
+/// The named law fitted so, where that leaves clearly less of the gap on unseen stretches than `by_transfer` does.
+/// `None` for laws between two responses, drifts, couplings and bends between two filters, beside adopted effects, and
+/// of requests that are too long.
+///
+/// # Errors
+/// [`EngineError::Cancelled`].
+pub fn fitted_again(
+    input: &Input,
+    verdict: &Verdict,
+    by_transfer: &Hypothesis,
+    watch: Watch<'_>,
+) -> Result<Option<(Hypothesis, Augmented)>, EngineError> {
+    let Some((named, family)) = verdict.effect.zip(verdict.family).filter(|_| verdict.between.is_none())
+    else {
+        return Ok(None);
+    };
+    let samples: usize = input.runs.iter().map(|run| run.response.n_samples()).sum();
+    let long = samples * input.responses.len() > SAMPLES;
+    if long || input.has_adopted() || !of_one_place(family) || named == Effect::ValveFlow {
+        return Ok(None);
+    }
+    let of_family = |e: &&Effect| e.family() == family && e.tier() == Tier::Law && **e != Effect::ValveFlow;
+    let effects: Vec<Effect> = input.catalogue.iter().filter(of_family).copied().collect();
+    let Ok(prepared) = prepare_down_to(FLOOR, input) else { return Ok(None) };
+    let overview = Overview::new(input, &prepared);
+    if overview.seen.is_empty() || effects.is_empty() {
+        return Ok(None);
+    }
+    let of_contest = |p: Progress<'_>| watch(Progress::new("refit", 0.95 + 0.04 * p.fraction));
+    let outcome = contest(input, &effects, &prepared, &overview, &of_contest)?;
+    let here = |s: &&Scored| !s.unnamed() && place(input, s.problem, s.part()) == verdict.at;
+    let scored: Vec<&Scored> = outcome.ranked.iter().map(|ranked| &ranked.scored).filter(here).collect();
+    let best = scored.first().copied();
+    let own = scored.iter().copied().find(|s| s.effect() == named);
+    let chosen = match (own, best) {
+        (Some(own), Some(best)) if best.remaining >= RENAMES * own.remaining => Some(own),
+        (_, best) => best,
+    };
+    let Some(chosen) = chosen else { return Ok(None) };
+    let explanation = Explanation::of(&prepared, chosen);
+    let made = hypothesis(input, &prepared, &overview, &explanation, by_transfer.probability);
+    let left = |held_out: &HeldOut| (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
+    Ok(made
+        .filter(|(made, _)| {
+            left(&made.held_out) < CLEARLY * left(&by_transfer.held_out)
+                && (made.stable_over_envelope || !by_transfer.stable_over_envelope)
+        })
+        .map(|(made, augmented)| (beside_transfer(made, by_transfer), augmented)))
+}
+
+/// Whether a family's laws act over the motion of one response, on a drive or in a sensor.
+fn of_one_place(family: Family) -> bool {
+    use Family::{Actuator, Damping, DeadbandBacklash, FrictionHysteresis, Sensor, Stiffness};
+    matches!(family, Stiffness | FrictionHysteresis | Damping | Actuator | DeadbandBacklash | Sensor)
+}
+
+/// A fit with what transfer tells: the law's strength, its curve, and what is left of each group. The noise that was
+/// assumed to fit it is none of the rig's.
+fn beside_transfer(made: Hypothesis, by_transfer: &Hypothesis) -> Hypothesis {
+    let noise = |channel: &str| {
+        let same = by_transfer.responses.iter().find(|r| r.channel == channel);
+        same.map_or(0.0, |r| r.held_out.noise_rms)
+    };
+    let at_most = |held_out: HeldOut, channel: &str| {
+        let noise_rms = noise(channel).min(held_out.rms_after);
+        let floor = if noise_rms > 0.0 { noise_rms } else { held_out.rms_after }.max(f64::MIN_POSITIVE);
+        let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
+        HeldOut {
+            noise_rms,
+            chi2_before: floors(held_out.rms_before),
+            chi2_after: floors(held_out.rms_after),
+            ..held_out
+        }
+    };
+    let responses = made.responses.into_iter().map(|ChannelHeldOut { channel, held_out }| ChannelHeldOut {
+        held_out: at_most(held_out, &channel),
+        channel,
+    });
+    Hypothesis {
+        held_out: at_most(made.held_out, &made.channel),
+        responses: responses.collect(),
+        strength: by_transfer.strength.clone(),
+        shape: by_transfer.shape.clone(),
+        transfer: by_transfer.transfer.clone(),
+        ..made
+    }
+}

@@ -1,0 +1,298 @@
+//! The likeliest laws once more, fitted together with the linear part.
+//!
+//! The free runs of the screen take their linear part from regressions, which a strong law has disturbed: right and
+//! wrong laws then leave nearly the same. Here the displacement at a place, or a response as it was measured, is fitted
+//! by each law of the families that may be right, with all poles and zeros free beside it. What the right law leaves
+//! then is small, and others do not follow.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::alternatives::foremost;
+use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::data::prepare::prepare_down_to;
+use crate::diagnosis::effects::effect::{Effect, Family};
+use crate::diagnosis::input::{self, Input, Mode, Run};
+use crate::diagnosis::screen::{Grouping, Moved, Place, Recording, Screening, Transfer, moved};
+use crate::diagnosis::search::contest::contest;
+use crate::progress::{Progress, Watch};
+use crate::{EngineError, Quantity, Signal};
+
+/// Share of the power that the linear part leaves down to which laws are told apart.
+pub(in crate::diagnosis) const FLOOR: f64 = 0.002;
+/// Samples of all records that are fitted, of each the beginning: more tell the laws apart no better.
+const SAMPLES: usize = 60_000;
+/// A family is fitted again where its free run leaves no more than so many times what the best leaves.
+const BEHIND: f64 = 3.0;
+/// Places of the structure at which families are fitted again, at most.
+const PLACES: usize = 3;
+/// A gap below this matters to nothing here.
+const MATERIAL: f64 = 1e-6;
+
+/// What the best law of a family leaves of the linear part's error on stretches that it was not fitted to, by families
+/// that were fitted again.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Refits(Vec<(Family, f64)>);
+
+/// One signal with the effects that are fitted to it.
+struct Task {
+    place: Place,
+    effects: Vec<Effect>,
+}
+
+impl Refits {
+    /// What the best law of a family leaves.
+    pub fn left(&self, family: Family) -> Option<f64> {
+        self.0.iter().find(|(of, _)| *of == family).map(|(_, left)| *left)
+    }
+
+    fn add(&mut self, family: Family, left: f64) {
+        match self.0.iter_mut().find(|(of, _)| *of == family) {
+            Some((_, least)) => *least = least.min(left),
+            None => self.0.push((family, left)),
+        }
+    }
+}
+
+/// Fits the families that may be right once more, at the places of the structure where they do best and at the
+/// response that they help most. None are where one drive tells nothing, or where known effects act already.
+///
+/// # Errors
+/// [`EngineError::Cancelled`].
+pub fn refits(
+    recording: &Recording,
+    grouping: &Grouping,
+    screening: &Screening,
+    catalogue: &[Effect],
+    watch: Watch<'_>,
+) -> Result<Refits, EngineError> {
+    let mut found = Refits::default();
+    if screening.transfer == Transfer::OneDrive || recording.records.iter().any(|r| r.added.is_some()) {
+        return Ok(found);
+    }
+    let tasks = tasks(recording, screening, catalogue);
+    let recording = beginnings(recording);
+    let places: Vec<Place> = tasks.iter().map(|task| task.place).collect();
+    // The tasks run side by side: what one of them has done is no progress of all.
+    let done = AtomicUsize::new(0);
+    let of_one = |_: Progress<'_>| {
+        watch(Progress::new("refit", done.load(Ordering::Relaxed) as f64 / tasks.len() as f64))
+    };
+    let of_tasks: Vec<Vec<(Family, f64)>> = tasks
+        .par_iter()
+        .zip(moved(&recording, &places))
+        .map(|(task, moved)| {
+            let Some(moved) = moved else { return Ok(Vec::new()) };
+            let left = fitted(&recording, grouping, task, moved, &of_one)?;
+            done.fetch_add(1, Ordering::Relaxed);
+            Ok(left)
+        })
+        .collect::<Result<_, EngineError>>()?;
+    of_tasks.into_iter().flatten().for_each(|(family, left)| found.add(family, left));
+    Ok(found)
+}
+
+/// Where which effects are fitted.
+fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> Vec<Task> {
+    let mut near: Vec<_> = foremost(screening).collect();
+    near.sort_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio));
+    let least = near.first().map_or(1.0, |(_, free)| free.ratio);
+    near.retain(|(_, free)| free.ratio < BEHIND * least);
+    let may = |effect: &Effect| {
+        let same = |family| family == effect.family();
+        let of_structure = near.iter().filter(|(s, _)| s.place.is_of_structure()).map(|(s, _)| s.family);
+        if bends(*effect) {
+            of_structure.into_iter().any(same)
+        } else {
+            near.iter().any(|(s, _)| same(s.family))
+        }
+    };
+    let may: Vec<Effect> = catalogue.iter().copied().filter(may).collect();
+    let mut tasks: Vec<Task> = Vec::new();
+    for (standing, _) in near.iter().filter(|(s, _)| s.place.is_of_structure()) {
+        if tasks.len() < PLACES && tasks.iter().all(|task| task.place != standing.place) {
+            let effects = may.iter().copied().filter(|e| bends(*e) || *e == Effect::ValveFlow).collect();
+            tasks.push(Task { place: standing.place, effects });
+        }
+    }
+    let of_channels: Vec<Effect> = may.into_iter().filter(|e| of_channel(*e)).collect();
+    if let Some((standing, _)) = near.first().filter(|_| !of_channels.is_empty()) {
+        let r = standing.response;
+        // What measures a displacement is one signal.
+        let quantity = recording.responses[r].quantity;
+        let integrated = matches!(quantity, Quantity::Acceleration | Quantity::Velocity);
+        let place = if integrated { Place::Output(r) } else { Place::Response(r) };
+        match tasks.iter_mut().find(|task| task.place == place) {
+            Some(task) => task.effects.extend(of_channels),
+            None => tasks.push(Task { place: Place::Output(r), effects: of_channels }),
+        }
+    }
+    tasks.retain(|task| !task.effects.is_empty());
+    tasks
+}
+
+/// Whether an effect is a force over the motion of the structure.
+fn bends(effect: Effect) -> bool {
+    matches!(effect.family(), Family::Stiffness | Family::FrictionHysteresis | Family::Damping)
+}
+
+/// Whether it is one of a drive, or of a response's sensor.
+fn of_channel(effect: Effect) -> bool {
+    effect != Effect::ValveFlow
+        && matches!(effect.family(), Family::Actuator | Family::DeadbandBacklash | Family::Sensor)
+}
+
+/// The beginnings of all records.
+fn beginnings(recording: &Recording) -> Recording {
+    let whole: usize = recording.records.iter().map(|r| r.drive.n_samples()).sum();
+    let share = (SAMPLES as f64 / whole.max(1) as f64).min(1.0);
+    let mut out = recording.clone();
+    for record in &mut out.records {
+        let kept = (record.drive.n_samples() as f64 * share).ceil() as usize;
+        record.drive = record.drive.slice(0..kept);
+        record.response = record.response.slice(0..kept);
+    }
+    out
+}
+
+/// What the laws of each family leave at one place, at least; nothing where they cannot be fitted there.
+fn fitted(
+    recording: &Recording,
+    grouping: &Grouping,
+    task: &Task,
+    moved: Moved,
+    watch: Watch<'_>,
+) -> Result<Vec<(Family, f64)>, EngineError> {
+    let Ok(input) = input(recording, grouping, task, moved) else { return Ok(Vec::new()) };
+    let Ok(prepared) = prepare_down_to(FLOOR, &input) else { return Ok(Vec::new()) };
+    let overview = Overview::new(&input, &prepared);
+    if overview.seen.is_empty() {
+        return Ok(Vec::new());
+    }
+    let outcome = contest(&input, &task.effects, &prepared, &overview, watch)?;
+    let named = outcome.ranked.iter().map(|ranked| &ranked.scored).filter(|scored| !scored.unnamed());
+    Ok(named
+        .map(|scored| (scored.effect().family(), (scored.chi2 / outcome.chi2_none).sqrt()))
+        .filter(|(_, left)| left.is_finite())
+        .collect())
+}
+
+/// One signal as the response to the drives that go with it.
+fn input(
+    recording: &Recording,
+    grouping: &Grouping,
+    task: &Task,
+    moved: Moved,
+) -> Result<Input, EngineError> {
+    let rate = recording.sample_rate_hz();
+    let channel = |name: &str, quantity| input::Channel {
+        name: name.into(),
+        axis: None,
+        unit: String::new(),
+        quantity,
+    };
+    let runs: Vec<Run> = recording
+        .records
+        .iter()
+        .zip(moved.d.into_iter().zip(moved.drives))
+        .enumerate()
+        .map(|(i, (record, (d, drives)))| {
+            Ok(Run {
+                name: i.to_string(),
+                drive: Signal::new(rate, drives)?,
+                response: Signal::new(rate, vec![d])?,
+                simulated: None,
+                added: None,
+                started_s: record.started_s,
+            })
+        })
+        .collect::<Result<_, EngineError>>()?;
+    Ok(Input {
+        drives: recording.drives.iter().map(|c| channel(&c.name, c.quantity)).collect(),
+        responses: vec![channel("d", Quantity::Displacement)],
+        baseline: runs.clone(),
+        runs,
+        roles: None,
+        repeats: grouping.repeats.clone(),
+        sim_is_linear: true,
+        mode: Mode::InSitu,
+        catalogue: task.effects.clone(),
+        material_gap: MATERIAL,
+        drive_limit: None,
+        seed: 0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::screen::{group, screen};
+    use crate::diagnosis::tests::rig::{Force, hardening, noise_drive, request, run};
+    use crate::diagnosis::transfer::recording::Runs;
+    use crate::progress::unwatched;
+
+    /// Runs of two levels on a rig with a strong force.
+    fn runs(force: Force) -> Runs {
+        let runs = vec![
+            run("a", noise_drive(16.0, 1.0, 1), force, 0.003, 11),
+            run("b", noise_drive(16.0, 0.6, 2), force, 0.003, 12),
+            run("c", noise_drive(16.0, 1.0, 3), force, 0.003, 13),
+            run("d", noise_drive(16.0, 0.6, 4), force, 0.003, 14),
+        ];
+        Runs::without_baseline(&Input { runs, repeats: Vec::new(), ..request(force, 0.003) })
+    }
+
+    fn of(recording: &Recording, watch: Watch<'_>) -> Result<Refits, EngineError> {
+        let grouping = group(recording, &[]);
+        let screening = screen(recording, &grouping, &unwatched)?;
+        refits(recording, &grouping, &screening, &Effect::ALL, watch)
+    }
+
+    #[test]
+    fn beside_a_free_linear_part_the_right_family_leaves_far_less_than_others() {
+        let found = of(&runs(hardening).recording, &unwatched).unwrap();
+        let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
+        assert!(of_spring < 0.2, "{found:?}");
+        let others = found.0.iter().filter(|(family, _)| *family != Family::Stiffness);
+        assert!(others.clone().count() > 0, "{found:?}");
+        others.for_each(|(family, left)| assert!(of_spring < 0.5 * left, "{family:?}: {found:?}"));
+    }
+
+    #[test]
+    fn an_integrated_acceleration_tells_the_same() {
+        let mut recording = runs(hardening).recording;
+        recording.responses[0].quantity = Quantity::Acceleration;
+        for record in &mut recording.records {
+            let d = record.response.channel(0);
+            let rate = record.response.sample_rate_hz();
+            let at = |k: usize| {
+                d[k.clamp(1, d.len() - 2) + 1] + d[k.clamp(1, d.len() - 2) - 1]
+                    - 2.0 * d[k.clamp(1, d.len() - 2)]
+            };
+            let a = (0..d.len()).map(|k| at(k) * rate * rate).collect();
+            record.response = Signal::new(rate, vec![a]).unwrap();
+        }
+        let found = of(&recording, &unwatched).unwrap();
+        let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
+        let others = found.0.iter().filter(|(family, _)| *family != Family::Stiffness);
+        others.for_each(|(family, left)| assert!(of_spring < *left, "{family:?}: {found:?}"));
+    }
+
+    #[test]
+    fn beside_known_effects_nothing_is_fitted_again() {
+        let mut recording = runs(hardening).recording;
+        for record in &mut recording.records {
+            let still = vec![vec![0.0; record.response.n_samples()]];
+            record.added = Some(Signal::new(record.response.sample_rate_hz(), still).unwrap());
+        }
+        assert_eq!(of(&recording, &unwatched).unwrap(), Refits::default());
+    }
+
+    #[test]
+    fn it_can_be_cancelled() {
+        let stop = |_: Progress<'_>| std::ops::ControlFlow::Break(());
+        let found = of(&runs(hardening).recording, &stop);
+        assert!(matches!(found, Err(EngineError::Cancelled)), "{found:?}");
+    }
+}
