@@ -53,14 +53,18 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
     above_noise(input, Ar::clone)
 }
 
-/// The same where nothing tells the noise: it is taken for white, with `share` of the power that the cores leave. So
-/// laws are told apart by what they leave down to that share, whatever the noise is.
+/// The same where nothing tells the noise: it is taken for white in what was measured, which the responses are the
+/// `integrals`-th integrals of, with `share` of the power that the cores leave of that. So laws are told apart by what they
+/// leave down to that share, whatever the noise is.
 ///
 /// # Errors
 /// Those of [`prepare`].
-pub fn prepare_down_to(share: f64, input: &Input) -> Result<Prepared, EngineError> {
+pub fn prepare_down_to(share: f64, integrals: usize, input: &Input) -> Result<Prepared, EngineError> {
     let band = band(input)?;
-    above_noise(input, |left| Ar::white(share * left.mean_power(band)))
+    above_noise(input, |left| {
+        let noise = Ar::integrated(1.0, integrals);
+        Ar { variance: share * left.mean_power_over(&noise, band), ..noise }
+    })
 }
 
 /// The band of the drives of the baseline runs, cycles a sample.

@@ -4,17 +4,17 @@
 //! predict as well as it can: all poles, zeros and numbers of the law are fitted together, to what every response does.
 
 use super::hypothesis::{Explanation, hypothesis, place};
-use crate::EngineError;
 use crate::diagnosis::augmented::Augmented;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Family, Tier};
-use crate::diagnosis::input::Input;
+use crate::diagnosis::input::{Channel, Input};
 use crate::diagnosis::report::{ChannelHeldOut, HeldOut, Hypothesis, Verdict};
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::score::Scored;
 use crate::diagnosis::transfer::FLOOR;
 use crate::progress::{Progress, Watch};
+use crate::{EngineError, Quantity};
 
 /// Share of what the named law leaves, fitted alike, below which another of its family takes its place.
 const RENAMES: f64 = 0.5;
@@ -41,12 +41,16 @@ pub fn fitted_again(
     };
     let samples: usize = input.runs.iter().map(|run| run.response.n_samples()).sum();
     let long = samples * input.responses.len() > SAMPLES;
-    if long || input.has_adopted() || !of_one_place(family) || named == Effect::ValveFlow {
+    // A force acts over a displacement, which neither a velocity nor an acceleration is.
+    let of = |r: &&Channel| Some(&r.name) == verdict.at.as_ref();
+    let integrated = |r: &Channel| matches!(r.quantity, Quantity::Velocity | Quantity::Acceleration);
+    let over_none = family_of_structure(family) && input.responses.iter().find(of).is_none_or(integrated);
+    if long || over_none || input.has_adopted() || !of_one_place(family) || named == Effect::ValveFlow {
         return Ok(None);
     }
     let of_family = |e: &&Effect| e.family() == family && e.tier() == Tier::Law && **e != Effect::ValveFlow;
     let effects: Vec<Effect> = input.catalogue.iter().filter(of_family).copied().collect();
-    let Ok(prepared) = prepare_down_to(FLOOR, input) else { return Ok(None) };
+    let Ok(prepared) = prepare_down_to(FLOOR, 0, input) else { return Ok(None) };
     let overview = Overview::new(input, &prepared);
     if overview.seen.is_empty() || effects.is_empty() {
         return Ok(None);
@@ -73,10 +77,15 @@ pub fn fitted_again(
         .map(|(made, augmented)| (beside_transfer(made, by_transfer), augmented)))
 }
 
+/// Whether a family's laws are forces over the motion of the structure.
+fn family_of_structure(family: Family) -> bool {
+    matches!(family, Family::Stiffness | Family::FrictionHysteresis | Family::Damping)
+}
+
 /// Whether a family's laws act over the motion of one response, on a drive or in a sensor.
 fn of_one_place(family: Family) -> bool {
-    use Family::{Actuator, Damping, DeadbandBacklash, FrictionHysteresis, Sensor, Stiffness};
-    matches!(family, Stiffness | FrictionHysteresis | Damping | Actuator | DeadbandBacklash | Sensor)
+    family_of_structure(family)
+        || matches!(family, Family::Actuator | Family::DeadbandBacklash | Family::Sensor)
 }
 
 /// A fit with what transfer tells: the law's strength, its curve, and what is left of each group. The noise that was

@@ -2,6 +2,9 @@
 
 use realfft::num_complex::Complex64;
 
+/// Share of a sum of white noise that a sample keeps of the one before.
+const KEPT: f64 = 0.999;
+
 /// `x_k + sum_i a_i x_(k-i) = e_k` with the variance of `e`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ar {
@@ -15,6 +18,18 @@ impl Ar {
     /// White noise.
     pub fn white(variance: f64) -> Self {
         Self { coefficients: Vec::new(), variance }
+    }
+
+    /// White noise summed up so many times, without what is slower than a thousand samples.
+    pub fn integrated(variance: f64, times: usize) -> Self {
+        let mut coefficients = vec![1.0];
+        for _ in 0..times {
+            coefficients.push(0.0);
+            for i in (1..coefficients.len()).rev() {
+                coefficients[i] -= KEPT * coefficients[i - 1];
+            }
+        }
+        Self { coefficients: coefficients.split_off(1), variance }
     }
 
     /// Power per sample at `frequency` (cycles a sample): its mean over all frequencies is the
@@ -74,9 +89,15 @@ impl Ar {
 
     /// Mean power per sample over a band, cycles a sample.
     pub fn mean_power(&self, band: [f64; 2]) -> f64 {
+        self.mean_power_over(&Self::white(1.0), band)
+    }
+
+    /// Mean over a band of the power relative to another's.
+    pub fn mean_power_over(&self, other: &Self, band: [f64; 2]) -> f64 {
         const POINTS: usize = 200;
         let step = (band[1] - band[0]) / POINTS as f64;
-        (0..POINTS).map(|i| self.power(band[0] + (i as f64 + 0.5) * step)).sum::<f64>() / POINTS as f64
+        let at = |i: usize| band[0] + (i as f64 + 0.5) * step;
+        (0..POINTS).map(|i| self.power(at(i)) / other.power(at(i))).sum::<f64>() / POINTS as f64
     }
 }
 
@@ -105,6 +126,18 @@ mod tests {
                 truth.power(f)
             );
         }
+    }
+
+    #[test]
+    fn summed_noise_falls_by_the_square_of_the_frequency_at_each_sum() {
+        assert_eq!(Ar::integrated(2.0, 0), Ar::white(2.0));
+        for times in 1..=2 {
+            let ar = Ar::integrated(1.0, times);
+            let ratio = ar.power(0.01) / ar.power(0.02);
+            assert!((ratio / 4.0_f64.powi(times as i32) - 1.0).abs() < 0.01, "{times}: {ratio}");
+        }
+        let over = Ar::integrated(3.0, 2).mean_power_over(&Ar::integrated(1.0, 2), [0.01, 0.3]);
+        assert!((over - 3.0).abs() < 1e-9, "{over}");
     }
 
     #[test]

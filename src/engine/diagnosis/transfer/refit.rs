@@ -156,6 +156,18 @@ fn beginnings(recording: &Recording) -> Recording {
     out
 }
 
+/// How many integrals of what was measured the motion at a place is.
+fn integrals(recording: &Recording, place: Place) -> usize {
+    match place {
+        Place::Response(r) | Place::Between(r, _) => match recording.responses[r].quantity {
+            Quantity::Acceleration => 2,
+            Quantity::Velocity => 1,
+            _ => 0,
+        },
+        Place::Drive(_) | Place::Output(_) => 0,
+    }
+}
+
 /// What the laws of each family leave at one place, at least; nothing where they cannot be fitted there.
 fn fitted(
     recording: &Recording,
@@ -165,7 +177,9 @@ fn fitted(
     watch: Watch<'_>,
 ) -> Result<Vec<(Family, f64)>, EngineError> {
     let Ok(input) = input(recording, grouping, task, moved) else { return Ok(Vec::new()) };
-    let Ok(prepared) = prepare_down_to(FLOOR, &input) else { return Ok(Vec::new()) };
+    let Ok(prepared) = prepare_down_to(FLOOR, integrals(recording, task.place), &input) else {
+        return Ok(Vec::new());
+    };
     let overview = Overview::new(&input, &prepared);
     if overview.seen.is_empty() {
         return Ok(Vec::new());
