@@ -9,7 +9,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Family, Tier};
 use crate::diagnosis::input::{Channel, Input};
-use crate::diagnosis::report::{ChannelHeldOut, HeldOut, Hypothesis, Verdict};
+use crate::diagnosis::report::{ChannelHeldOut, EffectShare, HeldOut, Hypothesis, Verdict};
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::score::Scored;
 use crate::diagnosis::transfer::FLOOR;
@@ -68,7 +68,6 @@ pub fn fitted_again(
     let Some(chosen) = chosen else { return Ok(None) };
     let explanation = Explanation::of(&prepared, chosen);
     let made = hypothesis(input, &prepared, &overview, &explanation, by_transfer.probability);
-    let left = |held_out: &HeldOut| (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
     Ok(made
         .filter(|(made, _)| {
             left(&made.held_out) < CLEARLY * left(&by_transfer.held_out)
@@ -89,33 +88,52 @@ fn of_one_place(family: Family) -> bool {
 }
 
 /// A fit with what transfer tells: the law's strength, its curve, and what is left of each group. The noise that was
-/// assumed to fit it is none of the rig's.
+/// assumed to fit it is none of the rig's: without repeats all of what is left counts, and all of it may be noise.
 fn beside_transfer(made: Hypothesis, by_transfer: &Hypothesis) -> Hypothesis {
     let noise = |channel: &str| {
         let same = by_transfer.responses.iter().find(|r| r.channel == channel);
         same.map_or(0.0, |r| r.held_out.noise_rms)
     };
-    let at_most = |held_out: HeldOut, channel: &str| {
-        let noise_rms = noise(channel).min(held_out.rms_after);
-        let floor = if noise_rms > 0.0 { noise_rms } else { held_out.rms_after }.max(f64::MIN_POSITIVE);
-        let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
-        HeldOut {
-            noise_rms,
-            chi2_before: floors(held_out.rms_before),
-            chi2_after: floors(held_out.rms_after),
-            ..held_out
-        }
-    };
+    let held_out = bounded(made.held_out, noise(&made.channel));
     let responses = made.responses.into_iter().map(|ChannelHeldOut { channel, held_out }| ChannelHeldOut {
-        held_out: at_most(held_out, &channel),
+        held_out: bounded(held_out, noise(&channel)),
         channel,
     });
+    let remaining_share = left(&held_out);
+    let share_of_gap = (1.0 - remaining_share).max(0.0);
     Hypothesis {
-        held_out: at_most(made.held_out, &made.channel),
+        remaining_share,
+        effects: made.effects.into_iter().map(|effect| EffectShare { share_of_gap, ..effect }).collect(),
+        held_out,
         responses: responses.collect(),
         strength: by_transfer.strength.clone(),
         shape: by_transfer.shape.clone(),
         transfer: by_transfer.transfer.clone(),
         ..made
+    }
+}
+
+/// What is left of the gap, by power.
+fn left(held_out: &HeldOut) -> f64 {
+    (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2)
+}
+
+/// A closure above the noise of repeats, 0 without any.
+fn bounded(held_out: HeldOut, noise_rms: f64) -> HeldOut {
+    let noise_rms = noise_rms.min(held_out.rms_after);
+    let known = noise_rms > 0.0;
+    let floor = if known { noise_rms } else { held_out.rms_after }.max(f64::MIN_POSITIVE);
+    let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
+    let above = |rms: f64| rms * rms - noise_rms * noise_rms;
+    let closure = 1.0 - above(held_out.rms_after) / above(held_out.rms_before).max(f64::MIN_POSITIVE);
+    let [low, high] = held_out.closure_ci90;
+    HeldOut {
+        noise_rms,
+        chi2_before: floors(held_out.rms_before),
+        chi2_after: floors(held_out.rms_after),
+        closure,
+        closure_rms: closure,
+        closure_ci90: [low.min(closure), if known { high.max(closure) } else { 1.0 }],
+        ..held_out
     }
 }

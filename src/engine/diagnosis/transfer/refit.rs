@@ -242,11 +242,16 @@ fn input(
 mod tests {
     use super::*;
     use crate::diagnosis::screen::{group, screen};
-    use crate::diagnosis::tests::rig::{Force, hardening, noise_drive, request, run};
+    use crate::diagnosis::tests::rig::{Force, noise_drive, request, run};
     use crate::diagnosis::transfer::recording::Runs;
     use crate::progress::unwatched;
 
-    /// Runs of two levels on a rig with a strong force.
+    /// A spring that stiffens, written with a hyperbolic sine.
+    fn stiffening(x: f64, _: f64) -> f64 {
+        150.0 * ((1.2 * x).sinh() - 1.2 * x)
+    }
+
+    /// Runs of two levels on a rig with a force.
     fn runs(force: Force) -> Runs {
         let runs = vec![
             run("a", noise_drive(16.0, 1.0, 1), force, 0.003, 11),
@@ -265,7 +270,7 @@ mod tests {
 
     #[test]
     fn beside_a_free_linear_part_the_right_family_leaves_far_less_than_others() {
-        let found = of(&runs(hardening).recording, &unwatched).unwrap();
+        let found = of(&runs(stiffening).recording, &unwatched).unwrap();
         let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
         assert!(of_spring < 0.2, "{found:?}");
         let others = found.0.iter().filter(|(family, _)| *family != Family::Stiffness);
@@ -275,7 +280,7 @@ mod tests {
 
     #[test]
     fn an_integrated_acceleration_tells_the_same() {
-        let mut recording = runs(hardening).recording;
+        let mut recording = runs(stiffening).recording;
         recording.responses[0].quantity = Quantity::Acceleration;
         for record in &mut recording.records {
             let d = record.response.channel(0);
@@ -295,7 +300,7 @@ mod tests {
 
     #[test]
     fn beside_known_effects_nothing_is_fitted_again() {
-        let mut recording = runs(hardening).recording;
+        let mut recording = runs(stiffening).recording;
         for record in &mut recording.records {
             let still = vec![vec![0.0; record.response.n_samples()]];
             record.added = Some(Signal::new(record.response.sample_rate_hz(), still).unwrap());
@@ -306,7 +311,7 @@ mod tests {
     #[test]
     fn it_can_be_cancelled() {
         let stop = |_: Progress<'_>| std::ops::ControlFlow::Break(());
-        let found = of(&runs(hardening).recording, &stop);
+        let found = of(&runs(stiffening).recording, &stop);
         assert!(matches!(found, Err(EngineError::Cancelled)), "{found:?}");
     }
 }
