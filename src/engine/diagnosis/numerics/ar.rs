@@ -22,10 +22,10 @@ impl Ar {
 
     /// White noise summed up so many times, without what is slower than a thousand samples.
     pub fn integrated(variance: f64, times: usize) -> Self {
-        let mut coefficients = vec![1.0];
+        let mut coefficients = vec![0.0; times + 1];
+        coefficients[0] = 1.0;
         for _ in 0..times {
-            coefficients.push(0.0);
-            for i in (1..coefficients.len()).rev() {
+            for i in (1..=times).rev() {
                 coefficients[i] -= KEPT * coefficients[i - 1];
             }
         }
