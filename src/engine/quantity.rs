@@ -26,4 +26,13 @@ impl Quantity {
             Self::Other => "other",
         }
     }
+
+    /// How often it has to be integrated to be a displacement; 0 of what is none of its derivatives.
+    pub fn integrals(self) -> usize {
+        match self {
+            Self::Velocity => 1,
+            Self::Acceleration => 2,
+            Self::Displacement | Self::Force | Self::Other => 0,
+        }
+    }
 }

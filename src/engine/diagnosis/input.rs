@@ -136,6 +136,11 @@ impl Input {
         Ok(())
     }
 
+    /// Whether the sim was fitted to any of the runs to explain: what it leaves of those says nothing of others.
+    pub(super) fn explains_its_own_runs(&self) -> bool {
+        self.runs.iter().any(|run| self.baseline.iter().any(|own| own.name == run.name))
+    }
+
     /// Whether the core stands for the sim at a response.
     pub(super) fn core_stands(&self, response: usize) -> bool {
         let acts = |added: &Signal| added.channel(response).iter().any(|y| *y != 0.0);

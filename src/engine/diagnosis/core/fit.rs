@@ -50,7 +50,8 @@ pub(in crate::diagnosis) struct CoreFit {
 }
 
 /// Fits the core to low-level stretches inside `band` (cycles a sample). Where they are known to be
-/// `linear` the order also answers to the fitted part; else only to the held-out one.
+/// `linear` the order also answers to the fitted part; else only to the held-out one. `supposed` is the noise that
+/// errors are counted in before its own colour is known.
 ///
 /// # Errors
 /// Stretches too short for any order.
@@ -59,11 +60,11 @@ pub(in crate::diagnosis) fn fit(
     sample_rate_hz: f64,
     band: [f64; 2],
     linear: bool,
+    supposed: &Ar,
 ) -> Result<CoreFit, EngineError> {
     let drives = stretches[0].drives.len();
-    let centred = Centred::new(stretches);
-    let white = Ar::white(1.0);
-    let rows: usize = centred.part(0.0, 1.0, band, &white).iter().map(|s| s.rows.len()).sum();
+    let centred = Centred::new(stretches, supposed);
+    let rows: usize = centred.part(0.0, 1.0, band, supposed).iter().map(|s| s.rows.len()).sum();
     let affordable = rows / (4 * (drives + 1));
     if affordable < 2 {
         let samples: usize = stretches.iter().map(|s| s.response.len()).sum();
@@ -82,7 +83,8 @@ pub(in crate::diagnosis) fn fit(
                 response: &t.response,
             });
             let slow = band.map(|f| f * step as f64);
-            let (found, _) = Centred::new(&few.collect::<Vec<_>>()).choose(slow, affordable, linear);
+            let (found, _) =
+                Centred::new(&few.collect::<Vec<_>>(), supposed).choose(slow, affordable, linear);
             centred.fit_at(&found.modes.faster(step), band)
         }
     };
@@ -107,17 +109,18 @@ pub(super) struct Linear {
 }
 
 /// Stretches about their common working point.
-struct Centred {
+struct Centred<'a> {
     /// `[stretch][drive][sample]`
     drives: Vec<Vec<Vec<f64>>>,
     /// `[stretch][sample]`
     response: Vec<Vec<f64>>,
     drive_mean: Vec<f64>,
     response_mean: f64,
+    supposed: &'a Ar,
 }
 
-impl Centred {
-    fn new(stretches: &[Stretch<'_>]) -> Self {
+impl<'a> Centred<'a> {
+    fn new(stretches: &[Stretch<'_>], supposed: &'a Ar) -> Self {
         let pooled = |of: &dyn Fn(&Stretch<'_>) -> f64| {
             let n: usize = stretches.iter().map(|s| s.response.len()).sum();
             stretches.iter().map(|s| of(s) * s.response.len() as f64).sum::<f64>() / n.max(1) as f64
@@ -134,13 +137,14 @@ impl Centred {
             response: stretches.iter().map(|s| less(s.response, response_mean)).collect(),
             drive_mean,
             response_mean,
+            supposed,
         }
     }
 
     /// The best model of the best order up to `affordable`, and the noise that it leaves.
     fn choose(&self, band: [f64; 2], affordable: usize, linear: bool) -> (Linear, Ar) {
         let drives = self.drives[0].len();
-        let all = self.part(0.0, 1.0, band, &Ar::white(1.0));
+        let all = self.part(0.0, 1.0, band, self.supposed);
         // The first noise is taken from a model that is rather too rich than too poor: what a poor one
         // leaves at a resonance would pass for noise there and hide that it is poor.
         let noise = FIRST_ORDERS
@@ -151,7 +155,7 @@ impl Centred {
                 (all.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map_or(Ar::white(1.0), |first| first.1);
+            .map_or_else(|| self.supposed.clone(), |first| first.1);
 
         let early = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
         let held_out = self.part(1.0 - HELD_OUT, 1.0, band, &noise);
@@ -190,7 +194,7 @@ impl Centred {
             let target = rows(parts, |part| vec![part.response.to_vec()]).remove(0);
             paths(parts, modes, &target)
         };
-        let noise = self.noise(&with(&self.part(0.0, 1.0, band, &Ar::white(1.0))));
+        let noise = self.noise(&with(&self.part(0.0, 1.0, band, self.supposed)));
         let all = self.part(0.0, 1.0, band, &noise);
         let linear = refine(&all, with(&all));
         let noise = self.noise(&linear);
@@ -231,7 +235,7 @@ impl Centred {
             })
             .collect();
         let left: Vec<&[f64]> = left.iter().map(Vec::as_slice).collect();
-        Ar::fit(&left, 24)
+        Ar::fit_beside(self.supposed, &left, 24)
     }
 }
 

@@ -4,6 +4,7 @@ use rand_distr::{Distribution, StandardNormal};
 use realfft::num_complex::Complex64;
 
 use super::*;
+use crate::diagnosis::numerics::ar::Ar;
 
 /// Two masses in a row, integrated with Runge and Kutta's fourth-order rule at eight steps a
 /// sample, drives held: shares nothing with the core.
@@ -62,7 +63,8 @@ fn a_two_mass_rig_is_recovered_with_its_frequencies_through_noise() {
         })
         .collect();
     let band = drive_band(&[vec![&force]]).unwrap();
-    let found = fit(&[Stretch { drives: vec![&force], response: &noisy }], fs, band, true).unwrap();
+    let found =
+        fit(&[Stretch { drives: vec![&force], response: &noisy }], fs, band, true, &Ar::white(1.0)).unwrap();
 
     // Eigenfrequencies of the two masses, from the characteristic polynomial of K - w^2 M.
     let (a, b, c) = (0.6, -(0.6 * 6500.0 + 2500.0), 6500.0 * 2500.0 - 2500.0 * 2500.0);
@@ -83,6 +85,32 @@ fn a_two_mass_rig_is_recovered_with_its_frequencies_through_noise() {
     assert!(relative < 0.003, "{relative}");
     let power: f64 = (0..500).map(|i| found.noise.power(f64::from(i) * 0.001)).sum::<f64>() / 500.0;
     assert!((power.sqrt() / (0.01 * level) - 1.0).abs() < 0.05);
+}
+
+#[test]
+fn an_integral_is_counted_in_what_was_measured() {
+    let fs = 512.0;
+    let force = low_passed(12_000, 0.3, 5);
+    let clean = two_masses(&force, fs);
+    let level = (clean.iter().map(|y| y * y).sum::<f64>() / clean.len() as f64).sqrt();
+    // White noise of an acceleration: integrated twice it is as large as the displacement.
+    let summed = Ar::integrated(1.0, 2);
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let mut noise = vec![0.0; clean.len()];
+    for k in 2..noise.len() {
+        let e: f64 = StandardNormal.sample(&mut rng);
+        let before: f64 = summed.coefficients.iter().zip(1..).map(|(a, i)| a * noise[k - i]).sum();
+        noise[k] = 3e-4 * level * e - before;
+    }
+    let noisy: Vec<f64> = clean.iter().zip(&noise).map(|(y, e)| y + e).collect();
+    let band = drive_band(&[vec![&force]]).unwrap();
+    let found = fit(&[Stretch { drives: vec![&force], response: &noisy }], fs, band, true, &summed).unwrap();
+    let deviation = found.noise.mean_power_over(&summed, band).sqrt();
+    assert!((deviation / (3e-4 * level) - 1.0).abs() < 0.1, "{deviation} of {}", 3e-4 * level);
+    let natural = found.core.natural();
+    for expected in [6.940, 14.901] {
+        assert!(natural.iter().any(|(f, _)| (f / expected - 1.0).abs() < 0.02), "{expected} in {natural:?}");
+    }
 }
 
 /// Three modes of two drives, the third of them weak.
@@ -112,7 +140,8 @@ fn a_weak_mode_that_the_search_of_the_order_found_is_not_lost_in_the_last_fit() 
     let noisy: Vec<f64> = clean.iter().map(|y| y + 0.012 * level * noise()).collect();
     let measured: Vec<&[f64]> = drives.iter().map(Vec::as_slice).collect();
     let band = drive_band(std::slice::from_ref(&measured)).unwrap();
-    let found = fit(&[Stretch { drives: measured, response: &noisy }], fs, band, true).unwrap();
+    let found =
+        fit(&[Stretch { drives: measured, response: &noisy }], fs, band, true, &Ar::white(1.0)).unwrap();
     let natural = found.core.natural();
     assert!(natural.iter().any(|(f, _)| (f / 21.6 - 1.0).abs() < 0.03), "{natural:?}");
     let predicted = found.core.simulate(&drives);
@@ -135,6 +164,6 @@ fn the_band_holds_a_band_limited_drive() {
 fn stretches_too_short_for_any_core_are_refused() {
     let drive = low_passed(12, 0.5, 4);
     let stretch = Stretch { drives: vec![&drive], response: &drive };
-    let refused = fit(&[stretch], 100.0, [0.0, 0.1], true).unwrap_err();
+    let refused = fit(&[stretch], 100.0, [0.0, 0.1], true, &Ar::white(1.0)).unwrap_err();
     assert!(matches!(refused, crate::EngineError::TooShort { .. }));
 }

@@ -50,7 +50,7 @@ pub struct Prepared {
 /// # Errors
 /// A request that does not hold together, drives that do not move, runs too short for the core.
 pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
-    above_noise(input, Ar::clone)
+    above_noise(input, &Ar::white(1.0), |left, _| left.clone())
 }
 
 /// The same where nothing tells the noise: it is taken for white in what was measured, which the responses are the
@@ -60,10 +60,10 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
 /// # Errors
 /// Those of [`prepare`].
 pub fn prepare_down_to(share: f64, integrals: usize, input: &Input) -> Result<Prepared, EngineError> {
-    let band = band(input)?;
-    above_noise(input, |left| {
-        let noise = Ar::integrated(1.0, integrals);
-        Ar { variance: share * left.mean_power_over(&noise, band), ..noise }
+    let noise = Ar::integrated(1.0, integrals);
+    above_noise(input, &noise, |left, band| Ar {
+        variance: share * left.mean_power_over(&noise, band),
+        ..noise.clone()
     })
 }
 
@@ -78,8 +78,13 @@ fn drives(runs: &[Run]) -> Vec<Vec<&[f64]>> {
     runs.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect()
 }
 
-/// `assumed` is the noise where repeats tell none, by what the core leaves of the baseline.
-fn above_noise(input: &Input, assumed: impl Fn(&Ar) -> Ar) -> Result<Prepared, EngineError> {
+/// `supposed` is what the cores count errors in at first; `assumed` the noise where repeats tell none, by what a core
+/// leaves of the baseline in its band.
+fn above_noise(
+    input: &Input,
+    supposed: &Ar,
+    assumed: impl Fn(&Ar, [f64; 2]) -> Ar,
+) -> Result<Prepared, EngineError> {
     input.check()?;
     let baseline = drives(&input.baseline);
     let band = band(input)?;
@@ -95,7 +100,7 @@ fn above_noise(input: &Input, assumed: impl Fn(&Ar) -> Ar) -> Result<Prepared, E
     }
     let fitted: Vec<CoreFit> = (0..input.responses.len())
         .into_par_iter()
-        .map(|r| fit_core(input, &baseline, r, band))
+        .map(|r| fit_core(input, &baseline, r, band, supposed))
         .collect::<Result<_, _>>()?;
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
@@ -119,7 +124,7 @@ fn above_noise(input: &Input, assumed: impl Fn(&Ar) -> Ar) -> Result<Prepared, E
                 n.drive_coherence > noise::COHERENT && fit.noise.mean_power(band) < n.ar.mean_power(band);
             if changed { Noise { ar: fit.noise.clone(), ..n } } else { n }
         });
-        noises.push(noise.unwrap_or_else(|| Noise { ar: assumed(&fit.noise), drive_coherence: 0.0 }));
+        noises.push(noise.unwrap_or_else(|| Noise { ar: assumed(&fit.noise, band), drive_coherence: 0.0 }));
     }
     // Quarters too short to be scored by themselves keep the usual roles.
     let of_quarter =
@@ -175,6 +180,7 @@ fn fit_core(
     drives: &[Vec<&[f64]>],
     response: usize,
     band: [f64; 2],
+    supposed: &Ar,
 ) -> Result<CoreFit, EngineError> {
     let stretches: Vec<core::Stretch<'_>> = input
         .baseline
@@ -189,7 +195,7 @@ fn fit_core(
         return Err(EngineError::DeadChannel { what: "response of the baseline runs", channel: response });
     }
     // From before the change the rig is its own linear self; in situ low-level runs bend too.
-    core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External)
+    core::fit(&stretches, input.sample_rate_hz(), band, input.mode == Mode::External, supposed)
 }
 
 /// Of a sim from before the change: what it errs by on the baseline runs beyond what the core does, relative to the

@@ -62,6 +62,18 @@ pub enum Family {
     Disturbance,
 }
 
+impl Family {
+    /// Whether its laws are forces over the motion of the structure.
+    pub fn is_of_structure(self) -> bool {
+        matches!(self, Self::Stiffness | Self::FrictionHysteresis | Self::Damping)
+    }
+
+    /// Whether its laws act on a drive or in a response's sensor.
+    pub fn is_of_channel(self) -> bool {
+        matches!(self, Self::Actuator | Self::DeadbandBacklash | Self::Sensor)
+    }
+}
+
 /// How much an effect may bend: of two that explain alike the smaller tier is believed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Tier {

@@ -4,17 +4,17 @@
 //! predict as well as it can: all poles, zeros and numbers of the law are fitted together, to what every response does.
 
 use super::hypothesis::{Explanation, hypothesis, place};
+use crate::EngineError;
 use crate::diagnosis::augmented::Augmented;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
-use crate::diagnosis::effects::effect::{Effect, Family, Tier};
+use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::input::{Channel, Input};
 use crate::diagnosis::report::{ChannelHeldOut, EffectShare, HeldOut, Hypothesis, Verdict};
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::score::Scored;
 use crate::diagnosis::transfer::FLOOR;
 use crate::progress::{Progress, Watch};
-use crate::{EngineError, Quantity};
 
 /// Share of what the named law leaves, fitted alike, below which another of its family takes its place.
 const RENAMES: f64 = 0.5;
@@ -43,9 +43,10 @@ pub fn fitted_again(
     let long = samples * input.responses.len() > SAMPLES;
     // A force acts over a displacement, which neither a velocity nor an acceleration is.
     let of = |r: &&Channel| Some(&r.name) == verdict.at.as_ref();
-    let integrated = |r: &Channel| matches!(r.quantity, Quantity::Velocity | Quantity::Acceleration);
-    let over_none = family_of_structure(family) && input.responses.iter().find(of).is_none_or(integrated);
-    if long || over_none || input.has_adopted() || !of_one_place(family) || named == Effect::ValveFlow {
+    let integrated = |r: &Channel| r.quantity.integrals() > 0;
+    let over_none = family.is_of_structure() && input.responses.iter().find(of).is_none_or(integrated);
+    let of_one_place = family.is_of_structure() || family.is_of_channel();
+    if long || over_none || input.has_adopted() || !of_one_place || named == Effect::ValveFlow {
         return Ok(None);
     }
     let of_family = |e: &&Effect| e.family() == family && e.tier() == Tier::Law && **e != Effect::ValveFlow;
@@ -74,17 +75,6 @@ pub fn fitted_again(
                 && (made.stable_over_envelope || !by_transfer.stable_over_envelope)
         })
         .map(|(made, augmented)| (beside_transfer(made, by_transfer), augmented)))
-}
-
-/// Whether a family's laws are forces over the motion of the structure.
-fn family_of_structure(family: Family) -> bool {
-    matches!(family, Family::Stiffness | Family::FrictionHysteresis | Family::Damping)
-}
-
-/// Whether a family's laws act over the motion of one response, on a drive or in a sensor.
-fn of_one_place(family: Family) -> bool {
-    family_of_structure(family)
-        || matches!(family, Family::Actuator | Family::DeadbandBacklash | Family::Sensor)
 }
 
 /// A fit with what transfer tells: the law's strength, its curve, and what is left of each group. The noise that was

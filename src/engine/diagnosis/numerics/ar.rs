@@ -87,6 +87,32 @@ impl Ar {
         best
     }
 
+    /// Fits stretches of one process as [`Ar::fit`] does, beside a colour that it has about: few numbers cannot tell a
+    /// valley from a peak that is millions of times as high.
+    pub fn fit_beside(about: &Self, stretches: &[&[f64]], max_order: usize) -> Self {
+        let whitened: Vec<Vec<f64>> = stretches.iter().map(|s| about.whitened(s)).collect();
+        let whitened: Vec<&[f64]> = whitened.iter().map(Vec::as_slice).collect();
+        let beside = Self::fit(&whitened, max_order);
+        let of =
+            |ar: &Self| std::iter::once(1.0).chain(ar.coefficients.iter().copied()).collect::<Vec<f64>>();
+        let (a, b) = (of(about), of(&beside));
+        let mut product = vec![0.0; a.len() + b.len() - 1];
+        for (i, a) in a.iter().enumerate() {
+            for (j, b) in b.iter().enumerate() {
+                product[i + j] += a * b;
+            }
+        }
+        Self { coefficients: product.split_off(1), variance: beside.variance }
+    }
+
+    /// The innovations of a stretch, from where all that they follow from is known.
+    fn whitened(&self, x: &[f64]) -> Vec<f64> {
+        let order = self.coefficients.len();
+        let innovation =
+            |k: usize| x[k] + self.coefficients.iter().zip(1..).map(|(a, i)| a * x[k - i]).sum::<f64>();
+        (order..x.len()).map(innovation).collect()
+    }
+
     /// Mean power per sample over a band, cycles a sample.
     pub fn mean_power(&self, band: [f64; 2]) -> f64 {
         self.mean_power_over(&Self::white(1.0), band)
@@ -138,6 +164,24 @@ mod tests {
         }
         let over = Ar::integrated(3.0, 2).mean_power_over(&Ar::integrated(1.0, 2), [0.01, 0.3]);
         assert!((over - 3.0).abs() < 1e-9, "{over}");
+    }
+
+    #[test]
+    fn a_valley_far_below_a_peak_is_found_beside_the_colour_that_it_has() {
+        // White noise summed up twice: between 0.4 and 0.002 cycles a sample its power grows by 4e8.
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let about = Ar::integrated(1.0, 2);
+        let mut x = vec![0.0; 30_000];
+        for k in 2..x.len() {
+            let e: f64 = StandardNormal.sample(&mut rng);
+            let before: f64 = about.coefficients.iter().zip(1..).map(|(a, i)| a * x[k - i]).sum();
+            x[k] = 0.1 * e - before;
+        }
+        let found = Ar::fit_beside(&about, &[&x], 24);
+        for f in [0.002, 0.05, 0.4] {
+            assert!((found.power(f) / (0.01 * about.power(f))).ln().abs() < 0.15, "{f}: {}", found.power(f));
+        }
+        assert_eq!(Ar::fit_beside(&Ar::white(1.0), &[&x], 24), Ar::fit(&[&x], 24));
     }
 
     #[test]

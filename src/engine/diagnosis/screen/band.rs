@@ -68,31 +68,6 @@ impl Band {
     }
 }
 
-/// Frequency below which white noise makes up more of a signal's integral, taken so many times, than the signal does, Hz:
-/// to leave out what lies below costs less of the one than it takes off the other.
-pub(super) fn noisy_below<'a>(
-    channels: impl Iterator<Item = &'a [f64]> + Clone,
-    integrals: i32,
-    rate_hz: f64,
-) -> f64 {
-    let longest = channels.clone().map(<[f64]>::len).max().unwrap_or(0);
-    let size = (1 << (longest.max(16) / 2).ilog2()).min(LONGEST);
-    let power = power(channels, size);
-    let floor = floor(&power);
-    let integral = |line: usize| (line as f64).powi(-2 * integrals);
-    // Cut ahead of a line: what of the signal lies below, and what of the noise above.
-    let (mut lost, mut noise) = (0.0, (1..power.len()).map(|line| floor * integral(line)).sum::<f64>());
-    let mut least = (f64::INFINITY, 1);
-    for (line, power) in power.iter().enumerate().skip(1) {
-        if lost + noise < least.0 {
-            least = (lost + noise, line);
-        }
-        lost += (power - floor).max(0.0) * integral(line);
-        noise -= floor * integral(line);
-    }
-    least.1 as f64 * rate_hz / size as f64
-}
-
 /// What white noise adds to each line: the least that any quarter of the spectrum holds.
 fn floor(power: &[f64]) -> f64 {
     let quarter = (power.len() / 4).max(1);
@@ -194,10 +169,6 @@ impl Thinner {
 
 #[cfg(test)]
 mod tests {
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-    use rand_distr::StandardNormal;
-
     use super::*;
 
     #[test]
@@ -211,21 +182,5 @@ mod tests {
         let fast = thinner.thin(&wave(0.17));
         assert!(fast[20..760].iter().all(|x| x.abs() < 2e-3));
         assert_eq!(Thinner::new(1).thin(&wave(0.4)), wave(0.4));
-    }
-
-    #[test]
-    fn an_acceleration_is_integrated_from_where_its_noise_no_longer_leads() {
-        let rate = 200.0;
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let signal: Vec<f64> = (0..20_000).map(|k| (TAU * 8.0 * f64::from(k) / rate).sin()).collect();
-        let mut noisy = |share: f64| -> Vec<f64> {
-            signal.iter().map(|x| x + share * rng.sample::<f64, _>(StandardNormal)).collect()
-        };
-        let (little, much) = (noisy(0.001), noisy(0.05));
-        let below = |x: &[f64], integrals| noisy_below(std::iter::once(x), integrals, rate);
-        let [quiet, loud] = [below(&little, 2), below(&much, 2)];
-        assert!(quiet < loud && loud > 0.2 && loud < 8.0, "{quiet} {loud}");
-        assert!((0.2..8.0).contains(&below(&much, 1)), "a velocity is integrated once");
-        assert!(below(&signal, 2) < 0.05, "nothing is cut without noise");
     }
 }

@@ -25,6 +25,7 @@ mod bend;
 mod candidates;
 mod correlate;
 mod desk;
+mod drift;
 mod entry;
 mod foremost;
 mod forward;

@@ -29,11 +29,7 @@ pub(super) struct Limits {
 /// Motion from samples of a quantity. A velocity is integrated once and an acceleration twice; anything else
 /// is taken for a displacement.
 pub(super) fn motion(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Motion {
-    let order: i32 = match quantity {
-        Quantity::Acceleration => 2,
-        Quantity::Velocity => 1,
-        _ => 0,
-    };
+    let order = quantity.integrals() as i32;
     let derived = |power: i32| {
         let low_hz = if power < 0 { limits.low_hz } else { 0.0 };
         filtered(x, rate_hz, Limits { low_hz, ..limits }, power)
@@ -44,10 +40,7 @@ pub(super) fn motion(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits
 
 /// What goes with a motion of a quantity: a signal inside the limits that the quantity is integrated in.
 pub(super) fn beside(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Vec<f64> {
-    match quantity {
-        Quantity::Acceleration | Quantity::Velocity => filtered(x, rate_hz, limits, 0),
-        _ => x.to_vec(),
-    }
+    if quantity.integrals() > 0 { filtered(x, rate_hz, limits, 0) } else { x.to_vec() }
 }
 
 /// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the mean stays where nothing is integrated.

@@ -4,7 +4,8 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use super::band::{Band, noisy_below};
+use super::band::Band;
+use super::drift::drifts_below;
 use super::input::{Channel, Record, Recording};
 use super::law::Scale;
 use super::motion::{Limits, Motion, beside, motion};
@@ -152,14 +153,11 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     }
     // What noise makes of an acceleration's displacement at low frequencies is no motion.
     let above_noise = |r: usize, quantity: Quantity| -> Limits {
-        let integrals = match quantity {
-            Quantity::Acceleration => 2,
-            Quantity::Velocity => 1,
-            _ => return limits,
-        };
-        let records =
-            recording.records.iter().zip(used).map(|(record, &used)| &record.response.channel(r)[..used]);
-        let low_hz = limits.low_hz.max(noisy_below(records, integrals, rate));
+        let integrals = quantity.integrals();
+        if integrals == 0 {
+            return limits;
+        }
+        let low_hz = limits.low_hz.max(drifts_below(recording, used, r, integrals, limits.high_hz));
         Limits { low_hz, ..limits }
     };
     let mut seen: Vec<(usize, Quantity, Limits)> = Vec::new();

@@ -136,11 +136,7 @@ impl Bench<'_> {
             })
             .collect();
         let follows = |response: usize| -> f64 {
-            let rates = match self.desk.recording.responses[response].quantity {
-                Quantity::Velocity => 1,
-                Quantity::Acceleration => 2,
-                _ => 0,
-            };
+            let rates = self.desk.recording.responses[response].quantity.integrals();
             let block = self.base.retargeted(block, response);
             let found = self.base.coefficients(&block, response, None, 1).columns;
             let mut of_all = vec![0.0; poles.states()];

@@ -23,6 +23,10 @@ const ALIKE: f64 = 1.03;
 /// Share of the gap's power that an identified effect leaves at most in every group.
 const LEFT: f64 = 0.1;
 
+/// Share of what a family, fitted together with the linear part, leaves at the place of its foremost law, below which it
+/// acts at another.
+const ELSEWHERE: f64 = 0.5;
+
 /// The foremost law of a family with the probability that it is the right one.
 #[derive(Debug, Clone)]
 pub struct Ranked<'a> {
@@ -49,15 +53,26 @@ pub fn ranked<'a>(screening: &'a Screening, refits: &Refits, noise: Option<&[f64
     let mut all: Vec<Ranked<'_>> = alternatives
         .into_iter()
         .zip(probabilities)
-        .map(|(a, probability)| Ranked {
-            standing: a.standing,
-            free: a.free,
-            refitted: a.refitted,
-            probability,
+        .map(|(a, probability)| {
+            let elsewhere = elsewhere(screening, refits, a.standing);
+            let (standing, free) = elsewhere.unwrap_or((a.standing, a.free));
+            Ranked { standing, free, refitted: a.refitted, probability }
         })
         .collect();
     all.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     all
+}
+
+/// The family's law at the place where it leaves clearly less when it is fitted together with the linear part, if it
+/// ran freely there.
+fn elsewhere<'a>(
+    screening: &'a Screening,
+    refits: &Refits,
+    of: &Standing,
+) -> Option<(&'a Standing, &'a FreeRun)> {
+    let place = refits.elsewhere(of.family, of.place, ELSEWHERE)?;
+    let there = screening.standings.iter().filter(|s| s.family == of.family && s.place == place);
+    there.filter_map(|s| Some((s, s.free.as_ref()?))).min_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio))
 }
 
 /// The verdict.
@@ -84,8 +99,7 @@ pub(super) fn verdict(
         because,
     };
     let mut because = vec![words::size(input, evidence)];
-    // What a model leaves of runs that it was fitted to says nothing of others.
-    let own = input.runs.iter().any(|run| input.baseline.iter().any(|own| own.name == run.name));
+    let own = input.explains_its_own_runs();
     if own {
         because.push(format!(
             "the model was fitted to these runs; a linear part leaves {:.2} % of those that it was not fitted to",

@@ -143,8 +143,13 @@ impl Of<'_> {
 
     /// RMS of what the law on its own linear part leaves of groups that it was not fitted to.
     fn held_out_alone(&self, r: usize) -> f64 {
+        self.rms_of(r, &self.free.errors[r])
+    }
+
+    /// RMS of errors of a response's groups that are relative to it.
+    fn rms_of(&self, r: usize, errors: &[f64]) -> f64 {
         let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
-        level * self.runs.shares[r] * root_mean_square(&self.free.errors[r])
+        level * self.runs.shares[r] * root_mean_square(errors)
     }
 
     /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where
@@ -168,7 +173,10 @@ impl Of<'_> {
         let power = &self.overview.power[r];
         let stands = self.input.core_stands(r) || self.input.runs.iter().any(|run| run.simulated.is_none());
         let (rms_before, rms_after) = if stands {
-            (power.rms_error, self.held_out_alone(r))
+            // Of runs that it has not seen, a sim leaves what a linear part does that has not seen them either.
+            let unseen = self.rms_of(r, &self.screening.linear.errors[r]);
+            let own = self.input.explains_its_own_runs();
+            (if own { power.rms_error.max(unseen) } else { power.rms_error }, self.held_out_alone(r))
         } else {
             // A sim that bends by itself: the law has to help on top of it.
             let of_sim: Vec<f64> = self

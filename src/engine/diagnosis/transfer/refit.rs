@@ -30,10 +30,20 @@ const PLACES: usize = 3;
 /// A gap below this matters to nothing here.
 const MATERIAL: f64 = 1e-6;
 
-/// What the best law of a family leaves of the linear part's error on stretches that it was not fitted to, by families
-/// that were fitted again.
+/// What laws leave where they are fitted together with the linear part.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Refits(Vec<(Family, f64)>);
+pub struct Refits(Vec<Refit>);
+
+/// One law at one place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refit {
+    place: Place,
+    effect: Effect,
+    /// What it leaves of the linear part's error on stretches that it was not fitted to.
+    left: f64,
+    /// Whether it may be named: a force works as one at its place does.
+    named: bool,
+}
 
 /// One signal with the effects that are fitted to it.
 struct Task {
@@ -42,17 +52,28 @@ struct Task {
 }
 
 impl Refits {
-    /// What the best law of a family leaves.
+    /// What the best law of a family that may be named leaves.
     pub fn left(&self, family: Family) -> Option<f64> {
-        self.0.iter().find(|(of, _)| *of == family).map(|(_, left)| *left)
+        least(self.0.iter().filter(|refit| refit.named && refit.effect.family() == family))
     }
 
-    fn add(&mut self, family: Family, left: f64) {
-        match self.0.iter_mut().find(|(of, _)| *of == family) {
-            Some((_, least)) => *least = least.min(left),
-            None => self.0.push((family, left)),
-        }
+    /// The place at which a law of a family that may be named leaves least, where that is less than `share` of what the
+    /// family leaves at `place`.
+    pub fn elsewhere(&self, family: Family, place: Place, share: f64) -> Option<Place> {
+        let of_family = || self.0.iter().filter(|refit| refit.named && refit.effect.family() == family);
+        let here = least(of_family().filter(|refit| refit.place == place))?;
+        let best = of_family().min_by(|a, b| a.left.total_cmp(&b.left))?;
+        (best.left < share * here).then_some(best.place)
     }
+
+    /// What its best law leaves, whether it may be named or not.
+    pub fn left_by_any(&self, family: Family) -> Option<f64> {
+        least(self.0.iter().filter(|refit| refit.effect.family() == family))
+    }
+}
+
+fn least<'a>(of: impl Iterator<Item = &'a Refit>) -> Option<f64> {
+    of.map(|refit| refit.left).min_by(f64::total_cmp)
 }
 
 /// Fits the families that may be right once more, at the places of the structure where they do best and at the
@@ -67,9 +88,8 @@ pub fn refits(
     catalogue: &[Effect],
     watch: Watch<'_>,
 ) -> Result<Refits, EngineError> {
-    let mut found = Refits::default();
     if screening.transfer == Transfer::OneDrive || recording.records.iter().any(|r| r.added.is_some()) {
-        return Ok(found);
+        return Ok(Refits::default());
     }
     let tasks = tasks(recording, screening, catalogue);
     let recording = beginnings(recording);
@@ -79,7 +99,7 @@ pub fn refits(
     let of_one = |_: Progress<'_>| {
         watch(Progress::new("refit", done.load(Ordering::Relaxed) as f64 / tasks.len() as f64))
     };
-    let of_tasks: Vec<Vec<(Family, f64)>> = tasks
+    let of_tasks: Vec<Vec<Refit>> = tasks
         .par_iter()
         .zip(moved(&recording, &places))
         .map(|(task, moved)| {
@@ -89,8 +109,7 @@ pub fn refits(
             Ok(left)
         })
         .collect::<Result<_, EngineError>>()?;
-    of_tasks.into_iter().flatten().for_each(|(family, left)| found.add(family, left));
-    Ok(found)
+    Ok(Refits(of_tasks.concat()))
 }
 
 /// Where which effects are fitted.
@@ -102,7 +121,7 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     let may = |effect: &Effect| {
         let same = |family| family == effect.family();
         let of_structure = near.iter().filter(|(s, _)| s.place.is_of_structure()).map(|(s, _)| s.family);
-        if bends(*effect) {
+        if effect.family().is_of_structure() {
             of_structure.into_iter().any(same)
         } else {
             near.iter().any(|(s, _)| same(s.family))
@@ -112,7 +131,11 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     let mut tasks: Vec<Task> = Vec::new();
     for (standing, _) in near.iter().filter(|(s, _)| s.place.is_of_structure()) {
         if tasks.len() < PLACES && tasks.iter().all(|task| task.place != standing.place) {
-            let effects = may.iter().copied().filter(|e| bends(*e) || *e == Effect::ValveFlow).collect();
+            let effects = may
+                .iter()
+                .copied()
+                .filter(|e| e.family().is_of_structure() || *e == Effect::ValveFlow)
+                .collect();
             tasks.push(Task { place: standing.place, effects });
         }
     }
@@ -120,8 +143,7 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     if let Some((standing, _)) = near.first().filter(|_| !of_channels.is_empty()) {
         let r = standing.response;
         // What measures a displacement is one signal.
-        let quantity = recording.responses[r].quantity;
-        let integrated = matches!(quantity, Quantity::Acceleration | Quantity::Velocity);
+        let integrated = recording.responses[r].quantity.integrals() > 0;
         let place = if integrated { Place::Output(r) } else { Place::Response(r) };
         match tasks.iter_mut().find(|task| task.place == place) {
             Some(task) => task.effects.extend(of_channels),
@@ -132,15 +154,9 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     tasks
 }
 
-/// Whether an effect is a force over the motion of the structure.
-fn bends(effect: Effect) -> bool {
-    matches!(effect.family(), Family::Stiffness | Family::FrictionHysteresis | Family::Damping)
-}
-
-/// Whether it is one of a drive, or of a response's sensor.
+/// Whether an effect is one of a drive, or of a response's sensor.
 fn of_channel(effect: Effect) -> bool {
-    effect != Effect::ValveFlow
-        && matches!(effect.family(), Family::Actuator | Family::DeadbandBacklash | Family::Sensor)
+    effect != Effect::ValveFlow && effect.family().is_of_channel()
 }
 
 /// The beginnings of all records.
@@ -159,23 +175,19 @@ fn beginnings(recording: &Recording) -> Recording {
 /// How many integrals of what was measured the motion at a place is.
 fn integrals(recording: &Recording, place: Place) -> usize {
     match place {
-        Place::Response(r) | Place::Between(r, _) => match recording.responses[r].quantity {
-            Quantity::Acceleration => 2,
-            Quantity::Velocity => 1,
-            _ => 0,
-        },
+        Place::Response(r) | Place::Between(r, _) => recording.responses[r].quantity.integrals(),
         Place::Drive(_) | Place::Output(_) => 0,
     }
 }
 
-/// What the laws of each family leave at one place, at least; nothing where they cannot be fitted there.
+/// What each law leaves at one place; nothing where they cannot be fitted there.
 fn fitted(
     recording: &Recording,
     grouping: &Grouping,
     task: &Task,
     moved: Moved,
     watch: Watch<'_>,
-) -> Result<Vec<(Family, f64)>, EngineError> {
+) -> Result<Vec<Refit>, EngineError> {
     let Ok(input) = input(recording, grouping, task, moved) else { return Ok(Vec::new()) };
     let Ok(prepared) = prepare_down_to(FLOOR, integrals(recording, task.place), &input) else {
         return Ok(Vec::new());
@@ -185,11 +197,13 @@ fn fitted(
         return Ok(Vec::new());
     }
     let outcome = contest(&input, &task.effects, &prepared, &overview, watch)?;
-    let named = outcome.ranked.iter().map(|ranked| &ranked.scored).filter(|scored| !scored.unnamed());
-    Ok(named
-        .map(|scored| (scored.effect().family(), (scored.chi2 / outcome.chi2_none).sqrt()))
-        .filter(|(_, left)| left.is_finite())
-        .collect())
+    let laws = outcome.ranked.iter().map(|ranked| Refit {
+        place: task.place,
+        effect: ranked.scored.effect(),
+        left: (ranked.scored.chi2 / outcome.chi2_none).sqrt(),
+        named: !ranked.scored.unnamed(),
+    });
+    Ok(laws.filter(|refit| refit.left.is_finite()).collect())
 }
 
 /// One signal as the response to the drives that go with it.
@@ -273,9 +287,9 @@ mod tests {
         let found = of(&runs(stiffening).recording, &unwatched).unwrap();
         let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
         assert!(of_spring < 0.2, "{found:?}");
-        let others = found.0.iter().filter(|(family, _)| *family != Family::Stiffness);
+        let others = found.0.iter().filter(|refit| refit.effect.family() != Family::Stiffness);
         assert!(others.clone().count() > 0, "{found:?}");
-        others.for_each(|(family, left)| assert!(of_spring < 0.5 * left, "{family:?}: {found:?}"));
+        others.for_each(|refit| assert!(of_spring < 0.5 * refit.left, "{refit:?}: {found:?}"));
     }
 
     #[test]
@@ -294,8 +308,8 @@ mod tests {
         }
         let found = of(&recording, &unwatched).unwrap();
         let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
-        let others = found.0.iter().filter(|(family, _)| *family != Family::Stiffness);
-        others.for_each(|(family, left)| assert!(of_spring < *left, "{family:?}: {found:?}"));
+        let others = found.0.iter().filter(|refit| refit.effect.family() != Family::Stiffness);
+        others.for_each(|refit| assert!(of_spring < refit.left, "{refit:?}: {found:?}"));
     }
 
     #[test]
