@@ -207,7 +207,8 @@ pub struct Parameter {
 pub struct HeldOut {
     /// Runs.
     pub runs: Vec<String>,
-    /// RMS of what the sim leaves, in band, response unit.
+    /// RMS of what the sim leaves, in band, response unit; of one that was fitted to these runs what a linear part
+    /// leaves of runs that it was not fitted to, where that is more.
     pub rms_before: f64,
     /// RMS of what sim and effect leave.
     pub rms_after: f64,

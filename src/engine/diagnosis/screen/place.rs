@@ -1,11 +1,12 @@
 //! Where a law may act, and over which motion.
 
 use std::borrow::Cow;
+use std::cell::LazyCell;
 
 use serde::{Deserialize, Serialize};
 
 use super::band::Band;
-use super::drift::drifts_below;
+use super::drift::Drives;
 use super::input::{Channel, Record, Recording};
 use super::law::Scale;
 use super::motion::{Limits, Motion, beside, motion};
@@ -152,13 +153,12 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
         out.extend(argument(Place::Drive(i), channel.quantity, limits, motion));
     }
     // What noise makes of an acceleration's displacement at low frequencies is no motion.
+    let drives = LazyCell::new(|| Drives::new(recording, used, limits.high_hz));
     let above_noise = |r: usize, quantity: Quantity| -> Limits {
-        let integrals = quantity.integrals();
-        if integrals == 0 {
+        if quantity.integrals() == 0 {
             return limits;
         }
-        let low_hz = limits.low_hz.max(drifts_below(recording, used, r, integrals, limits.high_hz));
-        Limits { low_hz, ..limits }
+        Limits { low_hz: drives.explain_from(r, limits), ..limits }
     };
     let mut seen: Vec<(usize, Quantity, Limits)> = Vec::new();
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {

@@ -65,6 +65,25 @@ fn a_hardening_spring_is_named_and_what_it_predicts_bounds_the_noise() {
 }
 
 #[test]
+fn a_law_is_not_held_against_what_a_model_leaves_of_runs_that_it_was_fitted_to() {
+    // So short that a model fits much of what only these runs have.
+    let runs: Vec<_> = (0..3)
+        .map(|i| run(&format!("r{i}"), noise_drive(3.0, 0.5, 21 + i), stiffening_a_little, 0.05, 31 + i))
+        .collect();
+    let input = Input {
+        baseline: runs.clone(),
+        runs,
+        repeats: Vec::new(),
+        ..at_level(0.5, stiffening_a_little, 0.05)
+    };
+    let found = report(&input);
+    let by_transfer = found.hypotheses.iter().find(|h| h.effect.family() != Family::Stiffness).unwrap();
+    let of_linear = by_transfer.transfer.iter().map(|row| row.rms_before).fold(0.0, f64::max);
+    assert!(by_transfer.held_out.rms_before > 0.9 * of_linear, "{by_transfer:?}");
+    assert!(found.hypotheses[0].held_out.closure > 0.3, "{:?}", found.hypotheses[0].held_out);
+}
+
+#[test]
 fn a_spring_that_moves_its_resonance_far_is_among_the_named() {
     let verdict = report(&unrepeated(stiffening, 0.003)).verdict;
     let of_spring = |e: &Effect| e.family() == Family::Stiffness;

@@ -29,7 +29,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 27] = [
+pub const FEATURES: [&str; 28] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -47,6 +47,7 @@ pub const FEATURES: [&str; 27] = [
     "fitted_again",
     "left_by_refit",
     "left_by_free_run_where_fitted_again",
+    "left_by_refit_of_another_family",
     "friction_hysteresis",
     "damping",
     "actuator",
@@ -141,6 +142,8 @@ fn of<'a>(
         yes(refitted.is_some()),
         refitted.map_or(0.0, kept),
         yes(refitted.is_some()) * kept(free.ratio),
+        // A law that cannot be fitted again is less likely where one of another family leaves next to nothing.
+        refits.left_by_others(standing.family).map_or(0.0, kept),
     ];
     let families = FAMILIES.into_iter().map(|family| yes(standing.family == family));
     let physics = [yes(standing.effect == Effect::ValveFlow), yes(drives(standing))];

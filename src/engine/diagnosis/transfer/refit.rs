@@ -41,8 +41,6 @@ pub struct Refit {
     effect: Effect,
     /// What it leaves of the linear part's error on stretches that it was not fitted to.
     left: f64,
-    /// Whether it may be named: a force works as one at its place does.
-    named: bool,
 }
 
 /// One signal with the effects that are fitted to it.
@@ -52,23 +50,23 @@ struct Task {
 }
 
 impl Refits {
-    /// What the best law of a family that may be named leaves.
+    /// What the best law of a family leaves.
     pub fn left(&self, family: Family) -> Option<f64> {
-        least(self.0.iter().filter(|refit| refit.named && refit.effect.family() == family))
+        least(self.0.iter().filter(|refit| refit.effect.family() == family))
     }
 
-    /// The place at which a law of a family that may be named leaves least, where that is less than `share` of what the
-    /// family leaves at `place`.
+    /// The place at which a law of a family leaves least, where that is less than `share` of what the family leaves at
+    /// `place`.
     pub fn elsewhere(&self, family: Family, place: Place, share: f64) -> Option<Place> {
-        let of_family = || self.0.iter().filter(|refit| refit.named && refit.effect.family() == family);
+        let of_family = || self.0.iter().filter(|refit| refit.effect.family() == family);
         let here = least(of_family().filter(|refit| refit.place == place))?;
         let best = of_family().min_by(|a, b| a.left.total_cmp(&b.left))?;
         (best.left < share * here).then_some(best.place)
     }
 
-    /// What its best law leaves, whether it may be named or not.
-    pub fn left_by_any(&self, family: Family) -> Option<f64> {
-        least(self.0.iter().filter(|refit| refit.effect.family() == family))
+    /// What the best law of any other family leaves.
+    pub fn left_by_others(&self, family: Family) -> Option<f64> {
+        least(self.0.iter().filter(|refit| refit.effect.family() != family))
     }
 }
 
@@ -201,7 +199,6 @@ fn fitted(
         place: task.place,
         effect: ranked.scored.effect(),
         left: (ranked.scored.chi2 / outcome.chi2_none).sqrt(),
-        named: !ranked.scored.unnamed(),
     });
     Ok(laws.filter(|refit| refit.left.is_finite()).collect())
 }
