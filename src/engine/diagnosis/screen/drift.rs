@@ -234,8 +234,10 @@ mod tests {
 
     #[test]
     fn an_acceleration_is_integrated_from_where_its_noise_no_longer_leads() {
-        let [quiet, loud] = [0.003, 0.1].map(|white| of(white, 0.0, Quantity::Acceleration));
-        assert!(quiet < loud && loud > 1.0 && loud < 6.0, "{quiet} {loud}");
+        // In the little noise the unknown ends lead; the drives do as much as the much noise at 5 Hz.
+        let [little, much] = [0.003, 1.0].map(|white| of(white, 0.0, Quantity::Acceleration));
+        assert!(little > LOW_HZ && little < 2.0, "{little}");
+        assert!(much > 2.0 && much < 8.0, "{much}");
         assert!(of(0.1, 0.0, Quantity::Velocity) < 6.0, "a velocity is integrated once");
     }
 
