@@ -55,6 +55,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     let overview = Overview::new(input, &prepared);
     report(watch, "where", 0.1)?;
     let without = || overview.without_candidates(input);
+    let again = |h: &Hypothesis, watch: Watch<'_>| fitted_again(input, h, watch);
     // A model that was fitted on the rig has taken in what is linear of the effect: a cause is what holds beside a
     // linear part of its own on runs that it was not fitted to. Repeats tell what is noise.
     if input.mode == Mode::InSitu {
@@ -78,7 +79,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             }
             by_repeats = Some((verdict, outcome));
         }
-        let found = by_transfer(input, &overview, &second)?;
+        let found = by_transfer(input, &overview, &again, &second)?;
         if let Some((verdict, outcome)) = by_repeats {
             let fitted = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining);
             let carried = found.hypotheses.first().map_or(1.0, |(best, _)| best.remaining_share);
@@ -102,7 +103,7 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     };
     let unexplained = matches!(verdict.kind, VerdictKind::NoMaterialGap | VerdictKind::NoneOfCatalogue);
     if !prepared.from_repeats && unexplained && overview.whole() >= input.material_gap {
-        let found = by_transfer(input, &overview, watch)?;
+        let found = by_transfer(input, &overview, &again, watch)?;
         if verdict.kind == VerdictKind::NoMaterialGap || found.verdict.kind.blames() {
             return from_transfer(input, &prepared, &overview, found, watch);
         }
@@ -150,15 +151,7 @@ fn from_transfer(
     let rate = input.sample_rate_hz();
     let names: Vec<String> = input.runs.iter().map(|run| run.name.clone()).collect();
     let problem = &prepared.problems[overview.worst()];
-    let mut verdict = found.verdict;
-    let mut made = found.hypotheses;
-    if let Some(first) = made.first_mut()
-        && let Some(again) = fitted_again(input, &verdict, &first.0, watch)?
-    {
-        verdict = verdict.fitted_again(again.0.effect);
-        *first = again;
-    }
-    let (hypotheses, augmented): (Vec<Hypothesis>, Vec<Augmented>) = made.into_iter().unzip();
+    let (hypotheses, augmented): (Vec<Hypothesis>, Vec<Augmented>) = found.hypotheses.into_iter().unzip();
     // Repeats that were refused are repeats all the same here.
     let used = prepared.warnings.iter().filter(|w| !w.starts_with("repeat_drive_differs"));
     let warnings = used.cloned().chain(found.warnings).collect();
@@ -167,7 +160,7 @@ fn from_transfer(
         schema: "gap-diagnosis/1".into(),
         mode: input.mode,
         noise_floor_source: found.noise,
-        verdict: verdict.naming(hypotheses.first()),
+        verdict: found.verdict.naming(hypotheses.first()),
         remaining: Remaining {
             chi2: left * found.gap.chi2_select,
             ..remaining_after(input, prepared, overview, None, None)

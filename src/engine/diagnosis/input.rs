@@ -141,6 +141,12 @@ impl Input {
         self.runs.iter().any(|run| self.baseline.iter().any(|own| own.name == run.name))
     }
 
+    /// What the sim leaves of runs that it has not seen, by what it leaves of the runs to explain and what a `linear` part
+    /// leaves of runs that it was not fitted to: a sim that was fitted to these does no better on others.
+    pub(super) fn left_of_unseen(&self, left: f64, linear: f64) -> f64 {
+        if self.explains_its_own_runs() { left.max(linear) } else { left }
+    }
+
     /// Whether the core stands for the sim at a response.
     pub(super) fn core_stands(&self, response: usize) -> bool {
         let acts = |added: &Signal| added.channel(response).iter().any(|y| *y != 0.0);

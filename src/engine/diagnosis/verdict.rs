@@ -81,15 +81,6 @@ impl Verdict {
         Some(self)
     }
 
-    /// The same where an effect of its family was fitted once more, which is the one that is blamed then.
-    pub(super) fn fitted_again(mut self, effect: Effect) -> Self {
-        self.effect = Some(effect);
-        self.equivalence_set.retain(|one| *one != effect);
-        self.equivalence_set.insert(0, effect);
-        self.in_words.clear();
-        self
-    }
-
     /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
     pub(super) fn of_a_sim_that_errs(mut self, input: &Input, prepared: &Prepared) -> Self {
         let worst = prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)));

@@ -127,8 +127,12 @@ fn part(part: &Part, plant: &Plant, carried: usize) -> Checked {
         }
     }
     within("forces of a part", part.forces.len(), MAX_PARTS + 1)?;
-    if let Some(InputMap::Free(shape)) = &part.input {
-        spline(shape)?;
+    match &part.input {
+        Some(InputMap::Free(shape)) => spline(shape)?,
+        Some(InputMap::Scaled(map)) if map.clone().beside_fitted() == **map => {
+            return Err("a map that has no size of its own".into());
+        }
+        _ => {}
     }
     part.forces.iter().try_for_each(|law| match law {
         Law::FreeStiffness(shape) | Law::FreeDamping(shape) => spline(shape),

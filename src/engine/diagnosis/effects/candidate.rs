@@ -134,7 +134,7 @@ impl Part {
     /// Numbers that shape the effect, the paths of forces apart; a second path counts as one.
     pub fn shapes(&self) -> usize {
         let laws: usize = self.forces.iter().map(Law::shapes).sum();
-        self.input.as_ref().map_or(0, InputMap::parameters)
+        self.input.as_ref().map_or(0, |map| map.bare().parameters())
             + laws
             + self.forces.len().saturating_sub(1)
             + self.output.map_or(0, OutputMap::parameters)

@@ -25,6 +25,9 @@ pub enum InputMap {
     Backlash,
     /// `u` plus a free function of `u`; its values at the knots
     Free(Spline),
+    /// `e^g (in(u) - u)`, counted from what a linear part does that was fitted with the map on the way: it is less than
+    /// what is behind the map. Against its sign a limit would be a dead zone. The map's numbers, then `g`
+    Scaled(Box<Self>),
 }
 
 impl InputMap {
@@ -33,8 +36,32 @@ impl InputMap {
         match self {
             Self::Saturation | Self::Polynomial => 2,
             Self::Free(spline) => spline.knots(),
+            Self::Scaled(map) => map.parameters() + 1,
             _ => 1,
         }
+    }
+
+    /// The map beside a linear part that was fitted with it on the way. What is free in size stays as it is.
+    pub fn beside_fitted(self) -> Self {
+        match self {
+            Self::Saturation | Self::RateLimit | Self::DeadZone | Self::Backlash => {
+                Self::Scaled(Box::new(self))
+            }
+            _ => self,
+        }
+    }
+
+    /// Whether it is a function of the drive at the same instant.
+    pub fn is_instant(&self) -> bool {
+        match self.bare() {
+            Self::Gain | Self::Saturation | Self::Polynomial | Self::DeadZone | Self::Free(_) => true,
+            Self::Delay | Self::ExtraPole | Self::RateLimit | Self::Backlash | Self::Scaled(_) => false,
+        }
+    }
+
+    /// The map itself.
+    pub fn bare(&self) -> &Self {
+        if let Self::Scaled(map) = self { map.bare() } else { self }
     }
 
     /// Points from which a fit starts, for a drive with quantiles of `|u|` at 30, 60, 80, 95, 99 and
@@ -63,6 +90,11 @@ impl InputMap {
                 spline.places().iter().map(|u| -0.2 * u * u * u).collect(),
                 spline.places().iter().map(|u| -u.clamp(-0.1, 0.1)).collect(),
             ],
+            Self::Scaled(map) => {
+                let mut starts = map.starts(quantiles, slope);
+                starts.iter_mut().for_each(|p| p.push(0.0));
+                starts
+            }
         }
     }
 
@@ -101,6 +133,12 @@ impl InputMap {
                     .collect()
             }
             Self::Free(spline) => drive.iter().map(|&u| spline.at(p, u)).collect(),
+            Self::Scaled(map) => {
+                let (own, factor) = p.split_at(map.parameters());
+                let mut change = map.change(own, drive);
+                change.iter_mut().for_each(|w| *w *= factor[0].exp());
+                change
+            }
         }
     }
 }
@@ -190,6 +228,18 @@ mod tests {
         );
         assert!(mapped(InputMap::Backlash, &[0.2]).iter().zip(&x).all(|(w, u)| (w - u).abs() <= 0.2 + 1e-12));
         assert!(mapped(InputMap::DeadZone, &[0.2]).iter().all(|w| w.abs() <= 0.8));
+    }
+
+    #[test]
+    fn beside_a_fitted_linear_part_a_limit_comes_in_a_size_of_its_own() {
+        let x: Vec<f64> = (0..100).map(|k| (0.3 * f64::from(k)).sin()).collect();
+        let scaled = InputMap::DeadZone.beside_fitted();
+        assert_eq!((scaled.parameters(), scaled.bare()), (2, &InputMap::DeadZone));
+        let (own, twice) = (InputMap::DeadZone.change(&[0.2], &x), scaled.change(&[0.2, 2.0_f64.ln()], &x));
+        assert!(own.iter().zip(&twice).all(|(a, b)| (2.0 * a - b).abs() < 1e-12));
+        let starts = scaled.starts([0.3, 0.5, 0.7, 0.8, 0.9, 1.0], 0.1);
+        assert!(starts.iter().all(|p| p.len() == 2 && p[1] == 0.0), "{starts:?}");
+        assert_eq!(InputMap::Polynomial.beside_fitted(), InputMap::Polynomial, "free in size");
     }
 
     #[test]

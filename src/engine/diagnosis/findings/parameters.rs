@@ -67,7 +67,9 @@ fn readings(problem: &Problem, part: &Part, units: (&str, &[String])) -> Vec<(us
     let mut out = Vec::new();
     let mut at = 0;
     if let Some(map) = &part.input {
-        let list = match map {
+        let list = match map.bare() {
+            // How large it is beside a fitted linear part says nothing of the rig.
+            InputMap::Scaled(_) => Vec::new(),
             InputMap::Gain => vec![read("relative_gain", 1.0, false, "1")],
             InputMap::Delay => vec![read("delay", 1.0 / rate, false, "s")],
             InputMap::ExtraPole => {

@@ -10,7 +10,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::input::{Channel, Input};
-use crate::diagnosis::report::{ChannelHeldOut, EffectShare, HeldOut, Hypothesis, Verdict};
+use crate::diagnosis::report::{ChannelHeldOut, EffectShare, HeldOut, Hypothesis};
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::score::Scored;
 use crate::diagnosis::transfer::FLOOR;
@@ -31,22 +31,25 @@ const SAMPLES: usize = 500_000;
 /// [`EngineError::Cancelled`].
 pub fn fitted_again(
     input: &Input,
-    verdict: &Verdict,
     by_transfer: &Hypothesis,
     watch: Watch<'_>,
 ) -> Result<Option<(Hypothesis, Augmented)>, EngineError> {
-    let Some((named, family)) = verdict.effect.zip(verdict.family).filter(|_| verdict.between.is_none())
-    else {
-        return Ok(None);
-    };
+    let Hypothesis { effect: named, family, at, .. } = by_transfer;
+    let (named, family) = (*named, *family);
     let samples: usize = input.runs.iter().map(|run| run.response.n_samples()).sum();
     let long = samples * input.responses.len() > SAMPLES;
     // A force acts over a displacement, which neither a velocity nor an acceleration is.
-    let of = |r: &&Channel| Some(&r.name) == verdict.at.as_ref();
+    let of = |r: &&Channel| Some(&r.name) == at.as_ref();
     let integrated = |r: &Channel| r.quantity.integrals() > 0;
     let over_none = family.is_of_structure() && input.responses.iter().find(of).is_none_or(integrated);
     let of_one_place = family.is_of_structure() || family.is_of_channel();
-    if long || over_none || input.has_adopted() || !of_one_place || named == Effect::ValveFlow {
+    if long
+        || over_none
+        || by_transfer.between.is_some()
+        || input.has_adopted()
+        || !of_one_place
+        || named == Effect::ValveFlow
+    {
         return Ok(None);
     }
     let of_family = |e: &&Effect| e.family() == family && e.tier() == Tier::Law && **e != Effect::ValveFlow;
@@ -56,9 +59,9 @@ pub fn fitted_again(
     if overview.seen.is_empty() || effects.is_empty() {
         return Ok(None);
     }
-    let of_contest = |p: Progress<'_>| watch(Progress::new("refit", 0.95 + 0.04 * p.fraction));
+    let of_contest = |p: Progress<'_>| watch(Progress::new("refit", p.fraction));
     let outcome = contest(input, &effects, &prepared, &overview, &of_contest)?;
-    let here = |s: &&Scored| !s.unnamed() && place(input, s.problem, s.part()) == verdict.at;
+    let here = |s: &&Scored| !s.unnamed() && place(input, s.problem, s.part()) == *at;
     let scored: Vec<&Scored> = outcome.ranked.iter().map(|ranked| &ranked.scored).filter(here).collect();
     let best = scored.first().copied();
     let own = scored.iter().copied().find(|s| s.effect() == named);
@@ -71,10 +74,22 @@ pub fn fitted_again(
     let made = hypothesis(input, &prepared, &overview, &explanation, by_transfer.probability);
     Ok(made
         .filter(|(made, _)| {
-            left(&made.held_out) < CLEARLY * left(&by_transfer.held_out)
+            leaves_less(made, by_transfer, input, &overview)
                 && (made.stable_over_envelope || !by_transfer.stable_over_envelope)
         })
         .map(|(made, augmented)| (beside_transfer(made, by_transfer), augmented)))
+}
+
+/// Whether a fit leaves clearly less of the response that the law helps most by transfer. Both count in what the sim
+/// leaves of the runs to explain: what transfer counts from may be what a linear part leaves of runs that it has not seen.
+fn leaves_less(made: &Hypothesis, by_transfer: &Hypothesis, input: &Input, overview: &Overview) -> bool {
+    let channel = &by_transfer.channel;
+    let of_fit = made.responses.iter().find(|r| r.channel == *channel);
+    let of_sim = input.responses.iter().position(|r| r.name == *channel);
+    of_fit.zip(of_sim).is_some_and(|(of_fit, r)| {
+        let by_transfer = by_transfer.held_out.rms_after / overview.power[r].rms_error.max(f64::MIN_POSITIVE);
+        left(&of_fit.held_out) < CLEARLY * by_transfer.powi(2)
+    })
 }
 
 /// A fit with what transfer tells: the law's strength, its curve, and what is left of each group. The noise that was

@@ -13,6 +13,8 @@ use crate::diagnosis::effects::output_map::OutputMap;
 use crate::diagnosis::numerics::linear::{dot, least_squares, norm, rms};
 use crate::diagnosis::numerics::smooth::smooth;
 
+/// Size of a drive's change below which its map is none.
+const LEAST_SIZE: f64 = 0.05;
 /// Alternations between the shape and the path of a free law.
 const ALTERNATIONS: usize = 6;
 
@@ -164,11 +166,35 @@ impl<'a> Regression<'a> {
         candidate.residual_rows(self.problem, &self.problem.fit, p)
     }
 
+    /// The start of a guess. How large the change of a drive is, is found with all that is linear; where it would go
+    /// against its sign, its size stays as it was guessed.
     fn regress(&self, candidate: &Candidate, part: &Part, known: &[f64], guess: &Guess) -> Option<Start> {
+        let sized = matches!(part.input, Some(InputMap::Scaled(_)));
+        let start = |sized| self.regressed(candidate, part, known, guess, sized);
+        sized.then(|| start(true)).flatten().or_else(|| start(false))
+    }
+
+    fn regressed(
+        &self,
+        candidate: &Candidate,
+        part: &Part,
+        known: &[f64],
+        guess: &Guess,
+        sized: bool,
+    ) -> Option<Start> {
         let order = self.problem.core.modes.order();
         let mut columns: Vec<Vec<f64>> = Vec::new();
         let mut start = Builder::new(known);
         start.nonlinear(&guess.input, map_scale(part));
+        let map = part.input.as_ref().filter(|_| sized);
+        let size = map.map(|_| start.p.len() - 1);
+        if let Some((map, size)) = map.zip(size) {
+            start.linear[size] = true;
+            columns.push(self.problem.rows(&self.problem.fit, |s| {
+                let drive = self.problem.drive(s, part.drive);
+                self.problem.path(part.drive, map.change(&guess.input, &drive))
+            }));
+        }
         for (law, shape) in part.forces.iter().zip(&guess.shapes) {
             start.nonlinear(shape, 0.3);
             start.linear(law.path(order));
@@ -183,7 +209,14 @@ impl<'a> Regression<'a> {
         if candidate.retune {
             all.extend(self.retune_of(candidate));
         }
-        Some(start.solve(&all, &target))
+        let scaled = size.map(|at| (at, start.p[at], start.scale[at]));
+        let mut start = start.solve(&all, &target);
+        if let Some((at, before, scale)) = scaled {
+            let factor = 1.0 + start.p[at];
+            start.p[at] = before + (factor > LEAST_SIZE).then(|| factor.ln())?;
+            (start.scale[at], start.linear[at]) = (scale, false);
+        }
+        Some(start)
     }
 
     /// A law that is linear in its shape: path and shape in turn.
@@ -299,7 +332,7 @@ pub struct Guess {
 
 /// Size of a change of an input map's numbers that matters.
 pub fn map_scale(part: &Part) -> f64 {
-    match &part.input {
+    match part.input.as_ref().map(InputMap::bare) {
         Some(InputMap::Delay) => 1.0,
         Some(InputMap::Free(_)) => 0.03,
         _ => 0.1,

@@ -13,7 +13,7 @@ use crate::diagnosis::numerics::spline::Spline;
 const KNOTS: usize = 9;
 
 /// All parts that `effects` names on this response. `in_situ` leaves out what the joint linear
-/// retune of every candidate already holds.
+/// retune of every candidate already holds, and lets limits of drives come in a size of their own.
 pub fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: FreeRanges) -> Vec<Part> {
     let drives = problem.drive_peak.len();
     let live: Vec<usize> = (0..drives).filter(|&d| problem.drive_peak[d] > 0.0).collect();
@@ -24,14 +24,15 @@ pub fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: FreeRan
             continue;
         }
         let force = |laws: Vec<Law>| vec![Part::force(effect, laws, None)];
-        let drive = |map: &dyn Fn() -> InputMap| -> Vec<Part> {
-            live.iter().map(|&d| Part::input(effect, d, map())).collect()
+        let drive = |map: InputMap| -> Vec<Part> {
+            let map = if in_situ { map.beside_fitted() } else { map };
+            live.iter().map(|&d| Part::input(effect, d, map.clone())).collect()
         };
         let output = |map| vec![Part::output(effect, map)];
         parts.extend(match effect {
-            Effect::Gain => drive(&|| InputMap::Gain),
-            Effect::Delay => drive(&|| InputMap::Delay),
-            Effect::ExtraPole => drive(&|| InputMap::ExtraPole),
+            Effect::Gain => drive(InputMap::Gain),
+            Effect::Delay => drive(InputMap::Delay),
+            Effect::ExtraPole => drive(InputMap::ExtraPole),
             Effect::LinearChange => vec![Part::linear_change()],
             Effect::CubicStiffness => force(vec![Law::Cubic]),
             Effect::QuadraticStiffness => force(vec![Law::Quadratic]),
@@ -47,12 +48,12 @@ pub fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: FreeRan
             Effect::FreeHysteresis => force(vec![Law::FreeHysteresis]),
             Effect::QuadraticDamping => force(vec![Law::QuadraticDamping]),
             Effect::FreeDamping => force(vec![Law::FreeDamping(Spline::new(-free.v, free.v, KNOTS))]),
-            Effect::DriveSaturation => drive(&|| InputMap::Saturation),
-            Effect::DrivePolynomial => drive(&|| InputMap::Polynomial),
-            Effect::RateLimit => drive(&|| InputMap::RateLimit),
-            Effect::FreeDriveMap => drive(&|| InputMap::Free(Spline::new(-1.0, 1.0, KNOTS))),
-            Effect::DeadZone => drive(&|| InputMap::DeadZone),
-            Effect::Backlash => drive(&|| InputMap::Backlash),
+            Effect::DriveSaturation => drive(InputMap::Saturation),
+            Effect::DrivePolynomial => drive(InputMap::Polynomial),
+            Effect::RateLimit => drive(InputMap::RateLimit),
+            Effect::FreeDriveMap => drive(InputMap::Free(Spline::new(-1.0, 1.0, KNOTS))),
+            Effect::DeadZone => drive(InputMap::DeadZone),
+            Effect::Backlash => drive(InputMap::Backlash),
             Effect::ValveFlow => {
                 live.iter().map(|&d| Part::force(effect, vec![Law::Valve], Some(Other::Drive(d)))).collect()
             }

@@ -2,7 +2,9 @@
 
 use super::rig::{Force, friction, noise_drive, none, request, respond, run};
 use crate::diagnosis::numerics::linear::rms;
-use crate::diagnosis::{Augmented, Effect, Family, Input, Mode, NoiseSource, Report, VerdictKind, diagnose};
+use crate::diagnosis::{
+    Augmented, Effect, Family, Input, Mode, NoiseSource, Report, Run, VerdictKind, diagnose,
+};
 use crate::progress::unwatched;
 use crate::{EngineError, Signal};
 
@@ -171,6 +173,70 @@ fn taps_go_apart_from_the_rest_of_a_law_and_come_back() {
         let mut back: crate::diagnosis::Augmented = serde_json::from_str(&short).unwrap();
         assert!(matches!(back.attach_taps(&taps), Err(EngineError::Weights(_))));
     }
+}
+
+/// A run whose actuator does nothing with a command of less than 0.6.
+fn through_a_dead_zone(name: &str, command: Vec<f64>, seed: u64) -> Run {
+    let moved = command.iter().map(|u| u - u.clamp(-0.6, 0.6)).collect();
+    let driven = run(name, moved, none, 0.003, seed);
+    Run { drive: Signal::new(super::rig::RATE, vec![command]).unwrap(), ..driven }
+}
+
+#[test]
+fn a_dead_zone_that_a_fitted_model_has_taken_in_is_found_at_its_own_width() {
+    let levels = [1.0, 0.6, 1.0, 0.6];
+    let runs: Vec<Run> = (0..4)
+        .map(|i| {
+            let command = noise_drive(16.0, levels[i], 40 + i as u64);
+            through_a_dead_zone(&i.to_string(), command, 50 + i as u64)
+        })
+        .collect();
+    let input = Input { baseline: runs.clone(), runs, ..unrepeated(none, 0.003) };
+    let found = diagnose(&input, &unwatched).unwrap();
+    let (verdict, first) = (&found.report.verdict, &found.report.hypotheses[0]);
+    assert_eq!(
+        (verdict.kind, verdict.effect),
+        (VerdictKind::Identified, Some(Effect::DeadZone)),
+        "{verdict:?}"
+    );
+    assert!(first.held_out.closure > 0.98, "{:?}", first.held_out);
+    let width = first.parameters.iter().find(|p| p.name == "half_width").expect("its width");
+    assert!((width.value - 0.6).abs() < 0.02, "{width:?}");
+    assert!(first.parameters.iter().all(|p| p.value.is_finite()));
+
+    let stored = serde_json::to_value(&found.augmented[0]).unwrap();
+    let loaded: Augmented = serde_json::from_value(stored.clone()).unwrap();
+    assert!(loaded == found.augmented[0] && loaded.check(1, 1, super::rig::RATE).is_ok());
+    let text = stored.to_string();
+    let nested = text.replace(r#"{"Scaled":"DeadZone"}"#, r#"{"Scaled":{"Scaled":"DeadZone"}}"#);
+    assert_ne!(text, nested);
+    let nested: Augmented = serde_json::from_str(&nested).unwrap();
+    assert!(matches!(nested.check(1, 1, super::rig::RATE), Err(EngineError::Weights(_))));
+}
+
+/// Four runs an hour apart at some levels, of a rig that becomes stiffer from each to the next.
+fn stiffer_each_time(levels: [f64; 4]) -> Input {
+    let springs: [Force; 4] = [none, |x, _| 60.0 * x, |x, _| 120.0 * x, |x, _| 180.0 * x];
+    let runs: Vec<Run> = (0..4)
+        .map(|i| {
+            let drive = noise_drive(16.0, levels[i], 60 + i as u64);
+            let done = run(&i.to_string(), drive, springs[i], 0.003, 70 + i as u64);
+            Run { started_s: 3600.0 * i as f64, ..done }
+        })
+        .collect();
+    Input { baseline: runs.clone(), runs, ..unrepeated(none, 0.003) }
+}
+
+#[test]
+fn what_changes_with_time_is_told_alone_only_where_the_level_does_not_follow_the_clock() {
+    let told = report(&stiffer_each_time([0.5, 0.9, 0.4, 0.8])).verdict;
+    assert_eq!(told.effect, Some(Effect::StiffnessDrift), "{told:?}");
+    let found = report(&stiffer_each_time([0.4, 0.5, 0.8, 0.9]));
+    let one = &found.verdict;
+    assert_eq!(one.kind, VerdictKind::NotDistinguishable, "{one:?}");
+    assert!(one.equivalence_set.contains(&Effect::StiffnessDrift), "{one:?}");
+    assert!(one.because.iter().any(|b| b.contains("follows the clock")), "{one:?}");
+    assert_eq!(found.next_experiment.expect("a run").drive.kind, "same_drive_again");
 }
 
 #[test]

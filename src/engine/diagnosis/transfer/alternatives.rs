@@ -98,16 +98,14 @@ static WEIGHTS: LazyLock<Weights> = LazyLock::new(|| {
     serde_json::from_str(include_str!("weights.json")).expect("the weights in the program are JSON")
 });
 
-/// The foremost laws with their free runs. What runs away when it is simulated forward is no cause, and what a linear
-/// part can do needs no law.
-pub(super) fn foremost(screening: &Screening) -> impl Iterator<Item = (&Standing, &FreeRun)> {
-    let laws = screening.foremost().into_iter().filter(|s| !super::linear(s.effect));
-    laws.filter_map(|standing| Some((standing, standing.free.as_ref()?)))
+/// The foremost law of each family. What a linear part can do needs no law.
+pub(super) fn laws(screening: &Screening) -> impl Iterator<Item = &Standing> {
+    screening.foremost().into_iter().filter(|s| !super::linear(s.effect))
 }
 
-/// The alternatives of a screening.
+/// The alternatives of a screening: the foremost laws that could be simulated forward.
 pub fn alternatives<'a>(screening: &'a Screening, refits: &Refits) -> Vec<Alternative<'a>> {
-    foremost(screening).filter_map(|(standing, free)| of(screening, refits, standing, free)).collect()
+    laws(screening).filter_map(|standing| of(screening, refits, standing, standing.free.as_ref()?)).collect()
 }
 
 fn of<'a>(

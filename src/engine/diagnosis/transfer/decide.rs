@@ -3,6 +3,7 @@
 use super::alternatives::{Weights, alternatives, odds_of_none};
 use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
+use super::recording::Runs;
 use super::refit::Refits;
 use super::words;
 use crate::diagnosis::effects::effect::{Effect, Family};
@@ -18,6 +19,8 @@ pub const NAMED: f64 = 0.65;
 const ALONE: f64 = 0.6;
 /// Below this share of the foremost a rival is none.
 const NO_RIVAL: f64 = 0.12;
+/// Foremost laws, that of time the first, which runs do not tell apart whose level follows the clock.
+const ONE_WITH_TIME: usize = 3;
 /// Effects of one family whose errors differ by less are told apart by nothing.
 const ALIKE: f64 = 1.03;
 /// Share of the gap's power that an identified effect leaves at most in every group.
@@ -78,6 +81,7 @@ fn elsewhere<'a>(
 /// The verdict.
 pub(super) fn verdict(
     input: &Input,
+    runs: &Runs,
     screening: &Screening,
     ranked: &[Ranked<'_>],
     evidence: &Evidence,
@@ -99,16 +103,15 @@ pub(super) fn verdict(
         because,
     };
     let mut because = vec![words::size(input, evidence)];
-    let own = input.explains_its_own_runs();
-    if own {
+    if input.explains_its_own_runs() {
         because.push(format!(
             "the model was fitted to these runs; a linear part leaves {:.2} % of those that it was not fitted to",
             100.0 * evidence.linear(r)
         ));
     }
     let there = of_any(ranked);
-    let whole = if own { evidence.whole(r).max(evidence.linear(r)) } else { evidence.whole(r) };
-    let verdict = if whole < input.material_gap {
+    let unseen = input.left_of_unseen(evidence.whole(r), evidence.linear(r));
+    let verdict = if unseen < input.material_gap {
         bare(VerdictKind::NoMaterialGap, 0.97, because)
     } else if evidence.repeats() && evidence.at_most(r) < input.material_gap {
         because.push("repeats show that the rest is noise".into());
@@ -129,9 +132,21 @@ pub(super) fn verdict(
         let errs = bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because);
         return Verdict { in_words: words::MODEL_ERRS.into(), ..errs };
     } else {
-        named(input, screening, ranked, listed, because, bare)
+        named((input, runs), screening, ranked, listed, because, bare)
     };
-    Verdict { in_words: words::sentence(&verdict, listed.first().map(|l| &l.hypothesis)), ..verdict }
+    Verdict { in_words: words::sentence(&verdict, listed.first().map(Listed::last)), ..verdict }
+}
+
+/// The law that the runs single out, if any is likely enough.
+pub(super) fn singled_out<'r, 'a>(ranked: &'r [Ranked<'a>]) -> Option<&'r Ranked<'a>> {
+    let best = ranked.first().filter(|_| of_any(ranked) >= NAMED)?;
+    (best.probability >= ALONE || rivals(ranked).len() == 1).then_some(best)
+}
+
+/// The laws that the foremost is not told from, that first.
+fn rivals<'r, 'a>(ranked: &'r [Ranked<'a>]) -> Vec<&'r Ranked<'a>> {
+    let most = ranked.first().map_or(0.0, |best| best.probability);
+    ranked.iter().filter(|r| r.probability > NO_RIVAL * most).collect()
 }
 
 /// Probability that any of the laws is right.
@@ -140,7 +155,7 @@ fn of_any(ranked: &[Ranked<'_>]) -> f64 {
 }
 
 fn named(
-    input: &Input,
+    (input, runs): (&Input, &Runs),
     screening: &Screening,
     ranked: &[Ranked<'_>],
     listed: &[Listed],
@@ -154,7 +169,8 @@ fn named(
     because.extend(ranked.iter().take(3).map(|r| words::left(input, r)));
     let there = of_any(ranked);
     // The sim with the law in it has to be better than the sim.
-    let helps = listed.first().is_some_and(|l| l.hypothesis.remaining_share < 1.0);
+    let own = listed.iter().map(Listed::last).find(|h| h.family == best.standing.family);
+    let helps = own.is_some_and(|own| own.remaining_share < 1.0);
     if there < NAMED || !helps {
         because.push(
             "nothing predicts enough of it on runs that it has not seen to tell a cause from noise; the same drive \
@@ -165,8 +181,18 @@ fn named(
         let p = if helps { 1.0 - best.probability } else { 0.7 };
         return bare(VerdictKind::Undecided, p.min(0.9), because);
     }
-    let rivals: Vec<&Ranked<'_>> =
-        ranked.iter().filter(|r| r.probability > NO_RIVAL * best.probability).collect();
+    let standing = best.standing;
+    let time = standing.family == Family::TimeVariance && runs.level_follows_time();
+    let rivals: Vec<&Ranked<'_>> = if time {
+        because.push(
+            "the level of the runs follows the clock: what time does and what level does are one here; one of these \
+             drives again, later, would tell"
+                .into(),
+        );
+        ranked.iter().take(ONE_WITH_TIME).collect()
+    } else {
+        rivals(ranked)
+    };
     let among = |family: Family| -> Vec<Effect> {
         let least =
             screening.standings.iter().filter(|s| s.family == family).map(|s| s.ratio).fold(1.0, f64::min);
@@ -178,16 +204,21 @@ fn named(
         }
         effects
     };
-    let standing = best.standing;
     let (at, between) = words::place(input, standing.place);
-    let everywhere = best.free.worst * best.free.worst < LEFT;
-    let clear = best.probability >= ALONE || rivals.len() == 1;
+    // What the law leaves where it does worst, or on the stretches that its last fit has not seen.
+    let worst = match listed.iter().find_map(|l| l.again.as_ref()) {
+        Some((again, _)) => again.remaining_share.sqrt(),
+        None => best.free.worst,
+    };
+    let everywhere = worst * worst < LEFT;
+    let clear = !time && singled_out(ranked).is_some();
+    let effect = own.filter(|_| clear).map_or(standing.effect, |own| own.effect);
     let kind = match (clear, everywhere) {
         (false, _) => VerdictKind::NotDistinguishable,
         (true, true) => VerdictKind::Identified,
         (true, false) => VerdictKind::Partial,
     };
-    let mut set = vec![standing.effect];
+    let mut set = vec![effect];
     let others =
         if clear { among(standing.family) } else { rivals.iter().map(|r| r.standing.effect).collect() };
     others.into_iter().for_each(|effect| {
@@ -198,12 +229,12 @@ fn named(
     if clear && !everywhere {
         because.push(format!(
             "it leaves {:.0} % of the linear part's error where it does worst: a part of the answer",
-            100.0 * best.free.worst
+            100.0 * worst
         ));
     }
     let p = if clear { best.probability } else { there };
     Verdict {
-        effect: clear.then_some(standing.effect),
+        effect: clear.then_some(effect),
         family: clear.then_some(standing.family),
         axis: words::axis(input, standing),
         at,

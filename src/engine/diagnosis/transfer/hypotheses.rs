@@ -29,8 +29,17 @@ const CURVE: usize = 41;
 pub(super) struct Listed {
     pub hypothesis: Hypothesis,
     pub augmented: Augmented,
+    /// The same fitted once more, which is better.
+    pub again: Option<(Hypothesis, Augmented)>,
     /// Held-out errors of its free run relative to the response, `[response][group]`.
     pub errors: Vec<Vec<f64>>,
+}
+
+impl Listed {
+    /// The hypothesis as it was fitted last.
+    pub fn last(&self) -> &Hypothesis {
+        self.again.as_ref().map_or(&self.hypothesis, |again| &again.0)
+    }
 }
 
 /// Hypotheses of all laws that ran freely, in the order of their rank.
@@ -110,6 +119,7 @@ impl Of<'_> {
                 stable_over_envelope,
             },
             augmented: Augmented::of_transfer(added, self.input.has_adopted()),
+            again: None,
             errors: self.free.errors.clone(),
         })
     }
@@ -173,10 +183,8 @@ impl Of<'_> {
         let power = &self.overview.power[r];
         let stands = self.input.core_stands(r) || self.input.runs.iter().any(|run| run.simulated.is_none());
         let (rms_before, rms_after) = if stands {
-            // Of runs that it has not seen, a sim leaves what a linear part does that has not seen them either.
-            let unseen = self.rms_of(r, &self.screening.linear.errors[r]);
-            let own = self.input.explains_its_own_runs();
-            (if own { power.rms_error.max(unseen) } else { power.rms_error }, self.held_out_alone(r))
+            let linear = self.rms_of(r, &self.screening.linear.errors[r]);
+            (self.input.left_of_unseen(power.rms_error, linear), self.held_out_alone(r))
         } else {
             // A sim that bends by itself: the law has to help on top of it.
             let of_sim: Vec<f64> = self

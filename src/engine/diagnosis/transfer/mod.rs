@@ -43,27 +43,37 @@ pub(super) struct Found {
     pub warnings: Vec<String>,
 }
 
-/// Screens the runs, lets the foremost laws run freely and decides.
+/// Fits a hypothesis once more, to all responses; `None` where that cannot be, or leaves no less.
+pub(super) type FitAgain<'a> =
+    &'a dyn Fn(&Hypothesis, Watch<'_>) -> Result<Option<(Hypothesis, Augmented)>, EngineError>;
+
+/// Screens the runs, lets the foremost laws run freely, fits the one that they single out `again`, and decides.
 ///
 /// # Errors
 /// Too few samples to hold any of them out; [`EngineError::Cancelled`].
 pub(super) fn by_transfer(
     input: &Input,
     overview: &Overview,
+    again: FitAgain<'_>,
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
     let of_screen = |p: Progress<'_>| watch(p.within(&(0.15..0.6)));
     let Screened { runs, screening, changed } = screened(input, &of_screen)?;
-    let of_refits = |p: Progress<'_>| watch(p.within(&(0.6..0.8)));
+    let of_refits = |p: Progress<'_>| watch(p.within(&(0.6..0.75)));
     let refits = refits(&runs.recording, &runs.grouping, &screening, &input.catalogue, &of_refits)?;
-    report(watch, "decision", 0.8)?;
     let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
     let relative: Option<Vec<f64>> =
         runs.noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
     let ranked = decide::ranked(&screening, &refits, relative.as_deref());
-    let listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
+    let mut listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
+    if let Some(family) = decide::singled_out(&ranked).map(|best| best.standing.family)
+        && let Some(best) = listed.iter_mut().find(|l| l.hypothesis.family == family)
+    {
+        best.again = again(&best.hypothesis, &|p| watch(p.within(&(0.75..0.85))))?;
+    }
+    report(watch, "decision", 0.85)?;
     let evidence = evidence::Evidence::of(overview, &screening, &runs, &listed);
-    let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
+    let verdict = decide::verdict(input, &runs, &screening, &ranked, &evidence, &listed);
     report(watch, "next experiment", 0.9)?;
     let next = next::experiment(input, &runs.recording, &screening, &ranked, &listed, &verdict);
     let mut warnings = Vec::new();
@@ -83,7 +93,7 @@ pub(super) fn by_transfer(
         },
         linear_closure: evidence.linear_closure(),
         next,
-        hypotheses: listed.into_iter().map(|l| (l.hypothesis, l.augmented)).collect(),
+        hypotheses: listed.into_iter().map(|l| l.again.unwrap_or((l.hypothesis, l.augmented))).collect(),
         warnings,
     })
 }

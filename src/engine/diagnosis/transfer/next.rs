@@ -3,6 +3,7 @@
 use super::decide::Ranked;
 use super::hypotheses::Listed;
 use crate::Signal;
+use crate::diagnosis::effects::effect::Family;
 use crate::diagnosis::input::{Input, Run};
 use crate::diagnosis::numerics::linear::{mean, rms};
 use crate::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
@@ -37,7 +38,9 @@ pub(super) fn experiment(
     if screening.transfer == Transfer::OneDrive {
         return Some(plain(drive("noise", 1.0)));
     }
-    if verdict.kind == VerdictKind::Undecided {
+    // What time does, one drive at two times tells.
+    let time = verdict.effect.is_none() && separates.iter().any(|e| e.family() == Family::TimeVariance);
+    if verdict.kind == VerdictKind::Undecided || time {
         return Some(plain(drive("same_drive_again", 1.0)));
     }
     let [first, second, ..] = listed else { return Some(plain(drive("noise", LEVELS[0]))) };

@@ -1,11 +1,14 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
 use crate::diagnosis::input::{self, Input, Mode, Run};
-use crate::diagnosis::numerics::linear::mean;
+use crate::diagnosis::numerics::linear::{mean, rms};
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// Samples of the baseline that are screened beside fewer of the runs to explain.
 const BASELINE: usize = 100_000;
+
+/// Ratio of two runs' levels from which on they are different.
+const APART: f64 = 1.1;
 
 /// What the runs tell before any law is tried.
 pub(super) struct Runs {
@@ -52,6 +55,20 @@ impl Runs {
     /// Whether runs of the baseline are among them.
     pub fn has_baseline(&self, input: &Input) -> bool {
         self.recording.records.len() > input.runs.len()
+    }
+
+    /// Whether the level of the drives follows the clock: of any two runs at different levels the later is the louder one,
+    /// or of any two the earlier.
+    pub fn level_follows_time(&self) -> bool {
+        let records = &self.recording.records;
+        let level = |record: &Record| record.drive.channels().iter().map(|u| rms(u)).sum::<f64>();
+        let runs: Vec<[f64; 2]> = records.iter().map(|record| [record.started_s, level(record)]).collect();
+        let mut grow = (0..runs.len()).flat_map(|i| (0..i).map(move |j| (i, j))).filter_map(|(i, j)| {
+            let ([t, a], [s, b]) = (runs[i], runs[j]);
+            let apart = a.max(b) > APART * a.min(b) && t != s;
+            apart.then_some((a > b) == (t > s))
+        });
+        grow.next().is_some_and(|first| grow.all(|other| other == first))
     }
 
     /// Runs, of each its first samples.
@@ -141,6 +158,21 @@ mod tests {
         let input = Input { baseline, mode: Mode::InSitu, ..request(none, 0.01) };
         let records = Runs::of(&input).recording.records;
         records[input.runs.len()..].iter().map(|record| record.response.n_samples()).collect()
+    }
+
+    #[test]
+    fn a_level_follows_the_clock_where_no_two_runs_say_otherwise() {
+        let follows = |levels: &[f64]| {
+            let runs = levels.iter().enumerate().map(|(i, level)| {
+                let drive = noise_drive(5.0, *level, i as u64);
+                Run { started_s: 60.0 * i as f64, ..run(&i.to_string(), drive, none, 0.01, i as u64) }
+            });
+            Runs::without_baseline(&Input { runs: runs.collect(), ..request(none, 0.01) })
+                .level_follows_time()
+        };
+        assert!(follows(&[0.2, 0.5, 1.0]) && follows(&[1.0, 0.5, 0.5, 0.2]));
+        assert!(!follows(&[0.5, 0.2, 1.0]) && !follows(&[0.2, 1.0, 0.2]));
+        assert!(!follows(&[1.0, 1.0, 1.0]), "one level");
     }
 
     #[test]

@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::alternatives::foremost;
+use super::alternatives::laws;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::input::{self, Input, Mode, Run};
-use crate::diagnosis::screen::{Grouping, Moved, Place, Recording, Screening, Transfer, moved};
+use crate::diagnosis::screen::{Grouping, Moved, Place, Recording, Screening, Standing, Transfer, moved};
 use crate::diagnosis::search::contest::contest;
 use crate::progress::{Progress, Watch};
 use crate::{EngineError, Quantity, Signal};
@@ -27,6 +27,8 @@ const SAMPLES: usize = 60_000;
 const BEHIND: f64 = 3.0;
 /// Places of the structure at which families are fitted again, at most.
 const PLACES: usize = 3;
+/// A law whose free run runs away leaves less than this by regression, or is none.
+const NOTHING: f64 = 0.9;
 /// A gap below this matters to nothing here.
 const MATERIAL: f64 = 1e-6;
 
@@ -112,22 +114,25 @@ pub fn refits(
 
 /// Where which effects are fitted.
 fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> Vec<Task> {
-    let mut near: Vec<_> = foremost(screening).collect();
-    near.sort_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio));
-    let least = near.first().map_or(1.0, |(_, free)| free.ratio);
-    near.retain(|(_, free)| free.ratio < BEHIND * least);
+    // A law whose free run runs away at the screen's rate may run well at the rig's.
+    let left = |standing: &Standing| standing.free.as_ref().map_or(standing.ratio, |free| free.ratio);
+    let mut near: Vec<&Standing> =
+        laws(screening).filter(|s| s.free.is_some() || s.ratio < NOTHING).collect();
+    near.sort_by(|a, b| left(a).total_cmp(&left(b)));
+    let least = near.iter().filter_map(|s| s.free.as_ref()).map(|free| free.ratio).fold(1.0, f64::min);
+    near.retain(|standing| left(standing) < BEHIND * least);
     let may = |effect: &Effect| {
         let same = |family| family == effect.family();
-        let of_structure = near.iter().filter(|(s, _)| s.place.is_of_structure()).map(|(s, _)| s.family);
+        let of_structure = near.iter().filter(|s| s.place.is_of_structure()).map(|s| s.family);
         if effect.family().is_of_structure() {
             of_structure.into_iter().any(same)
         } else {
-            near.iter().any(|(s, _)| same(s.family))
+            near.iter().any(|s| same(s.family))
         }
     };
     let may: Vec<Effect> = catalogue.iter().copied().filter(may).collect();
     let mut tasks: Vec<Task> = Vec::new();
-    for (standing, _) in near.iter().filter(|(s, _)| s.place.is_of_structure()) {
+    for standing in near.iter().filter(|s| s.place.is_of_structure()) {
         if tasks.len() < PLACES && tasks.iter().all(|task| task.place != standing.place) {
             let effects = may
                 .iter()
@@ -138,7 +143,7 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
         }
     }
     let of_channels: Vec<Effect> = may.into_iter().filter(|e| of_channel(*e)).collect();
-    if let Some((standing, _)) = near.first().filter(|_| !of_channels.is_empty()) {
+    if let Some(standing) = near.first().filter(|_| !of_channels.is_empty()) {
         let r = standing.response;
         // What measures a displacement is one signal.
         let integrated = recording.responses[r].quantity.integrals() > 0;

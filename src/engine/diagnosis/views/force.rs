@@ -307,10 +307,7 @@ fn curve(
     let over = match acting {
         Acting::Unknown => return None,
         Acting::Force { law, .. } => argument(law)?,
-        Acting::Drive { map: InputMap::Gain | InputMap::Saturation | InputMap::Polynomial, .. } => {
-            Argument::Drive
-        }
-        Acting::Drive { map: InputMap::DeadZone | InputMap::Free(_), .. } => Argument::Drive,
+        Acting::Drive { map, .. } if map.is_instant() => Argument::Drive,
         Acting::Drive { .. } | Acting::Sensor { map: OutputMap::Drift, .. } => return None,
         Acting::Sensor { .. } => Argument::Response,
     };
