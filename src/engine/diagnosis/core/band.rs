@@ -1,7 +1,6 @@
 //! The band in which low-level runs can tell the core anything.
 
-use rigcast_numerics::fft::RealFftPlanner;
-
+use crate::diagnosis::numerics::hann::Hann;
 use crate::diagnosis::numerics::rows::fast_len;
 
 /// Share of the drive's power that lies inside the band.
@@ -19,20 +18,7 @@ pub(in crate::diagnosis) fn drive_band(stretches: &[Vec<&[f64]>]) -> Option<[f64
         let mut of_drive = vec![0.0; BINS + 1];
         for stretch in stretches {
             let n = fast_len(stretch[drive].len());
-            let samples = &stretch[drive][..n];
-            let mean = samples.iter().sum::<f64>() / n as f64;
-            let mut input: Vec<f64> = samples
-                .iter()
-                .enumerate()
-                .map(|(i, x)| {
-                    let hann = 0.5 - 0.5 * (std::f64::consts::TAU * (i as f64 + 0.5) / n as f64).cos();
-                    (x - mean) * hann
-                })
-                .collect();
-            let fft = RealFftPlanner::new().plan_fft_forward(n);
-            let mut lines = fft.make_output_vec();
-            fft.process(&mut input, &mut lines).expect("buffers are the plan's own");
-            for (line, z) in lines.iter().enumerate() {
+            for (line, z) in Hann::new(n).lines(&stretch[drive][..n]).iter().enumerate() {
                 of_drive[2 * BINS * line / n] += z.norm_sqr() / n as f64;
             }
         }

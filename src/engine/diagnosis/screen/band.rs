@@ -2,9 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use rigcast_numerics::fft::RealFftPlanner;
-
 use super::input::Recording;
+use crate::diagnosis::numerics::hann::Hann;
 
 /// Longest segment of a spectrum, samples.
 const LONGEST: usize = 1 << 16;
@@ -76,17 +75,11 @@ fn floor(power: &[f64]) -> f64 {
 
 /// Mean power of the lines of Hann segments of `size` samples, half overlapping, each about its own mean.
 fn power<'a>(channels: impl Iterator<Item = &'a [f64]>, size: usize) -> Vec<f64> {
-    let window: Vec<f64> =
-        (0..size).map(|k| 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / size as f64).cos()).collect();
-    let fft = RealFftPlanner::new().plan_fft_forward(size);
-    let mut lines = fft.make_output_vec();
-    let mut sum = vec![0.0; lines.len()];
+    let hann = Hann::new(size);
+    let mut sum = vec![0.0; size / 2 + 1];
     for x in channels {
         for start in (0..).step_by(size / 2).take_while(|start| start + size <= x.len()) {
-            let part = &x[start..start + size];
-            let mean = part.iter().sum::<f64>() / size as f64;
-            let mut samples: Vec<f64> = part.iter().zip(&window).map(|(x, w)| (x - mean) * w).collect();
-            fft.process(&mut samples, &mut lines).expect("buffers are the plan's own");
+            let lines = hann.lines(&x[start..start + size]);
             sum.iter_mut().zip(&lines).for_each(|(s, z)| *s += z.norm_sqr());
         }
     }

@@ -1,17 +1,16 @@
 //! From which frequency on an acceleration or a velocity is integrated.
 //!
 //! An integral makes the noise at low frequencies large, whatever its colour, and so what its unknown beginning and end
-//! leave of it. What a displacement does there follows from the drives as from a spring, alike over a band of some lines. In the lowest band in which such a spring explains more
-//! than half of what was measured, its integral is cut where what it leaves no longer leads.
-
-use std::f64::consts::TAU;
+//! leave of it. What a displacement does there follows from the drives as from a spring, alike over a band of some lines.
+//! In the lowest band in which such a spring explains more than half of what was measured, its integral is cut where what
+//! it leaves no longer leads.
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
-use rigcast_numerics::fft::RealFftPlanner;
 
 use super::input::Recording;
-use super::motion::{Limits, motion};
+use super::motion::{Limits, displacement};
+use crate::diagnosis::numerics::hann::Hann;
 use crate::diagnosis::numerics::linear::{dot, least_squares};
 
 /// Lines of all records in a band, beside as many a drive: with fewer, noise would look explained by chance.
@@ -28,6 +27,8 @@ pub(super) struct Drives<'a> {
     records: Vec<Lines>,
     /// Highest frequency that is looked at, Hz.
     highest: f64,
+    /// Width of a band, Hz.
+    width: f64,
 }
 
 /// Lines of a record's drives.
@@ -46,7 +47,7 @@ impl<'a> Drives<'a> {
         let rate = recording.sample_rate_hz();
         let highest = high_hz.min(0.5 * rate);
         let long = recording.records.iter().zip(used).enumerate().filter(|(_, (_, used))| **used > 2 * LINES);
-        let records = long
+        let records: Vec<Lines> = long
             .map(|(record, (of, &used))| {
                 let samples = used - used % 2;
                 let line_hz = rate / samples as f64;
@@ -55,7 +56,9 @@ impl<'a> Drives<'a> {
                 Lines { record, samples, line_hz, drives }
             })
             .collect();
-        Self { recording, records, highest }
+        let seconds: f64 = records.iter().map(|of| 1.0 / of.line_hz).sum();
+        let width = (LINES * (recording.drives.len() + 1)) as f64 / seconds.max(f64::MIN_POSITIVE);
+        Self { recording, records, highest, width }
     }
 
     /// Frequency from which on a response's integral is the drives' doing, Hz: no lower than that of `limits`, which
@@ -80,12 +83,10 @@ impl<'a> Drives<'a> {
         let integrals = quantity.integrals() as i32;
         let of_record = |of: &Lines| {
             let y = &self.recording.records[of.record].response.channel(response)[..of.samples];
-            lines(&motion(y, quantity, rate, limits).d, of.line_hz, self.highest)
+            lines(&displacement(y, quantity, rate, limits), of.line_hz, self.highest)
         };
         let responses: Vec<Vec<Complex64>> = self.records.iter().map(of_record).collect();
-        let seconds: f64 = self.records.iter().map(|of| 1.0 / of.line_hz).sum();
-        let drives = self.recording.drives.len();
-        let width = (LINES * (drives + 1)) as f64 / seconds.max(f64::MIN_POSITIVE);
+        let (drives, width) = (self.recording.drives.len(), self.width);
         // Bands overlap by a half. What a window makes of a mean and of a slope is in the first two lines.
         let lowest = self.records.iter().map(|of| 2.0 * of.line_hz).fold(limits.low_hz, f64::max);
         let mut bands =
@@ -138,15 +139,9 @@ impl<'a> Drives<'a> {
     }
 }
 
-/// Lines of a signal about its mean, under Hann's window, up to a frequency.
+/// Lines of a signal up to a frequency.
 fn lines(x: &[f64], line_hz: f64, highest: f64) -> Vec<Complex64> {
-    let n = x.len();
-    let fft = RealFftPlanner::new().plan_fft_forward(n);
-    let mean = x.iter().sum::<f64>() / n as f64;
-    let hann = |k: usize| 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / n as f64).cos();
-    let mut samples: Vec<f64> = x.iter().enumerate().map(|(k, x)| (x - mean) * hann(k)).collect();
-    let mut lines = fft.make_output_vec();
-    fft.process(&mut samples, &mut lines).expect("buffers are the plan's own");
+    let mut lines = Hann::new(x.len()).lines(x);
     lines.truncate((highest / line_hz) as usize + 1);
     lines.shrink_to_fit();
     lines
@@ -180,6 +175,8 @@ fn cut(mut lines: Vec<Line>, integrals: i32) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;

@@ -30,12 +30,21 @@ pub(super) struct Limits {
 /// is taken for a displacement.
 pub(super) fn motion(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Motion {
     let order = quantity.integrals() as i32;
-    let derived = |power: i32| {
-        let low_hz = if power < 0 { limits.low_hz } else { 0.0 };
-        filtered(x, rate_hz, Limits { low_hz, ..limits }, power)
-    };
-    let d = if order == 0 { x.to_vec() } else { derived(-order) };
-    Motion { d, v: derived(1 - order) }
+    Motion { d: displacement(x, quantity, rate_hz, limits), v: derived(x, rate_hz, limits, 1 - order) }
+}
+
+/// Its displacement alone.
+pub(super) fn displacement(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits) -> Vec<f64> {
+    match quantity.integrals() as i32 {
+        0 => x.to_vec(),
+        order => derived(x, rate_hz, limits, -order),
+    }
+}
+
+/// Times `(2 pi i f)^power`; only an integral has a lower limit.
+fn derived(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
+    let low_hz = if power < 0 { limits.low_hz } else { 0.0 };
+    filtered(x, rate_hz, Limits { low_hz, ..limits }, power)
 }
 
 /// What goes with a motion of a quantity: a signal inside the limits that the quantity is integrated in.

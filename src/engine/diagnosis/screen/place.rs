@@ -9,7 +9,7 @@ use super::band::Band;
 use super::drift::Drives;
 use super::input::{Channel, Record, Recording};
 use super::law::Scale;
-use super::motion::{Limits, Motion, beside, motion};
+use super::motion::{Limits, Motion, beside, displacement, motion};
 use crate::Quantity;
 
 /// The argument of a law.
@@ -72,7 +72,7 @@ impl Seen {
 
     /// The displacement, at the rate of the responses.
     pub fn displacement(&self, responses: &[&[f64]], rate_hz: f64) -> Vec<f64> {
-        let of = |r: usize| motion(responses[r], self.quantity, rate_hz, self.limits).d;
+        let of = |r: usize| displacement(responses[r], self.quantity, rate_hz, self.limits);
         match self.place {
             Place::Drive(_) => Vec::new(),
             Place::Response(r) | Place::Output(r) => of(r),
@@ -154,7 +154,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     }
     // What noise makes of an acceleration's displacement at low frequencies is no motion.
     let drives = LazyCell::new(|| Drives::new(recording, used, limits.high_hz));
-    let above_noise = |r: usize, quantity: Quantity| -> Limits {
+    let explained = |r: usize, quantity: Quantity| -> Limits {
         if quantity.integrals() == 0 {
             return limits;
         }
@@ -162,7 +162,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     };
     let mut seen: Vec<(usize, Quantity, Limits)> = Vec::new();
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
-        let own = above_noise(r, channel.quantity);
+        let own = explained(r, channel.quantity);
         let motion = of(false, r, channel.quantity, own);
         if let Some(argument) = argument(Place::Response(r), channel.quantity, own, motion) {
             out.push(argument);
