@@ -37,14 +37,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sine_between_two_lines_leaves_the_others_alone_and_a_mean_leaves_all() {
+    fn a_sine_on_a_line_is_in_three_lines_and_a_mean_in_none() {
         let n = 512;
-        let x: Vec<f64> = (0..n).map(|k| 7.0 + (TAU * 20.5 * k as f64 / n as f64).sin()).collect();
+        let x: Vec<f64> = (0..n).map(|k| 7.0 + (TAU * 20.0 * k as f64 / n as f64).sin()).collect();
         let lines = Hann::new(n).lines(&x);
         assert_eq!(lines.len(), n / 2 + 1);
-        let power = |line: usize| lines[line].norm_sqr();
-        assert!((power(20) / power(21) - 1.0).abs() < 0.1, "{} {}", power(20), power(21));
-        let far = (0..lines.len()).filter(|line| line.abs_diff(20) > 8).map(power).fold(0.0, f64::max);
-        assert!(far < 1e-5 * power(20), "{far}");
+        // Half of the window's mean, and a quarter of it beside.
+        assert!((lines[20].norm() - 0.25 * n as f64).abs() < 1e-9, "{}", lines[20]);
+        assert!([19, 21].iter().all(|&k| (lines[k].norm() - 0.125 * n as f64).abs() < 1e-9));
+        let others = (0..lines.len()).filter(|line| line.abs_diff(20) > 1);
+        assert!(others.map(|line| lines[line].norm()).all(|left| left < 1e-9));
     }
 }
