@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::diagnosis::effects::effect::Effect;
+use crate::diagnosis::numerics::linear::rms;
 use crate::{EngineError, Quantity, Signal};
 
 /// A channel as the report names it.
@@ -163,6 +164,11 @@ impl Input {
         self.drive_limit.clone().unwrap_or_else(|| reached.to_vec())
     }
 
+    /// The run whose drives are at the highest level.
+    pub(super) fn loudest(&self) -> Option<&Run> {
+        self.runs.iter().max_by(|a, b| level(&a.drive).total_cmp(&level(&b.drive)))
+    }
+
     /// Samples a second.
     ///
     /// # Panics
@@ -170,6 +176,11 @@ impl Input {
     pub fn sample_rate_hz(&self) -> f64 {
         self.runs[0].drive.sample_rate_hz()
     }
+}
+
+/// How hard drives drive: the sum of their RMS, which orders runs of one rig by their level.
+pub(super) fn level(drive: &Signal) -> f64 {
+    drive.channels().iter().map(|u| rms(u)).sum()
 }
 
 fn check_run(run: &Run, drives: usize, responses: usize, rate: f64) -> Result<(), EngineError> {

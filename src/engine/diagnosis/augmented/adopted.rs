@@ -129,7 +129,7 @@ fn part(part: &Part, plant: &Plant, carried: usize) -> Checked {
     within("forces of a part", part.forces.len(), MAX_PARTS + 1)?;
     match &part.input {
         Some(InputMap::Free(shape)) => spline(shape)?,
-        Some(InputMap::Scaled(map)) if map.clone().beside_fitted() == **map => {
+        Some(InputMap::Scaled(map)) if !map.is_a_limit() => {
             return Err("a map that has no size of its own".into());
         }
         _ => {}

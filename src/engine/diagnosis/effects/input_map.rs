@@ -43,12 +43,12 @@ impl InputMap {
 
     /// The map beside a linear part that was fitted with it on the way. What is free in size stays as it is.
     pub fn beside_fitted(self) -> Self {
-        match self {
-            Self::Saturation | Self::RateLimit | Self::DeadZone | Self::Backlash => {
-                Self::Scaled(Box::new(self))
-            }
-            _ => self,
-        }
+        if self.is_a_limit() { Self::Scaled(Box::new(self)) } else { self }
+    }
+
+    /// Whether it takes away what a limit does not let through: the size of its change is given by its numbers.
+    pub fn is_a_limit(&self) -> bool {
+        matches!(self, Self::Saturation | Self::RateLimit | Self::DeadZone | Self::Backlash)
     }
 
     /// Whether it is a function of the drive at the same instant.

@@ -3,7 +3,6 @@
 use super::alternatives::{Weights, alternatives, odds_of_none};
 use super::evidence::{Evidence, root_mean_square};
 use super::hypotheses::Listed;
-use super::recording::Runs;
 use super::refit::Refits;
 use super::words;
 use crate::diagnosis::effects::effect::{Effect, Family};
@@ -81,7 +80,6 @@ fn elsewhere<'a>(
 /// The verdict.
 pub(super) fn verdict(
     input: &Input,
-    runs: &Runs,
     screening: &Screening,
     ranked: &[Ranked<'_>],
     evidence: &Evidence,
@@ -132,7 +130,7 @@ pub(super) fn verdict(
         let errs = bare(VerdictKind::NoneOfCatalogue, (1.0 - there).clamp(0.5, SUREST), because);
         return Verdict { in_words: words::MODEL_ERRS.into(), ..errs };
     } else {
-        named((input, runs), screening, ranked, listed, because, bare)
+        named(input, screening, ranked, evidence, listed, because, bare)
     };
     Verdict { in_words: words::sentence(&verdict, listed.first().map(Listed::last)), ..verdict }
 }
@@ -154,10 +152,18 @@ fn of_any(ranked: &[Ranked<'_>]) -> f64 {
     ranked.iter().map(|r| r.probability).sum()
 }
 
+/// Effects of a family whose laws leave nearly the same.
+fn alike(screening: &Screening, family: Family) -> Vec<Effect> {
+    let of_family = || screening.standings.iter().filter(|s| s.family == family);
+    let least = of_family().map(|s| s.ratio).fold(1.0, f64::min);
+    of_family().filter(|s| s.ratio < ALIKE * least).map(|s| s.effect).collect()
+}
+
 fn named(
-    (input, runs): (&Input, &Runs),
+    input: &Input,
     screening: &Screening,
     ranked: &[Ranked<'_>],
+    evidence: &Evidence,
     listed: &[Listed],
     mut because: Vec<String>,
     bare: impl Fn(VerdictKind, f64, Vec<String>) -> Verdict,
@@ -182,65 +188,55 @@ fn named(
         return bare(VerdictKind::Undecided, p.min(0.9), because);
     }
     let standing = best.standing;
-    let time = standing.family == Family::TimeVariance && runs.level_follows_time();
-    let rivals: Vec<&Ranked<'_>> = if time {
+    let family = standing.family;
+    let (at, between) = words::place(input, standing.place);
+    let (axis, channel) = (words::axis(input, standing), input.responses[standing.response].name.clone());
+    let blamed = |kind, p: f64, set: Vec<Effect>, because| Verdict {
+        axis,
+        at,
+        between,
+        channel: Some(channel),
+        equivalence_set: each_once(set),
+        ..bare(kind, p.min(SUREST), because)
+    };
+    let of = |laws: &[&Ranked<'_>]| laws.iter().map(|law| law.standing.effect).collect();
+    let untold = VerdictKind::NotDistinguishable;
+    if family == Family::TimeVariance && evidence.level_follows_time() {
         because.push(
             "the level of the runs follows the clock: what time does and what level does are one here; one of these \
              drives again, later, would tell"
                 .into(),
         );
-        ranked.iter().take(ONE_WITH_TIME).collect()
-    } else {
-        rivals(ranked)
-    };
-    let among = |family: Family| -> Vec<Effect> {
-        let least =
-            screening.standings.iter().filter(|s| s.family == family).map(|s| s.ratio).fold(1.0, f64::min);
-        let mut effects: Vec<Effect> = Vec::new();
-        for standing in screening.standings.iter().filter(|s| s.family == family && s.ratio < ALIKE * least) {
-            if !effects.contains(&standing.effect) {
-                effects.push(standing.effect);
-            }
-        }
-        effects
-    };
-    let (at, between) = words::place(input, standing.place);
+        let foremost: Vec<_> = ranked.iter().take(ONE_WITH_TIME).collect();
+        return blamed(untold, there, of(&foremost), because);
+    }
+    if singled_out(ranked).is_none() {
+        return blamed(untold, there, of(&rivals(ranked)), because);
+    }
     // What the law leaves where it does worst, or on the stretches that its last fit has not seen.
-    let worst = match listed.iter().find_map(|l| l.again.as_ref()) {
-        Some((again, _)) => again.remaining_share.sqrt(),
-        None => best.free.worst,
+    let (worst, of_what) = match listed.iter().find_map(|l| l.again.as_ref()) {
+        Some((again, _)) => {
+            (again.remaining_share.sqrt(), "of the gap on stretches that its fit has not seen")
+        }
+        None => (best.free.worst, "of the linear part's error where it does worst"),
     };
     let everywhere = worst * worst < LEFT;
-    let clear = !time && singled_out(ranked).is_some();
-    let effect = own.filter(|_| clear).map_or(standing.effect, |own| own.effect);
-    let kind = match (clear, everywhere) {
-        (false, _) => VerdictKind::NotDistinguishable,
-        (true, true) => VerdictKind::Identified,
-        (true, false) => VerdictKind::Partial,
-    };
-    let mut set = vec![effect];
-    let others =
-        if clear { among(standing.family) } else { rivals.iter().map(|r| r.standing.effect).collect() };
-    others.into_iter().for_each(|effect| {
-        if !set.contains(&effect) {
-            set.push(effect);
+    if !everywhere {
+        because.push(format!("it leaves {:.0} % {of_what}: a part of the answer", 100.0 * worst));
+    }
+    let kind = if everywhere { VerdictKind::Identified } else { VerdictKind::Partial };
+    let effect = own.map_or(standing.effect, |own| own.effect);
+    let set = std::iter::once(effect).chain(alike(screening, family)).collect();
+    let blamed = blamed(kind, best.probability, set, because);
+    Verdict { effect: Some(effect), family: Some(family), ..blamed }
+}
+
+fn each_once(effects: Vec<Effect>) -> Vec<Effect> {
+    let mut seen = Vec::new();
+    for effect in effects {
+        if !seen.contains(&effect) {
+            seen.push(effect);
         }
-    });
-    if clear && !everywhere {
-        because.push(format!(
-            "it leaves {:.0} % of the linear part's error where it does worst: a part of the answer",
-            100.0 * worst
-        ));
     }
-    let p = if clear { best.probability } else { there };
-    Verdict {
-        effect: clear.then_some(effect),
-        family: clear.then_some(standing.family),
-        axis: words::axis(input, standing),
-        at,
-        between,
-        channel: Some(input.responses[standing.response].name.clone()),
-        equivalence_set: set,
-        ..bare(kind, p.min(SUREST), because)
-    }
+    seen
 }

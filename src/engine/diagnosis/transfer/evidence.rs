@@ -16,6 +16,8 @@ pub(super) struct Evidence {
     noise: Option<Vec<f64>>,
     /// What a linear part fitted to the other groups leaves.
     linear: Vec<f64>,
+    /// See [`Runs::level_follows_time`].
+    level_follows_time: bool,
 }
 
 impl Evidence {
@@ -38,7 +40,7 @@ impl Evidence {
             .noise
             .as_ref()
             .map(|n| n.iter().zip(&level).zip(&whole).map(|((n, l), w)| (n / l).min(*w)).collect());
-        Self { whole, best, noise, linear }
+        Self { whole, best, noise, linear, level_follows_time: runs.level_follows_time() }
     }
 
     /// The response with the largest systematic error that may be.
@@ -75,6 +77,11 @@ impl Evidence {
     /// Whether repeats tell the noise.
     pub fn repeats(&self) -> bool {
         self.noise.is_some()
+    }
+
+    /// Whether what time does and what level does are one in these runs.
+    pub fn level_follows_time(&self) -> bool {
+        self.level_follows_time
     }
 
     /// Share of the gap's power that a linear part closes.

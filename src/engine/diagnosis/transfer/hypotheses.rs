@@ -70,7 +70,7 @@ impl Of<'_> {
     fn listed(&self) -> Option<Listed> {
         let standing = self.ranked.standing;
         let (added, of_bare) = self.added();
-        let loudest = self.input.runs.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
+        let loudest = self.input.loudest()?;
         let drives = loudest.drive.channels();
         let peaks: Vec<f64> = (0..self.input.drives.len())
             .map(|d| {
@@ -344,10 +344,6 @@ fn next_within(values: &[f64]) -> f64 {
     let of_more = NORMAL * (1.0 + first + second);
     let student = STUDENT.get(freedom - 1).copied().unwrap_or(of_more);
     student * (squares / nu).sqrt() * (1.0 + 1.0 / values.len() as f64).sqrt()
-}
-
-fn level(run: &Run) -> f64 {
-    run.drive.channels().iter().map(|d| rms(d)).sum()
 }
 
 /// What a prediction leaves of a run's response about its mean, after the first sixth.

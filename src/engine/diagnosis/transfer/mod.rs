@@ -73,7 +73,7 @@ pub(super) fn by_transfer(
     }
     report(watch, "decision", 0.85)?;
     let evidence = evidence::Evidence::of(overview, &screening, &runs, &listed);
-    let verdict = decide::verdict(input, &runs, &screening, &ranked, &evidence, &listed);
+    let verdict = decide::verdict(input, &screening, &ranked, &evidence, &listed);
     report(watch, "next experiment", 0.9)?;
     let next = next::experiment(input, &runs.recording, &screening, &ranked, &listed, &verdict);
     let mut warnings = Vec::new();

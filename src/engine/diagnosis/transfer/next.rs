@@ -4,8 +4,8 @@ use super::decide::Ranked;
 use super::hypotheses::Listed;
 use crate::Signal;
 use crate::diagnosis::effects::effect::Family;
-use crate::diagnosis::input::{Input, Run};
-use crate::diagnosis::numerics::linear::{mean, rms};
+use crate::diagnosis::input::Input;
+use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::report::{NextDrive, NextExperiment, Verdict, VerdictKind};
 use crate::diagnosis::screen::{Recording, Screening, Transfer};
 
@@ -44,8 +44,7 @@ pub(super) fn experiment(
         return Some(plain(drive("same_drive_again", 1.0)));
     }
     let [first, second, ..] = listed else { return Some(plain(drive("noise", LEVELS[0]))) };
-    let level = |run: &Run| run.drive.channels().iter().map(|d| rms(d)).sum::<f64>();
-    let loudest = input.runs.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
+    let loudest = input.loudest()?;
     // What adopted effects do at another level is not known here.
     let level_known = |scale: f64| !input.has_adopted() || scale == 1.0;
     let allowed = |scale: f64| {

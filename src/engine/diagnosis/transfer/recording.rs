@@ -1,7 +1,7 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
-use crate::diagnosis::input::{self, Input, Mode, Run};
-use crate::diagnosis::numerics::linear::{mean, rms};
+use crate::diagnosis::input::{self, Input, Mode, Run, level};
+use crate::diagnosis::numerics::linear::mean;
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// Samples of the baseline that are screened beside fewer of the runs to explain.
@@ -61,8 +61,7 @@ impl Runs {
     /// or of any two the earlier.
     pub fn level_follows_time(&self) -> bool {
         let records = &self.recording.records;
-        let level = |record: &Record| record.drive.channels().iter().map(|u| rms(u)).sum::<f64>();
-        let runs: Vec<[f64; 2]> = records.iter().map(|record| [record.started_s, level(record)]).collect();
+        let runs: Vec<[f64; 2]> = records.iter().map(|r| [r.started_s, level(&r.drive)]).collect();
         let mut grow = (0..runs.len()).flat_map(|i| (0..i).map(move |j| (i, j))).filter_map(|(i, j)| {
             let ([t, a], [s, b]) = (runs[i], runs[j]);
             let apart = a.max(b) > APART * a.min(b) && t != s;
