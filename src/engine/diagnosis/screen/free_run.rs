@@ -406,12 +406,11 @@ impl Fit<'_, '_> {
             .collect()
     }
 
-    /// Whether the place of a part is an output itself. What moves every mode by itself moves a response at once: the
-    /// response is not what is fed back, that is an output of its own.
+    /// Whether the place of a part is an output itself: what is fed back is, and a response may be.
     fn own(&self, part: &Part, output: usize) -> bool {
         let responses = self.aim.bare.responses;
         let fed = output >= responses && self.aim.fed[output - responses] == part.place;
-        fed || (part.way != Way::Modal && part.place == Place::Response(output))
+        fed || (output < responses && self.bench.is_itself(part.place, part.way, output))
     }
 
     /// The forward model of coefficients fitted to all groups but one.

@@ -53,7 +53,10 @@ pub(super) fn beside(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits
 }
 
 /// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the mean stays where nothing is integrated.
-/// The signal goes on as its mirror image, so that its ends need not meet.
+///
+/// The signal goes on as its mirror image, so that its ends need not meet; one that has a lower limit as that turned over.
+/// The mirror image of an acceleration would have its rate stand still at the ends: what it moves at there would be
+/// missing, and its displacement wrong by far more than itself for periods of the limit.
 fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     let n = x.len();
     if n < 2 {
@@ -61,8 +64,9 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     }
     let size = 2 * n;
     let mean = x.iter().sum::<f64>() / n as f64;
-    let centre = if power < 0 { mean } else { 0.0 };
-    let mut samples: Vec<f64> = x.iter().chain(x.iter().rev()).map(|x| x - centre).collect();
+    let (centre, turned) = if limits.low_hz > 0.0 { (mean, -1.0) } else { (0.0, 1.0) };
+    let mut samples: Vec<f64> = x.iter().map(|x| x - centre).collect();
+    samples.extend(x.iter().rev().map(|x| turned * (x - centre)));
     let mut planner = RealFftPlanner::new();
     let forward = planner.plan_fft_forward(size);
     let mut lines = forward.make_output_vec();
@@ -70,11 +74,7 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     for (k, line) in lines.iter_mut().enumerate() {
         let hz = k as f64 * rate_hz / size as f64;
         let inside = hz <= limits.high_hz && hz >= limits.low_hz && hz > 0.0;
-        let gain = if inside || (power == 0 && k == 0) {
-            Complex64::new(0.0, TAU * hz).powi(power)
-        } else {
-            Complex64::new(0.0, 0.0)
-        };
+        let gain = if inside { Complex64::new(0.0, TAU * hz).powi(power) } else { Complex64::new(0.0, 0.0) };
         // The last line of an even size is real.
         *line = if k == size / 2 { Complex64::new(0.0, 0.0) } else { *line * gain };
     }
@@ -82,7 +82,8 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     let inverse = planner.plan_fft_inverse(size);
     inverse.process(&mut lines, &mut samples).expect("buffers are the plan's own");
     samples.truncate(n);
-    samples.iter_mut().for_each(|x| *x /= size as f64);
+    let level = if power == 0 { centre } else { 0.0 };
+    samples.iter_mut().for_each(|x| *x = *x / size as f64 + level);
     samples
 }
 
@@ -107,6 +108,22 @@ mod tests {
                 assert!((found.d[k] - d[k]).abs() < 0.05, "{quantity:?} {k}: {} for {}", found.d[k], d[k]);
                 assert!((found.v[k] - v[k]).abs() < 0.05 * w, "{quantity:?} {k}");
             }
+        }
+    }
+
+    #[test]
+    fn an_acceleration_that_ends_in_motion_is_integrated_to_its_end() {
+        let (rate, n) = (200.0, 2000);
+        // Two lines that are no multiples of each other, both in full motion at the end.
+        let lines = [(3.0, 1.0), (7.3, 0.4)];
+        let at = |k: usize, hz: f64| TAU * hz * (k as f64 + 0.5 - n as f64) / rate;
+        let sum = |of: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
+            (0..n).map(|k| lines.iter().map(|(hz, size)| size * of(at(k, *hz), TAU * hz)).sum()).collect()
+        };
+        let (d, a) = (sum(&|x, _| x.sin()), sum(&|x, w| -w * w * x.sin()));
+        let found = displacement(&a, Quantity::Acceleration, rate, Limits { low_hz: 0.5, high_hz: 100.0 });
+        for k in n - 200..n {
+            assert!((found[k] - d[k]).abs() < 0.1, "{k}: {} for {}", found[k], d[k]);
         }
     }
 

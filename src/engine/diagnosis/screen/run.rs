@@ -288,9 +288,15 @@ impl Bench<'_> {
         if modes && argument.predicted && argument.place.is_of_structure() { Way::Modal } else { law.way() }
     }
 
+    /// Whether the signals at a place are of the response that they enter: what it does to itself takes a sample. What is
+    /// predicted holds nothing of it, and of an acceleration the displacement is another signal: a force moves it at once.
+    pub(super) fn is_itself(&self, place: Place, way: Way, response: usize) -> bool {
+        let integrated = self.desk.recording.responses[response].quantity.integrals() > 0;
+        place == Place::Response(response) && way != Way::Modal && !integrated
+    }
+
     pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {
-        // What is predicted holds nothing of the response that it enters.
-        let own = place == Place::Response(response) && way != Way::Modal;
+        let own = self.is_itself(place, way, response);
         let columns = self.entries[response].columns(place, own, way, signals, &self.desk.segments);
         self.base.block(columns, response)
     }
