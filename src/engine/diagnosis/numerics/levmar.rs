@@ -2,6 +2,9 @@
 
 use super::linear::{dot, inverse_spd, solve_spd};
 
+/// A fit whose cost falls by more than this share in a round is not where it goes to: it gets so many times the rounds.
+const FALLS: f64 = 0.2;
+const LONGER: usize = 3;
 /// How far a parameter is moved for a difference quotient, in units of its scale.
 const STEP: f64 = 1e-3;
 
@@ -17,7 +20,7 @@ pub struct Fit {
 /// Limits of one fit.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// Jacobians.
+    /// Jacobians; more while the cost still falls fast.
     pub rounds: usize,
     /// Relative fall of the cost below which a round counts as standing still.
     pub still: f64,
@@ -41,8 +44,9 @@ pub fn minimise(
     let mut cost = dot(&now, &now);
     let mut damping = 1e-3;
     let mut standing = 0;
-    for _ in 0..limits.rounds {
-        if cost <= limits.enough || p.is_empty() {
+    let mut falls = false;
+    for round in 0..LONGER * limits.rounds {
+        if cost <= limits.enough || p.is_empty() || (round >= limits.rounds && !falls) {
             break;
         }
         let jacobian = derivatives(&p).unwrap_or_else(|| quotients(&rows, &p, scale, &now));
@@ -67,6 +71,7 @@ pub fn minimise(
             }
             damping *= 5.0;
         }
+        falls = before - cost > FALLS * before;
         standing = if before - cost < limits.still * before { standing + 1 } else { 0 };
         if standing >= 2 || cost >= before {
             break;
