@@ -38,6 +38,11 @@ pub enum Force {
     Iwan {
         limits: [f64; SLIDERS],
     },
+    /// Coleman and Hodgdon's: towards a curve that stiffens.
+    Coleman {
+        pace: f64,
+        bend: f64,
+    },
     Weakening {
         smooth: f64,
         peak: f64,
@@ -105,6 +110,11 @@ impl Force {
                 }
                 1.5 * force / SLIDERS as f64
             }
+            Self::Coleman { pace, bend } => {
+                let curve = (bend * y).clamp(-4.0, 4.0).sinh() / bend;
+                dz[0] = pace * rate.abs() * (curve - z[0]) + 0.2 * rate;
+                z[0]
+            }
             Self::Weakening { smooth, peak, decay } => {
                 (v / smooth).atan() / std::f64::consts::FRAC_PI_2 * (1.0 + peak / (1.0 + (v / decay).powi(2)))
             }
@@ -129,7 +139,8 @@ impl Force {
             }
             Self::Hertz { .. } | Self::Rattle { .. } | Self::Lopsided { .. } => Some(Family::Stiffness),
             Self::Arctangent { .. } | Self::Dahl { .. } => Some(Family::FrictionHysteresis),
-            Self::Iwan { .. } | Self::Weakening { .. } => Some(Family::FrictionHysteresis),
+            Self::Iwan { .. } | Self::Coleman { .. } => Some(Family::FrictionHysteresis),
+            Self::Weakening { .. } => Some(Family::FrictionHysteresis),
             Self::Power { .. } | Self::Rebound { .. } | Self::BlowOff { .. } => Some(Family::Damping),
             Self::Square | Self::Product => Some(Family::CrossAxis),
             Self::Ramp | Self::Settling => Some(Family::TimeVariance),
@@ -149,10 +160,11 @@ impl Force {
     }
 
     pub fn friction(rng: &mut impl Rng) -> Self {
-        match rng.random_range(0..4) {
+        match rng.random_range(0..5) {
             0 => Self::Arctangent { smooth: rng.random_range(0.02..0.15) },
             1 => Self::Dahl { length: rng.random_range(0.05..0.6) },
             2 => Self::Iwan { limits: std::array::from_fn(|_| rng.random_range(0.05..1.6)) },
+            3 => Self::Coleman { pace: rng.random_range(0.6..3.0), bend: rng.random_range(0.3..0.7) },
             _ => Self::Weakening {
                 smooth: rng.random_range(0.02..0.1),
                 peak: rng.random_range(0.3..1.5),

@@ -41,6 +41,10 @@ const WIDEST: f64 = 2.5;
 const SLIDES: f64 = -0.5;
 /// Largest logarithm of a yield displacement.
 const YIELDS: f64 = 0.7;
+/// Largest share by which a hysteresis is unloaded more steeply or less.
+const UNLOADS: f64 = 3.0;
+/// Furthest that a hysteretic displacement goes: no response does.
+const FAR: f64 = 30.0;
 /// Largest excess of breakaway over sliding friction: dry pairs have at most about three.
 const BREAKAWAY: f64 = 3.0;
 /// Furthest start of a drift from that of the first run, in programmes.
@@ -67,8 +71,11 @@ pub enum Law {
     Coulomb,
     /// `tanh(v / ve) (1 + a exp(-(v / vs)^2))`; shape `ln ve, a, ln vs`
     Stribeck,
-    /// `dz = dy (1 - (|z| / zy)^n where dy z > 0)`, `z / zy`; shape `ln zy, ln n`
+    /// `dz = dy (1 - (|z| / zy)^n where dy z > 0)`, `z / zy`; shape `ln zy, ln n`: of versions that are stored
     BoucWen,
+    /// The same in general, `dz = dy (1 - b (|z| / zy)^n)` with `b = q` where `dy z < 0` and `1 + q` where it is not; shape
+    /// `ln zy, ln n, q`. In the words of Bouc and Wen `beta + gamma = (1 + q) / zy^n`, `gamma - beta = q / zy^n`
+    Hysteretic,
     /// Sum of elastic stops (Prandtl-Ishlinskii); shape: their weights
     FreeHysteresis,
     /// `v |v|`
@@ -99,7 +106,7 @@ impl Law {
             Self::Cubic | Self::BumpStop | Self::OneSided(_) | Self::Clearance => 1,
             Self::Coulomb | Self::StiffnessDrift | Self::Valve => 1,
             Self::BoucWen => 2,
-            Self::Stribeck => 3,
+            Self::Stribeck | Self::Hysteretic => 3,
             Self::FreeStiffness(spline) | Self::FreeDamping(spline) => spline.knots(),
             Self::FreeHysteresis => STOPS.len(),
         }
@@ -114,7 +121,7 @@ impl Law {
     /// Number of hidden states.
     pub fn memories(&self) -> usize {
         match self {
-            Self::BoucWen => 1,
+            Self::BoucWen | Self::Hysteretic => 1,
             Self::FreeHysteresis => STOPS.len(),
             _ => 0,
         }
@@ -164,6 +171,23 @@ impl Law {
                 };
                 let half = z + 0.5 * i.dy * slope(z);
                 let next = (z + i.dy * slope(half)).clamp(-limit, limit);
+                memory[0] = next;
+                0.5 * (z + next) / limit
+            }
+            Self::Hysteretic => {
+                let (limit, sharpness) = (shape[0].min(YIELDS).exp(), shape[1].clamp(-1.0, 2.5).exp());
+                let unloading = shape[2].clamp(-UNLOADS, UNLOADS);
+                // Beyond it nothing that yields goes; what stiffens has no end.
+                let most =
+                    if unloading > -1.0 { limit * (1.0 + unloading).powf(-1.0 / sharpness) } else { FAR };
+                let most = most.min(FAR);
+                let z = memory[0];
+                let slope = |z: f64| {
+                    let less = if i.dy * z > 0.0 { 1.0 + unloading } else { unloading };
+                    1.0 - less * (z.abs() / limit).powf(sharpness)
+                };
+                let half = (z + 0.5 * i.dy * slope(z)).clamp(-most, most);
+                let next = (z + i.dy * slope(half)).clamp(-most, most);
                 memory[0] = next;
                 0.5 * (z + next) / limit
             }
@@ -235,7 +259,12 @@ mod tests {
             }
             sum
         };
-        assert!(work(&Law::BoucWen, &[(0.3_f64).ln(), 0.0]) > 5.0);
+        let limit = (0.3_f64).ln();
+        let straight = work(&Law::BoucWen, &[limit, 0.0]);
+        assert!(straight > 5.0);
+        assert!((work(&Law::Hysteretic, &[limit, 0.0, 0.0]) - straight).abs() < 1e-9);
+        assert!(work(&Law::Hysteretic, &[limit, 0.0, -0.5]) > 5.0);
+        assert!(work(&Law::Hysteretic, &[limit, 0.0, -1.2]) > 5.0, "also where it stiffens");
         assert!(work(&Law::FreeHysteresis, &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) > 10.0);
         assert!(work(&Law::Cubic, &[0.0]).abs() < 1e-9);
     }

@@ -108,6 +108,11 @@ fn readings(problem: &Problem, part: &Part, units: (&str, &[String])) -> Vec<(us
             Law::BoucWen => {
                 vec![read("yield_displacement", y, true, &unit_y), read("sharpness", 1.0, true, "1")]
             }
+            Law::Hysteretic => vec![
+                read("yield_displacement", y, true, &unit_y),
+                read("sharpness", 1.0, true, "1"),
+                read("unloading", 1.0, false, "1"),
+            ],
             Law::Valve => vec![read("load_share_of_supply", 1.0 / y, false, &format!("1/{unit_y}"))],
             _ => Vec::new(),
         };

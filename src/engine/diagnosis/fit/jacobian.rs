@@ -261,6 +261,7 @@ mod tests {
         let parts = [
             (Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), vec![0.3]),
             (Part::force(Effect::CoulombFriction, vec![Law::Coulomb], None), vec![-1.5]),
+            (Part::force(Effect::BoucWenHysteresis, vec![Law::Hysteretic], None), vec![-0.7, 0.3, -0.4]),
             (Part::force(Effect::BoucWenHysteresis, vec![Law::BoucWen], None), vec![-0.7, 0.3]),
             (Part::force(Effect::FreeHysteresis, vec![Law::FreeHysteresis], None), vec![0.3; 6]),
             (Part::force(Effect::ValveFlow, vec![Law::Valve], Some(Other::Drive(0))), vec![0.2]),

@@ -166,30 +166,14 @@ impl<'a> Regression<'a> {
         candidate.residual_rows(self.problem, &self.problem.fit, p)
     }
 
-    /// The start of a guess. How large the change of a drive is, is found with all that is linear; where it would go
-    /// against its sign, its size stays as it was guessed.
+    /// The start of a guess: by least squares of all that is linear, and of how large the change of a drive is.
     fn regress(&self, candidate: &Candidate, part: &Part, known: &[f64], guess: &Guess) -> Option<Start> {
-        let sized = matches!(part.input, Some(InputMap::Scaled(_)));
-        let start = |sized| self.regressed(candidate, part, known, guess, sized);
-        sized.then(|| start(true)).flatten().or_else(|| start(false))
-    }
-
-    fn regressed(
-        &self,
-        candidate: &Candidate,
-        part: &Part,
-        known: &[f64],
-        guess: &Guess,
-        sized: bool,
-    ) -> Option<Start> {
         let order = self.problem.core.modes.order();
         let mut columns: Vec<Vec<f64>> = Vec::new();
         let mut start = Builder::new(known);
         start.nonlinear(&guess.input, map_scale(part));
-        let map = part.input.as_ref().filter(|_| sized);
-        let size = map.map(|_| start.p.len() - 1);
-        if let Some((map, size)) = map.zip(size) {
-            start.linear[size] = true;
+        if let Some(map @ InputMap::Scaled(_)) = &part.input {
+            start.last_is_a_size();
             columns.push(self.problem.rows(&self.problem.fit, |s| {
                 let drive = self.problem.drive(s, part.drive);
                 self.problem.path(part.drive, map.change(&guess.input, &drive))
@@ -209,14 +193,7 @@ impl<'a> Regression<'a> {
         if candidate.retune {
             all.extend(self.retune_of(candidate));
         }
-        let scaled = size.map(|at| (at, start.p[at], start.scale[at]));
-        let mut start = start.solve(&all, &target);
-        if let Some((at, before, scale)) = scaled {
-            let factor = 1.0 + start.p[at];
-            start.p[at] = before + (factor > LEAST_SIZE).then(|| factor.ln())?;
-            (start.scale[at], start.linear[at]) = (scale, false);
-        }
-        Some(start)
+        Some(start.solve(&all, &target))
     }
 
     /// A law that is linear in its shape: path and shape in turn.
@@ -346,7 +323,10 @@ fn shapes(law: &Law) -> Vec<Vec<f64>> {
         Law::Cubic => each(&[0.05, 0.7]),
         Law::BumpStop | Law::OneSided(_) | Law::Clearance => each(&[0.15, 0.4, 0.8, 1.2, 1.7, 2.3]),
         Law::Coulomb => each(&[-3.5, -2.3, -1.2]),
-        Law::BoucWen => [-3.0, -1.8, -0.7, 0.3].iter().map(|&z| vec![z, 0.3]).collect(),
+        Law::Hysteretic => {
+            let of = |unloading: f64| [-3.0, -1.8, -0.7, 0.3].map(|limit| vec![limit, 0.3, unloading]);
+            [0.0, -0.5, -1.2].into_iter().flat_map(of).collect()
+        }
         Law::StiffnessDrift => each(&[0.0]),
         Law::Valve => each(&[0.05, 0.2, 0.4]),
         Law::Stribeck => {
@@ -368,6 +348,8 @@ struct Builder {
     scale: Vec<f64>,
     linear: Vec<bool>,
     known: usize,
+    /// The logarithm of a size that least squares find a factor of.
+    size: Option<usize>,
 }
 
 impl Builder {
@@ -378,7 +360,13 @@ impl Builder {
             scale: known.iter().map(|p| 0.3 * p.abs().max(1e-9)).collect(),
             linear: vec![false; known.len()],
             known: known.len(),
+            size: None,
         }
+    }
+
+    /// The number before is the logarithm of the size of what was guessed so far.
+    fn last_is_a_size(&mut self) {
+        self.size = self.p.len().checked_sub(1);
     }
 
     fn nonlinear(&mut self, values: &[f64], scale: f64) {
@@ -393,16 +381,29 @@ impl Builder {
         self.linear.extend(std::iter::repeat_n(true, count));
     }
 
-    /// Fills the linear parameters by least squares; `columns` in their order.
+    /// Fills the linear parameters by least squares; `columns` in their order, before them that of a size. A size that
+    /// would go against its sign stays as it was guessed.
     fn solve(mut self, columns: &[&[f64]], target: &[f64]) -> Start {
-        let x = least_squares(columns, target);
-        let size = norm(target);
+        let mut x = least_squares(columns, target);
+        if let Some(size) = self.size {
+            let factor = 1.0 + x[0];
+            if factor > LEAST_SIZE {
+                self.p[size] += factor.ln();
+            } else {
+                x = least_squares(&columns[1..], target);
+                x.insert(0, 0.0);
+            }
+        }
+        let norm_of_target = norm(target);
         let mut left = target.to_vec();
-        let places: Vec<usize> = (self.known..self.p.len()).filter(|&i| self.linear[i]).collect();
-        for ((place, column), x) in places.iter().zip(columns).zip(&x) {
-            self.p[*place] = *x;
-            self.scale[*place] = size / norm(column).max(f64::MIN_POSITIVE);
+        for (column, x) in columns.iter().zip(&x) {
             left.iter_mut().zip(*column).for_each(|(l, c)| *l -= x * c);
+        }
+        let of_size = usize::from(self.size.is_some());
+        let places: Vec<usize> = (self.known..self.p.len()).filter(|&i| self.linear[i]).collect();
+        for ((place, column), x) in places.iter().zip(&columns[of_size..]).zip(&x[of_size..]) {
+            self.p[*place] = *x;
+            self.scale[*place] = norm_of_target / norm(column).max(f64::MIN_POSITIVE);
         }
         Start { cost: dot(&left, &left), p: self.p, scale: self.scale, linear: self.linear }
     }

@@ -17,7 +17,7 @@ thread_local! {
 
 type Plans = (Arc<dyn RealToComplex<f64>>, Arc<dyn ComplexToReal<f64>>);
 
-fn plans(size: usize) -> Plans {
+pub(super) fn plans(size: usize) -> Plans {
     PLANS.with_borrow_mut(|plans| (plans.plan_fft_forward(size), plans.plan_fft_inverse(size)))
 }
 
@@ -79,7 +79,7 @@ impl Correlator {
 }
 
 /// Spectrum of the first samples, at most `size`, followed by zeros.
-fn spectrum(x: &[f64], size: usize, forward: &dyn RealToComplex<f64>) -> Vec<Complex64> {
+pub(super) fn spectrum(x: &[f64], size: usize, forward: &dyn RealToComplex<f64>) -> Vec<Complex64> {
     let mut samples = x[..x.len().min(size)].to_vec();
     samples.resize(size, 0.0);
     let mut lines = forward.make_output_vec();

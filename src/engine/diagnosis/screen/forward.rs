@@ -13,6 +13,7 @@ use super::correlate::Filter;
 use super::law::{Instant, Law, Scale};
 use super::memory::Memory;
 use super::motion::{Limits, Motion, motion};
+use super::past::Past;
 use super::place::{Place, Seen};
 use crate::diagnosis::numerics::linear::dot;
 use crate::resample::resample;
@@ -101,11 +102,11 @@ impl Kernel {
         dot(&self.taps[a..a + n], &other.taps[b..b + n])
     }
 
-    /// Taps of the past, the oldest first: from its last lag to lag 1.
+    /// Taps of the past, from lag 1 on.
     fn past(&self) -> Vec<f64> {
         let at = |lag: isize| usize::try_from(lag - self.from).ok().and_then(|k| self.taps.get(k)).copied();
         let last = self.from + self.taps.len() as isize;
-        (1..last).rev().map(|lag| at(lag).unwrap_or(0.0)).collect()
+        (1..last).map(|lag| at(lag).unwrap_or(0.0)).collect()
     }
 }
 
@@ -192,22 +193,6 @@ pub(super) struct Run {
     pub signals: Vec<Vec<f64>>,
 }
 
-/// An argument that is fed back: its linear part, and the taps by which the law's past reaches it.
-struct Fed {
-    linear: Vec<f64>,
-    past: Vec<Vec<f64>>,
-}
-
-impl Fed {
-    fn at(&self, t: usize, signals: &[Vec<f64>]) -> f64 {
-        let reached = self.past.iter().zip(signals).map(|(past, signal)| {
-            let n = past.len().min(t);
-            dot(&past[past.len() - n..], &signal[t - n..t])
-        });
-        self.linear[t] + reached.sum::<f64>()
-    }
-}
-
 /// What a forward model makes of drives, at the recording's rate.
 #[derive(Debug, Clone)]
 pub struct Simulated {
@@ -259,18 +244,16 @@ const MOST_KINKS: usize = 64;
 /// How far a law's curve reaches, in deviations of its argument.
 const REACH: f64 = 3.0;
 
-/// One sample after the other of an argument.
-enum Feed {
-    Known(Vec<f64>),
-    Fed(Fed),
+/// One sample after the other of an argument: what is known of it beforehand, and what the law's past adds where it is
+/// fed back.
+struct Feed {
+    known: Vec<f64>,
+    past: Option<Past>,
 }
 
 impl Feed {
-    fn at(&self, t: usize, signals: &[Vec<f64>]) -> f64 {
-        match self {
-            Self::Known(x) => x[t],
-            Self::Fed(fed) => fed.at(t, signals),
-        }
+    fn at(&mut self, t: usize, signals: &[Vec<f64>]) -> f64 {
+        self.known[t] + self.past.as_mut().map_or(0.0, |past| past.at(t, signals))
     }
 }
 
@@ -402,13 +385,15 @@ impl Forward {
         let Source::Output(output) = source else {
             let known = self.known(source, course).d;
             let drive = matches!(source, Source::Drive { .. });
-            return Feed::Known(if drive { Thinner::new(self.step).thin(&known) } else { known });
+            let known = if drive { Thinner::new(self.step).thin(&known) } else { known };
+            return Feed { known, past: None };
         };
         let of = &self.outputs[output];
         let mut linear = self.linear(&of.linear, course);
         linear.iter_mut().for_each(|y| *y += of.offset);
         course.add(output, &mut linear);
-        Feed::Fed(Fed { linear, past: of.kernels.iter().map(Kernel::past).collect() })
+        let taps: Vec<Vec<f64>> = of.kernels.iter().map(Kernel::past).collect();
+        Feed { known: linear, past: Some(Past::new(taps.iter().map(Vec::as_slice))) }
     }
 
     /// Signals of a law whose argument depends on them.
@@ -416,8 +401,8 @@ impl Forward {
         let n = course.thin.first().map_or(0, |u| u.len());
         let rate = self.analysis_hz();
         let scale = self.argument.1;
-        let argument = self.feed(self.argument.0, course);
-        let second = self.second.map(|(source, scale)| (self.feed(source, course), scale));
+        let mut argument = self.feed(self.argument.0, course);
+        let mut second = self.second.map(|(source, scale)| (self.feed(source, course), scale));
         let law_signals = self.law.count();
         let mut signals: Vec<Vec<f64>> = vec![vec![0.0; n]; self.signals()];
         let mut now = vec![0.0; law_signals];
@@ -426,7 +411,7 @@ impl Forward {
         let mut past: [Option<f64>; 2] = [None, None];
         for t in 0..n {
             let d = argument.at(t, &signals);
-            let x = second.as_ref().map(|(feed, scale)| (feed.at(t, &signals), *scale));
+            let x = second.as_mut().map(|(feed, scale)| (feed.at(t, &signals), *scale));
             let far = |x: f64, scale: Scale| (x - scale.centre).abs() > RUNAWAY * scale.d || x.is_nan();
             if far(d, scale) || x.is_some_and(|(x, scale)| far(x, scale)) {
                 return None;
@@ -615,7 +600,11 @@ impl Forward {
             Law::Stribeck { smooth, decay } => {
                 vec![rate("sliding_velocity", smooth * v), rate("stribeck_velocity", decay * v)]
             }
-            Law::Slider { limit } | Law::BoucWen { limit } => vec![length("yield_displacement", limit * d)],
+            Law::Slider { limit } => vec![length("yield_displacement", limit * d)],
+            Law::BoucWen { limit, unloading } => vec![
+                length("yield_displacement", limit * d),
+                Number { name: "unloading", value: unloading, of: NumberOf::Ratio },
+            ],
             Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![rate("kink", at * v)],
             Law::PowerDamping { exponent } => {
                 vec![Number { name: "exponent", value: exponent, of: NumberOf::Ratio }]

@@ -56,6 +56,9 @@ pub enum Law {
     BoucWen {
         /// Displacement at which it yields.
         limit: f64,
+        /// How much less it gives as it is unloaded, relative to how much less it gives as it is loaded than unloaded.
+        #[serde(default)]
+        unloading: f64,
     },
     /// `v |v|`.
     QuadraticDamping,
@@ -156,6 +159,8 @@ const FEW_KINKS: usize = 5;
 /// Powers of a damper's velocity: at 1 it is linear.
 const LEAST_POWER: f64 = 1.2;
 const MOST_POWER: f64 = 5.0;
+/// How a hysteresis is unloaded: along a straight line, as steeply as it yields, and so that it stiffens.
+const UNLOADING: [f64; 3] = [0.0, -0.5, -1.2];
 /// Where several sliders slip.
 const LIMITS: [f64; 4] = [0.1, 0.35, 1.0, 2.5];
 
@@ -193,7 +198,9 @@ impl Law {
                 let stops = memory.z.iter_mut().zip(LIMITS);
                 out.iter_mut().zip(stops).for_each(|(out, (z, limit))| *out = slide(z, step, limit));
             }
-            Self::BoucWen { limit } => out[0] = yielding(&mut memory.z[0], step, limit),
+            Self::BoucWen { limit, unloading } => {
+                out[0] = yielding(&mut memory.z[0], step, limit, unloading);
+            }
             Self::QuadraticDamping => out[0] = v * v.abs(),
             Self::PowerDamping { exponent } => out[0] = v.signum() * v.abs().powf(exponent),
             Self::OneSidedDamping { at } => out[0] = (v - at).max(0.0),
@@ -268,6 +275,16 @@ impl Law {
                 let inside = front.nearby(factor).into_iter().filter(|front| front.filters_below(high));
                 inside.map(|front| Self::Block { front, kinks }).collect()
             }
+            Self::BoucWen { limit, unloading } => {
+                let (more, less) = (unloading + factor - 1.0, unloading - factor + 1.0);
+                let of = |limit, unloading| Self::BoucWen { limit, unloading };
+                vec![
+                    of(limit * factor, unloading),
+                    of(limit / factor, unloading),
+                    of(limit, more),
+                    of(limit, less),
+                ]
+            }
             _ => [factor, 1.0 / factor].iter().filter_map(|f| self.scaled(*f)).collect(),
         }
     }
@@ -280,7 +297,6 @@ impl Law {
             Self::Coulomb { smooth } => Self::Coulomb { smooth: smooth * factor },
             Self::Stribeck { smooth, decay } => Self::Stribeck { smooth, decay: decay * factor },
             Self::Slider { limit } => Self::Slider { limit: limit * factor },
-            Self::BoucWen { limit } => Self::BoucWen { limit: limit * factor },
             Self::PowerDamping { exponent } => {
                 Self::PowerDamping { exponent: (exponent * factor).clamp(LEAST_POWER, MOST_POWER) }
             }
@@ -306,7 +322,8 @@ impl Law {
             Self::Coulomb { smooth } => vec![smooth],
             Self::PowerDamping { exponent } => vec![exponent],
             Self::Stribeck { smooth, decay } => vec![smooth, decay],
-            Self::Slider { limit } | Self::BoucWen { limit } | Self::RateLimit { limit } => vec![limit],
+            Self::Slider { limit } | Self::RateLimit { limit } => vec![limit],
+            Self::BoucWen { limit, unloading } => vec![limit, unloading],
             Self::Block { front, .. } => front.values(),
             Self::Bent { front, bend } => front.values().into_iter().chain(bend).collect(),
             _ => Vec::new(),
@@ -343,7 +360,9 @@ impl Law {
     pub(super) fn sliding() -> Vec<Self> {
         let mut laws = vec![Self::FreeHysteresis];
         laws.extend([0.02, 0.06, 0.15, 0.35, 0.8, 1.5, 2.5].map(|limit| Self::Slider { limit }));
-        laws.extend([0.1, 0.3, 1.0].map(|limit| Self::BoucWen { limit }));
+        for unloading in UNLOADING {
+            laws.extend([0.1, 0.3, 1.0].map(|limit| Self::BoucWen { limit, unloading }));
+        }
         laws
     }
 

@@ -56,19 +56,45 @@ pub(super) fn slide(z: &mut f64, step: f64, limit: f64) -> f64 {
     *z
 }
 
-/// The hysteretic displacement of Bouc and Wen with exponent 1, `dz = dy (1 - |z| / limit)` while `dy` and `z`
-/// have one sign, else `dz = dy`; exact for any step.
-pub(super) fn yielding(z: &mut f64, step: f64, limit: f64) -> f64 {
+/// Largest exponent of a force that stiffens as it yields: beyond it no motion of the rig goes.
+const MOST_GROWTH: f64 = 20.0;
+
+/// The hysteretic displacement of Bouc and Wen with exponent 1, exact for any step: `dz = dy (1 - b |z| / limit)` with
+/// `b = unloading` while `dy` and `z` have opposite signs, and `b = 1 + unloading` while they have one.
+///
+/// In their words `beta + gamma = (1 + unloading) / limit` and `gamma - beta = unloading / limit`: at 0 it unloads along a
+/// straight line, below it more steeply, and below -1 it stiffens as it is loaded.
+pub(super) fn yielding(z: &mut f64, step: f64, limit: f64, unloading: f64) -> f64 {
     let (side, mut way) = (step.signum(), step.abs());
     let mut along = *z * side;
     if along < 0.0 {
-        let straight = way.min(-along);
-        along += straight;
-        way -= straight;
+        let to_zero = unloaded_after(-along, unloading / limit);
+        if way < to_zero {
+            along = -yielded(-along, -way, unloading / limit);
+            *z = along * side;
+            return *z;
+        }
+        along = 0.0;
+        way -= to_zero;
     }
-    along = limit - (limit - along) * (-way / limit).exp();
-    *z = along * side;
+    *z = yielded(along, way, (1.0 + unloading) / limit) * side;
     *z
+}
+
+/// Where `dz = dy (1 - rate z)` takes `z` over a way.
+fn yielded(z: f64, way: f64, rate: f64) -> f64 {
+    let exponent = (-rate * way).min(MOST_GROWTH);
+    let grown = if exponent == 0.0 { way } else { way * exponent.exp_m1() / exponent };
+    z * exponent.exp() + grown
+}
+
+/// The way back over which the same takes `z > 0` to 0; infinite where it never does.
+fn unloaded_after(z: f64, rate: f64) -> f64 {
+    match rate * z {
+        0.0 => z,
+        share if share < 1.0 => -(-share).ln_1p() / rate,
+        _ => f64::INFINITY,
+    }
 }
 
 #[cfg(test)]
@@ -103,9 +129,26 @@ mod tests {
             .flat_map(|w| (0..100).map(move |k| w[0] + (w[1] - w[0]) * f64::from(k) / 100.0))
             .chain([1.0])
             .collect();
-        let of = |d: &[f64]| over(d, |m, _, step| yielding(&mut m.z[0], step, 0.7));
-        let (a, b) = (of(&coarse), of(&fine));
-        assert!((a[3] - b[300]).abs() < 1e-12 && (a[2] - b[200]).abs() < 1e-12, "{a:?}");
-        assert!(b.iter().all(|z| z.abs() < 0.7));
+        for unloading in [0.0, 0.5, -0.5, -1.0, -1.2] {
+            let of = |d: &[f64]| over(d, |m, _, step| yielding(&mut m.z[0], step, 0.7, unloading));
+            let (a, b) = (of(&coarse), of(&fine));
+            assert!((a[3] - b[300]).abs() < 1e-9 && (a[2] - b[200]).abs() < 1e-9, "{unloading}: {a:?}");
+            assert!(unloading < -0.9 || b.iter().all(|z| z.abs() <= 0.7 / (1.0 + unloading)), "{unloading}");
+        }
+    }
+
+    #[test]
+    fn a_smooth_hysteresis_follows_its_equation() {
+        let (limit, unloading, h) = (0.4, -1.2, 1e-4);
+        let way: Vec<f64> = (0..40_000).map(|k| 1.5 * (f64::from(k) * h * 3.0).sin()).collect();
+        let found = over(&way, |m, _, step| yielding(&mut m.z[0], step, limit, unloading));
+        let mut z = 0.0;
+        for (k, pair) in way.windows(2).enumerate() {
+            let dy = pair[1] - pair[0];
+            let slope = |z: f64| 1.0 - z.abs() / limit * (unloading + f64::from(u8::from(dy * z > 0.0)));
+            let half = z + 0.5 * dy * slope(z);
+            z += dy * slope(half);
+            assert!((z - found[k + 1]).abs() < 1e-3, "{k}: {z} for {}", found[k + 1]);
+        }
     }
 }

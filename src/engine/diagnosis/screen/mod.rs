@@ -41,6 +41,7 @@ mod modes;
 mod moments;
 mod motion;
 mod naming;
+mod past;
 mod period;
 mod place;
 mod predicted;

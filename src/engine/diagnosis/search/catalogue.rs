@@ -44,7 +44,7 @@ pub fn parts(problem: &Problem, effects: &[Effect], in_situ: bool, free: FreeRan
             Effect::FreeStiffness => force(vec![Law::FreeStiffness(Spline::new(-free.y, free.y, KNOTS))]),
             Effect::CoulombFriction => force(vec![Law::Coulomb]),
             Effect::StribeckFriction => force(vec![Law::Stribeck]),
-            Effect::BoucWenHysteresis => force(vec![Law::BoucWen]),
+            Effect::BoucWenHysteresis => force(vec![Law::Hysteretic]),
             Effect::FreeHysteresis => force(vec![Law::FreeHysteresis]),
             Effect::QuadraticDamping => force(vec![Law::QuadraticDamping]),
             Effect::FreeDamping => force(vec![Law::FreeDamping(Spline::new(-free.v, free.v, KNOTS))]),
