@@ -166,7 +166,7 @@ impl Input {
 
     /// The run whose drives are at the highest level.
     pub(super) fn loudest(&self) -> Option<&Run> {
-        self.runs.iter().max_by(|a, b| level(&a.drive).total_cmp(&level(&b.drive)))
+        self.runs.iter().max_by(|a, b| level(a.drive.channels()).total_cmp(&level(b.drive.channels())))
     }
 
     /// Samples a second.
@@ -179,8 +179,8 @@ impl Input {
 }
 
 /// How hard drives drive: the sum of their RMS, which orders runs of one rig by their level.
-pub(super) fn level(drive: &Signal) -> f64 {
-    drive.channels().iter().map(|u| rms(u)).sum()
+pub(super) fn level(drives: &[Vec<f64>]) -> f64 {
+    drives.iter().map(|u| rms(u)).sum()
 }
 
 fn check_run(run: &Run, drives: usize, responses: usize, rate: f64) -> Result<(), EngineError> {

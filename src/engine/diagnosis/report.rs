@@ -203,7 +203,7 @@ pub struct Parameter {
 }
 
 /// How far the gap closes on runs that were neither fitted nor chosen on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
     /// Runs.
     pub runs: Vec<String>,
@@ -228,6 +228,35 @@ pub struct HeldOut {
     pub damage_ratio_before: Option<f64>,
     /// The same with the effect.
     pub damage_ratio_after: Option<f64>,
+}
+
+impl HeldOut {
+    /// What is left of the gap, by power.
+    pub(super) fn left(&self) -> f64 {
+        (self.rms_after / self.rms_before.max(f64::MIN_POSITIVE)).powi(2)
+    }
+
+    /// The same counted above the RMS of a noise that repeats tell. Without any, 0, all that is left may be noise: it is the
+    /// floor, and the closure may be whole.
+    pub(super) fn above_noise(self, noise_rms: f64) -> Self {
+        let noise_rms = noise_rms.min(self.rms_after);
+        let known = noise_rms > 0.0;
+        let floor = if known { noise_rms } else { self.rms_after }.max(f64::MIN_POSITIVE);
+        let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
+        let above = |rms: f64| (rms * rms - noise_rms * noise_rms).max(0.0);
+        let gap = above(self.rms_before);
+        let closure = if gap > 0.0 { 1.0 - above(self.rms_after) / gap } else { 0.0 };
+        let [low, high] = self.closure_ci90;
+        Self {
+            noise_rms,
+            chi2_before: floors(self.rms_before),
+            chi2_after: floors(self.rms_after),
+            closure,
+            closure_rms: closure,
+            closure_ci90: [low.min(closure), if known { high.max(closure) } else { 1.0 }],
+            ..self
+        }
+    }
 }
 
 /// How far the gap of one response closes.

@@ -5,11 +5,9 @@ use super::parameters;
 use crate::diagnosis::augmented::{Augmented, Member};
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
-use crate::diagnosis::data::problem::Stretch;
 use crate::diagnosis::effects::candidate::Part;
 use crate::diagnosis::effects::effect::Effect;
-use crate::diagnosis::input::Input;
-use crate::diagnosis::numerics::linear::rms;
+use crate::diagnosis::input::{Input, level};
 use crate::diagnosis::report::{ChannelHeldOut, EffectShare, Hypothesis, Parameter};
 use crate::diagnosis::search::score::{Scored, remaining};
 
@@ -194,10 +192,7 @@ pub fn hypothesis(
     let at = closing(&places, overview);
     let host = &layers[0][0];
     let limit = input.limits(&host.problem.drive_peak);
-    let loudest = host.problem.fit.iter().max_by(|a, b| {
-        let level = |s: &Stretch| s.drives.iter().map(|d| rms(d)).sum::<f64>();
-        level(a).total_cmp(&level(b))
-    });
+    let loudest = host.problem.fit.iter().max_by(|a, b| level(&a.drives).total_cmp(&level(&b.drives)));
     let augmented = explanation.augmented(input, prepared);
     let stable_over_envelope = loudest.is_some_and(|s| augmented.bounded(&s.drives, &limit));
     let mut numbers = Vec::new();

@@ -10,7 +10,7 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::input::{Channel, Input};
-use crate::diagnosis::report::{ChannelHeldOut, EffectShare, HeldOut, Hypothesis};
+use crate::diagnosis::report::{ChannelHeldOut, EffectShare, Hypothesis};
 use crate::diagnosis::search::contest::contest;
 use crate::diagnosis::search::score::Scored;
 use crate::diagnosis::transfer::FLOOR;
@@ -88,7 +88,7 @@ fn leaves_less(made: &Hypothesis, by_transfer: &Hypothesis, input: &Input, overv
     let of_sim = input.responses.iter().position(|r| r.name == *channel);
     of_fit.zip(of_sim).is_some_and(|(of_fit, r)| {
         let by_transfer = by_transfer.held_out.rms_after / overview.power[r].rms_error.max(f64::MIN_POSITIVE);
-        left(&of_fit.held_out) < CLEARLY * by_transfer.powi(2)
+        of_fit.held_out.left() < CLEARLY * by_transfer.powi(2)
     })
 }
 
@@ -99,12 +99,12 @@ fn beside_transfer(made: Hypothesis, by_transfer: &Hypothesis) -> Hypothesis {
         let same = by_transfer.responses.iter().find(|r| r.channel == channel);
         same.map_or(0.0, |r| r.held_out.noise_rms)
     };
-    let held_out = bounded(made.held_out, noise(&made.channel));
+    let held_out = made.held_out.above_noise(noise(&made.channel));
     let responses = made.responses.into_iter().map(|ChannelHeldOut { channel, held_out }| ChannelHeldOut {
-        held_out: bounded(held_out, noise(&channel)),
+        held_out: held_out.above_noise(noise(&channel)),
         channel,
     });
-    let remaining_share = left(&held_out);
+    let remaining_share = held_out.left();
     let share_of_gap = (1.0 - remaining_share).max(0.0);
     Hypothesis {
         remaining_share,
@@ -115,30 +115,5 @@ fn beside_transfer(made: Hypothesis, by_transfer: &Hypothesis) -> Hypothesis {
         shape: by_transfer.shape.clone(),
         transfer: by_transfer.transfer.clone(),
         ..made
-    }
-}
-
-/// What is left of the gap, by power.
-fn left(held_out: &HeldOut) -> f64 {
-    (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2)
-}
-
-/// A closure above the noise of repeats, 0 without any.
-fn bounded(held_out: HeldOut, noise_rms: f64) -> HeldOut {
-    let noise_rms = noise_rms.min(held_out.rms_after);
-    let known = noise_rms > 0.0;
-    let floor = if known { noise_rms } else { held_out.rms_after }.max(f64::MIN_POSITIVE);
-    let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
-    let above = |rms: f64| rms * rms - noise_rms * noise_rms;
-    let closure = 1.0 - above(held_out.rms_after) / above(held_out.rms_before).max(f64::MIN_POSITIVE);
-    let [low, high] = held_out.closure_ci90;
-    HeldOut {
-        noise_rms,
-        chi2_before: floors(held_out.rms_before),
-        chi2_after: floors(held_out.rms_after),
-        closure,
-        closure_rms: closure,
-        closure_ci90: [low.min(closure), if known { high.max(closure) } else { 1.0 }],
-        ..held_out
     }
 }

@@ -15,8 +15,9 @@ use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
 use super::place::{Argument, Place, Seen};
 use super::report::Standing;
-use super::run::{Bench, geometric_mean, mean_square};
+use super::run::{Bench, geometric_mean};
 use super::track::{Segment, Track, delayed, less, mean};
+use crate::diagnosis::numerics::linear::rms;
 
 /// Rounds of simulation and fit.
 const ROUNDS: usize = 8;
@@ -132,14 +133,17 @@ impl Bench<'_> {
         for start in starts {
             best = self.better(best, start);
         }
-        if standing.predicted && feeds_back && left(best.as_ref().map(|b| &b.1)) > RUNS_WELL * standing.ratio
-        {
+        let badly = standing.predicted && left(best.as_ref().map(|b| &b.1)) > RUNS_WELL * standing.ratio;
+        if feeds_back && (badly || best.is_none()) {
             // A law that runs away in its own motion may still do well in that of the linear part.
             let open = match &best {
                 Some((aim, _)) => aim.opened(),
                 None => self.aim(arguments, standing)?.opened(),
             };
-            best = self.better(best, open);
+            best = match self.better(best, open.clone()) {
+                None => self.better(None, open.by_modes()),
+                found => found,
+            };
         }
         best
     }
@@ -167,9 +171,7 @@ impl Bench<'_> {
             return bent.filter(|bent| bent.ratio < run.ratio).unwrap_or(run);
         }
         let mut best = run;
-        if !aim.bare.is_over_a_motion()
-            || mean_square(&self.linear[standing.response].errors).sqrt() < DISTORTED
-        {
+        if !aim.bare.is_over_a_motion() || rms(&self.linear[standing.response].errors) < DISTORTED {
             return best;
         }
         // The less of the law is in the responses, the truer the modes, and the more of the law is found beside them.

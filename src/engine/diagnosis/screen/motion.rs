@@ -54,7 +54,7 @@ pub(super) fn beside(x: &[f64], quantity: Quantity, rate_hz: f64, limits: Limits
 
 /// Multiplies the spectrum by `(2 pi i f)^power` inside the limits; the mean stays where nothing is integrated.
 ///
-/// The signal goes on as its mirror image, so that its ends need not meet; one that has a lower limit as that turned over.
+/// The signal goes on as its mirror image, so that its ends need not meet; one that is integrated as that turned over.
 /// The mirror image of an acceleration would have its rate stand still at the ends: what it moves at there would be
 /// missing, and its displacement wrong by far more than itself for periods of the limit.
 fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
@@ -64,7 +64,7 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     }
     let size = 2 * n;
     let mean = x.iter().sum::<f64>() / n as f64;
-    let (centre, turned) = if limits.low_hz > 0.0 { (mean, -1.0) } else { (0.0, 1.0) };
+    let (centre, turned) = if power < 0 { (mean, -1.0) } else { (0.0, 1.0) };
     let mut samples: Vec<f64> = x.iter().map(|x| x - centre).collect();
     samples.extend(x.iter().rev().map(|x| turned * (x - centre)));
     let mut planner = RealFftPlanner::new();
@@ -74,7 +74,11 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     for (k, line) in lines.iter_mut().enumerate() {
         let hz = k as f64 * rate_hz / size as f64;
         let inside = hz <= limits.high_hz && hz >= limits.low_hz && hz > 0.0;
-        let gain = if inside { Complex64::new(0.0, TAU * hz).powi(power) } else { Complex64::new(0.0, 0.0) };
+        let gain = if inside || (power == 0 && k == 0) {
+            Complex64::new(0.0, TAU * hz).powi(power)
+        } else {
+            Complex64::new(0.0, 0.0)
+        };
         // The last line of an even size is real.
         *line = if k == size / 2 { Complex64::new(0.0, 0.0) } else { *line * gain };
     }
@@ -82,8 +86,7 @@ fn filtered(x: &[f64], rate_hz: f64, limits: Limits, power: i32) -> Vec<f64> {
     let inverse = planner.plan_fft_inverse(size);
     inverse.process(&mut lines, &mut samples).expect("buffers are the plan's own");
     samples.truncate(n);
-    let level = if power == 0 { centre } else { 0.0 };
-    samples.iter_mut().for_each(|x| *x = *x / size as f64 + level);
+    samples.iter_mut().for_each(|x| *x /= size as f64);
     samples
 }
 

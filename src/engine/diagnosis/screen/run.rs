@@ -403,7 +403,7 @@ fn leave_out_bends_of_the_drive(standings: &mut Vec<Standing>) {
     standings.retain(|s| s.law.way() != Way::Behind || s.ratio < FILTER_GAINS * least(s.place));
 }
 
-pub(super) fn mean_square(errors: &[f64]) -> f64 {
+fn mean_square(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64
 }
 

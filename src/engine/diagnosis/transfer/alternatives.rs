@@ -9,9 +9,9 @@ use std::sync::LazyLock;
 use serde::{Deserialize, Serialize};
 
 use crate::diagnosis::effects::effect::{Effect, Family};
+use crate::diagnosis::numerics::linear::rms;
 use crate::diagnosis::screen::{FreeRun, Place, Screening, Standing, Transfer};
 
-use super::evidence::root_mean_square;
 use super::refit::Refits;
 
 /// Logarithms are kept within these: what leaves less is as sure as it gets, what leaves more is no law.
@@ -117,7 +117,7 @@ fn of<'a>(
     let refitted = refits.left(standing.family);
     let kept = |ratio: f64| ratio.max(f64::MIN_POSITIVE).ln().clamp(LEAST_LEFT, MOST_LEFT);
     let yes = |is: bool| f64::from(u8::from(is));
-    let error = root_mean_square(&screening.linear.errors[standing.response]);
+    let error = rms(&screening.linear.errors[standing.response]);
     let error = error.max(f64::MIN_POSITIVE).ln().clamp(LEAST_ERROR, 0.0);
     let one_level = matches!(screening.transfer, Transfer::Runs | Transfer::Stretches);
     // The linear part's modes tell how a law over what it predicts moves each of them.

@@ -1,12 +1,13 @@
 //! From what laws leave elsewhere to a verdict.
 
 use super::alternatives::{Weights, alternatives, odds_of_none};
-use super::evidence::{Evidence, root_mean_square};
+use super::evidence::Evidence;
 use super::hypotheses::Listed;
 use super::refit::Refits;
 use super::words;
 use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::input::Input;
+use crate::diagnosis::numerics::linear::rms;
 use crate::diagnosis::report::{Verdict, VerdictKind};
 use crate::diagnosis::screen::{FreeRun, Screening, Standing, Transfer};
 
@@ -47,7 +48,7 @@ pub fn ranked<'a>(screening: &'a Screening, refits: &Refits, noise: Option<&[f64
     let alternatives = alternatives(screening, refits);
     let features: Vec<_> = alternatives.iter().map(|a| a.features).collect();
     let none = noise.map_or(1.0, |noise| {
-        let left = screening.linear.errors.iter().map(|errors| root_mean_square(errors));
+        let left = screening.linear.errors.iter().map(|errors| rms(errors));
         let least = left.zip(noise).map(|(left, noise)| (noise / left.max(f64::MIN_POSITIVE)).powi(2));
         odds_of_none(least.fold(1.0, f64::min))
     });
@@ -199,7 +200,10 @@ fn named(
         equivalence_set: each_once(set),
         ..bare(kind, p.min(SUREST), because)
     };
-    let of = |laws: &[&Ranked<'_>]| laws.iter().map(|law| law.standing.effect).collect();
+    // One of them is right, with the probability of all of them.
+    let one_of = |laws: &[&Ranked<'_>]| -> (f64, Vec<Effect>) {
+        (laws.iter().map(|law| law.probability).sum(), laws.iter().map(|law| law.standing.effect).collect())
+    };
     let untold = VerdictKind::NotDistinguishable;
     if family == Family::TimeVariance && evidence.level_follows_time() {
         because.push(
@@ -207,11 +211,12 @@ fn named(
              drives again, later, would tell"
                 .into(),
         );
-        let foremost: Vec<_> = ranked.iter().take(ONE_WITH_TIME).collect();
-        return blamed(untold, there, of(&foremost), because);
+        let (p, set) = one_of(&ranked.iter().take(ONE_WITH_TIME).collect::<Vec<_>>());
+        return blamed(untold, p, set, because);
     }
     if singled_out(ranked).is_none() {
-        return blamed(untold, there, of(&rivals(ranked)), because);
+        let (p, set) = one_of(&rivals(ranked));
+        return blamed(untold, p, set, because);
     }
     // What the law leaves where it does worst, or on the stretches that its last fit has not seen.
     let (worst, of_what) = match listed.iter().find_map(|l| l.again.as_ref()) {

@@ -3,6 +3,7 @@
 use super::hypotheses::Listed;
 use super::recording::Runs;
 use crate::diagnosis::data::overview::Overview;
+use crate::diagnosis::numerics::linear::rms;
 use crate::diagnosis::report::Gap;
 use crate::diagnosis::screen::Screening;
 
@@ -26,7 +27,7 @@ impl Evidence {
             overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
         let whole: Vec<f64> =
             overview.power.iter().zip(&level).map(|(p, level)| p.rms_error / level).collect();
-        let relative = |errors: &[f64], r: usize| runs.shares[r] * root_mean_square(errors);
+        let relative = |errors: &[f64], r: usize| runs.shares[r] * rms(errors);
         let linear: Vec<f64> =
             screening.linear.errors.iter().enumerate().map(|(r, errors)| relative(errors, r)).collect();
         let best = (0..whole.len())
@@ -107,8 +108,4 @@ impl Evidence {
 /// What is left of one RMS without another that does not go with it.
 fn less(of: f64, without: f64) -> f64 {
     (of * of - without * without).max(0.0).sqrt()
-}
-
-pub(super) fn root_mean_square(errors: &[f64]) -> f64 {
-    (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }

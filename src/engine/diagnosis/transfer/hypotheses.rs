@@ -3,7 +3,6 @@
 use rayon::prelude::*;
 
 use super::decide::Ranked;
-use super::evidence::root_mean_square;
 use super::recording::Runs;
 use super::words;
 use crate::Signal;
@@ -90,7 +89,7 @@ impl Of<'_> {
         responses.swap(0, standing.response);
         let (at, between) = words::place(self.input, standing.place);
         let (strength, shape) = self.strength(loudest);
-        let left = (held_out.rms_after / held_out.rms_before.max(f64::MIN_POSITIVE)).powi(2);
+        let left = held_out.left();
         let alone = EffectShare {
             effect: standing.effect,
             family: standing.family,
@@ -159,7 +158,7 @@ impl Of<'_> {
     /// RMS of errors of a response's groups that are relative to it.
     fn rms_of(&self, r: usize, errors: &[f64]) -> f64 {
         let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
-        level * self.runs.shares[r] * root_mean_square(errors)
+        level * self.runs.shares[r] * rms(errors)
     }
 
     /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where
@@ -196,13 +195,14 @@ impl Of<'_> {
             let after = if added.alone[r] { self.held_out_alone(r) } else { of_bare?[r] };
             (rms(&of_sim), after)
         };
-        let noise_rms = self.runs.noise.as_ref().map_or(0.0, |n| n[r].min(rms_after));
-        let above = |rms: f64| (rms * rms - noise_rms * noise_rms).max(0.0);
-        let closed = |before: f64, after: f64| {
-            let gap = above(before);
-            if gap > 0.0 { 1.0 - above(after) / gap } else { 0.0 }
+        let whole = HeldOut {
+            runs: self.input.runs.iter().map(|run| run.name.clone()).collect(),
+            rms_before,
+            rms_after,
+            ..HeldOut::default()
         };
-        let closure = closed(rms_before, rms_after);
+        let counted = whole.above_noise(self.runs.noise.as_ref().map_or(0.0, |noise| noise[r]));
+        let closure = counted.closure;
         // How far groups differ tells how far the next may.
         let linear = &self.screening.linear.errors[r];
         let by_group: Vec<f64> = linear
@@ -214,21 +214,7 @@ impl Of<'_> {
         let width = next_within(&by_group).max(0.03 * (1.0 - closure).abs());
         // Where nothing tells the noise, all of the rest may be noise.
         let highest = if self.runs.noise.is_some() { (closure + width).min(1.0) } else { 1.0 };
-        let floor = if noise_rms > 0.0 { noise_rms } else { rms_after }.max(f64::MIN_POSITIVE);
-        let floors = |rms: f64| (rms / floor).powi(2).min(1e12);
-        Some(HeldOut {
-            runs: self.input.runs.iter().map(|run| run.name.clone()).collect(),
-            rms_before,
-            rms_after,
-            noise_rms,
-            chi2_before: floors(rms_before),
-            chi2_after: floors(rms_after),
-            closure,
-            closure_ci90: [closure - width, highest],
-            closure_rms: closure,
-            damage_ratio_before: None,
-            damage_ratio_after: None,
-        })
+        Some(HeldOut { closure_ci90: [closure - width, highest], ..counted })
     }
 
     /// The law's numbers.

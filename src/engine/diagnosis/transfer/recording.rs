@@ -61,7 +61,7 @@ impl Runs {
     /// or of any two the earlier.
     pub fn level_follows_time(&self) -> bool {
         let records = &self.recording.records;
-        let runs: Vec<[f64; 2]> = records.iter().map(|r| [r.started_s, level(&r.drive)]).collect();
+        let runs: Vec<[f64; 2]> = records.iter().map(|r| [r.started_s, level(r.drive.channels())]).collect();
         let mut grow = (0..runs.len()).flat_map(|i| (0..i).map(move |j| (i, j))).filter_map(|(i, j)| {
             let ([t, a], [s, b]) = (runs[i], runs[j]);
             let apart = a.max(b) > APART * a.min(b) && t != s;

@@ -14,7 +14,9 @@ use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::prepare_down_to;
 use crate::diagnosis::effects::effect::{Effect, Family};
 use crate::diagnosis::input::{self, Input, Mode, Run};
-use crate::diagnosis::screen::{Grouping, Moved, Place, Recording, Screening, Standing, Transfer, moved};
+use crate::diagnosis::screen::{
+    Grouping, Moved, Place, Record, Recording, Screening, Standing, Transfer, moved,
+};
 use crate::diagnosis::search::contest::contest;
 use crate::progress::{Progress, Watch};
 use crate::{EngineError, Quantity, Signal};
@@ -166,13 +168,17 @@ fn of_channel(effect: Effect) -> bool {
 fn beginnings(recording: &Recording) -> Recording {
     let whole: usize = recording.records.iter().map(|r| r.drive.n_samples()).sum();
     let share = (SAMPLES as f64 / whole.max(1) as f64).min(1.0);
-    let mut out = recording.clone();
-    for record in &mut out.records {
-        let kept = (record.drive.n_samples() as f64 * share).ceil() as usize;
-        record.drive = record.drive.slice(0..kept);
-        record.response = record.response.slice(0..kept);
-    }
-    out
+    let records = recording.records.iter().map(|record| {
+        let kept = 0..(record.drive.n_samples() as f64 * share).ceil() as usize;
+        Record {
+            drive: record.drive.slice(kept.clone()),
+            response: record.response.slice(kept.clone()),
+            added: record.added.as_ref().map(|added| added.slice(kept)),
+            started_s: record.started_s,
+        }
+    });
+    let (drives, responses) = (recording.drives.clone(), recording.responses.clone());
+    Recording { drives, responses, records: records.collect() }
 }
 
 /// How many integrals of what was measured the motion at a place is.

@@ -42,6 +42,16 @@ pub fn oscillator(u: &[f64], force: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     states(u, rate).into_iter().map(|q| q[0]).collect()
 }
 
+/// The displacement of an oscillator on a spring and a hysteresis in the words of Bouc and Wen, which stiffens as it is
+/// loaded and is unloaded steeply.
+pub fn hysteretic(u: &[f64]) -> Vec<f64> {
+    let rate = |[y, v, z]: [f64; 3], u: f64| {
+        let force = 0.5 * y + 0.8 * z;
+        [v, OMEGA * OMEGA * (u - force) - DAMPING * v, v - 0.9 * v.abs() * z + 1.2 * v * z.abs()]
+    };
+    states(u, rate).into_iter().map(|q| q[0]).collect()
+}
+
 /// States at every sample of `q' = rate(q, u)` from rest, `u` straight between samples.
 fn states<const N: usize>(u: &[f64], rate: impl Fn([f64; N], f64) -> [f64; N]) -> Vec<[f64; N]> {
     let h = 1.0 / (RATE_HZ * STEPS as f64);
