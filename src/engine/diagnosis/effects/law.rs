@@ -163,20 +163,9 @@ impl Law {
                 let peak = shape[1].clamp(0.0, BREAKAWAY);
                 (i.v / shape[0].min(SLIDES).exp()).tanh() * (1.0 + peak * (-x * x).exp())
             }
-            Self::BoucWen => {
+            Self::BoucWen | Self::Hysteretic => {
                 let (limit, sharpness) = (shape[0].min(YIELDS).exp(), shape[1].clamp(-1.0, 2.5).exp());
-                let z = memory[0];
-                let slope = |z: f64| {
-                    if i.dy * z > 0.0 { 1.0 - (z.abs() / limit).min(1.0).powf(sharpness) } else { 1.0 }
-                };
-                let half = z + 0.5 * i.dy * slope(z);
-                let next = (z + i.dy * slope(half)).clamp(-limit, limit);
-                memory[0] = next;
-                0.5 * (z + next) / limit
-            }
-            Self::Hysteretic => {
-                let (limit, sharpness) = (shape[0].min(YIELDS).exp(), shape[1].clamp(-1.0, 2.5).exp());
-                let unloading = shape[2].clamp(-UNLOADS, UNLOADS);
+                let unloading = if *self == Self::BoucWen { 0.0 } else { shape[2].clamp(-UNLOADS, UNLOADS) };
                 // Beyond it nothing that yields goes; what stiffens has no end.
                 let most =
                     if unloading > -1.0 { limit * (1.0 + unloading).powf(-1.0 / sharpness) } else { FAR };

@@ -392,8 +392,7 @@ impl Forward {
         let mut linear = self.linear(&of.linear, course);
         linear.iter_mut().for_each(|y| *y += of.offset);
         course.add(output, &mut linear);
-        let taps: Vec<Vec<f64>> = of.kernels.iter().map(Kernel::past).collect();
-        Feed { known: linear, past: Some(Past::new(taps.iter().map(Vec::as_slice))) }
+        Feed { known: linear, past: Some(Past::new(of.kernels.iter().map(Kernel::past))) }
     }
 
     /// Signals of a law whose argument depends on them.

@@ -56,7 +56,8 @@ pub enum Law {
     BoucWen {
         /// Displacement at which it yields.
         limit: f64,
-        /// How much less it gives as it is unloaded, relative to how much less it gives as it is loaded than unloaded.
+        /// 0: it is unloaded along a straight line; below 0 more steeply, and below -1 it stiffens as it is loaded; see
+        /// `yielding` in `memory.rs`.
         #[serde(default)]
         unloading: f64,
     },

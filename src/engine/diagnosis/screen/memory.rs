@@ -3,6 +3,9 @@
 use super::front::Front;
 use super::law::Scale;
 
+/// Largest exponent of a force that stiffens as it yields: beyond it no motion of the rig goes.
+const MOST_GROWTH: f64 = 20.0;
+
 /// The hidden states of a law over one record.
 #[derive(Debug, Clone)]
 pub(super) struct Memory {
@@ -56,28 +59,21 @@ pub(super) fn slide(z: &mut f64, step: f64, limit: f64) -> f64 {
     *z
 }
 
-/// Largest exponent of a force that stiffens as it yields: beyond it no motion of the rig goes.
-const MOST_GROWTH: f64 = 20.0;
-
 /// The hysteretic displacement of Bouc and Wen with exponent 1, exact for any step: `dz = dy (1 - b |z| / limit)` with
 /// `b = unloading` while `dy` and `z` have opposite signs, and `b = 1 + unloading` while they have one.
 ///
 /// In their words `beta + gamma = (1 + unloading) / limit` and `gamma - beta = unloading / limit`: at 0 it unloads along a
 /// straight line, below it more steeply, and below -1 it stiffens as it is loaded.
 pub(super) fn yielding(z: &mut f64, step: f64, limit: f64, unloading: f64) -> f64 {
-    let (side, mut way) = (step.signum(), step.abs());
-    let mut along = *z * side;
-    if along < 0.0 {
-        let to_zero = unloaded_after(-along, unloading / limit);
-        if way < to_zero {
-            along = -yielded(-along, -way, unloading / limit);
-            *z = along * side;
-            return *z;
-        }
-        along = 0.0;
-        way -= to_zero;
-    }
-    *z = yielded(along, way, (1.0 + unloading) / limit) * side;
+    let (side, way) = (step.signum(), step.abs());
+    let along = *z * side;
+    let to_zero = if along < 0.0 { unloaded_after(-along, unloading / limit) } else { 0.0 };
+    let next = if way < to_zero {
+        -yielded(-along, -way, unloading / limit)
+    } else {
+        yielded(along.max(0.0), way - to_zero, (1.0 + unloading) / limit)
+    };
+    *z = next * side;
     *z
 }
 

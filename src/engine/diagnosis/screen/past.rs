@@ -2,7 +2,7 @@
 //!
 //! An impulse response of thousands of taps, read whole at every sample, is most of a free run's time. Here only what
 //! happened in the present block is read tap by tap; what all blocks before it do in the present one is had at once, by
-//! the products of their spectra with those of the taps, block by block (partitioned overlap-save, Stockham 1966).
+//! the products of their spectra with those of the taps, block by block (uniformly partitioned overlap-save, Kulp 1988).
 
 use std::collections::VecDeque;
 
@@ -35,8 +35,8 @@ struct OfSignal {
 
 impl Past {
     /// `taps[signal]` from lag 1 on.
-    pub fn new<'a>(taps: impl Iterator<Item = &'a [f64]>) -> Self {
-        Self { signals: taps.map(OfSignal::new).collect(), before: vec![0.0; BLOCK], from: 0 }
+    pub fn new(taps: impl Iterator<Item = Vec<f64>>) -> Self {
+        Self { signals: taps.map(|taps| OfSignal::new(&taps)).collect(), before: vec![0.0; BLOCK], from: 0 }
     }
 
     /// What the signals up to sample `t` do there; `t` goes up by one from call to call.
@@ -109,7 +109,7 @@ mod tests {
             .enumerate()
             .map(|(i, length)| (0..*length).map(|k| noise(k, 10 + i) * 0.99_f64.powi(k as i32)).collect())
             .collect();
-        let mut past = Past::new(taps.iter().map(Vec::as_slice));
+        let mut past = Past::new(taps.iter().cloned());
         for t in 0..n {
             let lags = |(taps, signal): (&Vec<f64>, &Vec<f64>)| -> f64 {
                 taps.iter().take(t).enumerate().map(|(k, h)| h * signal[t - 1 - k]).sum()

@@ -70,6 +70,10 @@ fn accelerations_tell_a_damper() {
     assert_eq!((first.family, first.place), (Family::Damping, Place::Response(0)));
     let free = first.free.as_ref().map(|free| free.ratio);
     assert!(first.ratio < 0.3 && free.is_some_and(|free| free < 0.6), "{} {free:?}", first.ratio);
+    // So does the motion that the linear part predicts.
+    let predicted = screening.standings.iter().find(|s| s.predicted).unwrap();
+    assert_eq!((predicted.family, predicted.place), (Family::Damping, Place::Response(0)));
+    assert!(predicted.ratio < 0.6, "{}", predicted.ratio);
 }
 
 #[test]
