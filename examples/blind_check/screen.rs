@@ -82,8 +82,11 @@ fn recording(
     rate_hz: f64,
     runs: Vec<Vec<Vec<f64>>>,
 ) -> Result<Recording, AnyError> {
-    let channel =
-        |(i, quantity): (usize, &Quantity)| Channel { name: format!("channel_{i}"), quantity: *quantity };
+    let channel = |(i, quantity): (usize, &Quantity)| Channel {
+        name: format!("channel_{i}"),
+        quantity: *quantity,
+        size: None,
+    };
     let mut channels: Vec<Channel> = quantities.iter().enumerate().map(channel).collect();
     let responses = channels.split_off(drives);
     let record = |(i, mut run): (usize, Vec<Vec<f64>>)| -> Result<Record, AnyError> {
@@ -179,7 +182,7 @@ fn case(folder: &Path) -> Result<Recording, AnyError> {
         let channels = listed.iter().filter(|c| c["role"] == role);
         let channel = |c: &Value| {
             let name = c["name"].as_str().unwrap_or_default().to_owned();
-            Ok(Channel { name, quantity: serde_json::from_value(c["quantity"].clone())? })
+            Ok(Channel { name, quantity: serde_json::from_value(c["quantity"].clone())?, size: None })
         };
         channels.map(channel).collect()
     };

@@ -214,24 +214,27 @@ pub enum Command {
 impl Command {
     pub fn apply(self, u: &[f64]) -> Vec<f64> {
         let mut held = u.first().copied().unwrap_or(0.0);
-        u.iter()
-            .map(|&u| match self {
-                Self::Plain => u,
-                Self::Bounded { at } => at * (u / at).tanh(),
-                Self::OneBound { at } => u.min(at) + 0.03 * (u - at).max(0.0),
-                Self::Bent { bend } => (bend * u).min(4.0).exp_m1() / bend,
-                Self::Slow { rate } => {
-                    held += rate * ((u - held) / rate).tanh();
-                    held
-                }
-                Self::Overlap { at } => u - at * (u / at).tanh(),
-                Self::Dead { at, leak } => u - (1.0 - leak) * u.clamp(-at, at),
-                Self::Play { width } => {
-                    held = held.clamp(u - width, u + width);
-                    held + 0.05 * (u - held)
-                }
-            })
-            .collect()
+        u.iter().map(|&u| self.at(u, &mut held)).collect()
+    }
+
+    /// One sample, with what the map holds.
+    pub fn at(self, u: f64, held: &mut f64) -> f64 {
+        match self {
+            Self::Plain => u,
+            Self::Bounded { at } => at * (u / at).tanh(),
+            Self::OneBound { at } => u.min(at) + 0.03 * (u - at).max(0.0),
+            Self::Bent { bend } => (bend * u).min(4.0).exp_m1() / bend,
+            Self::Slow { rate } => {
+                *held += rate * ((u - *held) / rate).tanh();
+                *held
+            }
+            Self::Overlap { at } => u - at * (u / at).tanh(),
+            Self::Dead { at, leak } => u - (1.0 - leak) * u.clamp(-at, at),
+            Self::Play { width } => {
+                *held = held.clamp(u - width, u + width);
+                *held + 0.05 * (u - *held)
+            }
+        }
     }
 
     pub fn family(self) -> Option<Family> {
@@ -251,6 +254,17 @@ impl Command {
             1 => Self::OneBound { at: rng.random_range(0.5..1.8) },
             2 => Self::Bent { bend: rng.random_range(0.1..0.5) },
             _ => Self::Slow { rate: step * rng.random_range(0.6..1.8) },
+        }
+    }
+
+    /// Of a valve, which holds nothing.
+    pub fn valve(rng: &mut impl Rng) -> Self {
+        match rng.random_range(0..5) {
+            0 => Self::Bounded { at: rng.random_range(0.8..2.5) },
+            1 => Self::OneBound { at: rng.random_range(0.5..1.8) },
+            2 => Self::Bent { bend: rng.random_range(0.1..0.5) },
+            3 => Self::Overlap { at: rng.random_range(0.1..0.8) },
+            _ => Self::Dead { at: rng.random_range(0.1..0.8), leak: rng.random_range(0.0..0.2) },
         }
     }
 

@@ -1,5 +1,5 @@
 //! Rigs of the population: masses on springs and dampers, a drive that is a force, a command in a closed loop, or the
-//! motion of a specimen whose force is measured; each with one thing beyond its linear part, or none.
+//! motion of a specimen whose force is measured, or of a table; each with one thing beyond its linear part, or none.
 
 use std::f64::consts::TAU;
 
@@ -34,8 +34,18 @@ enum Control {
         gain: f64,
         reset: f64,
     },
+    /// A valve lets oil in by the error of position; what the mass does not make room for presses on it.
+    Servo {
+        /// Flow of an error, a sample.
+        pace: f64,
+        /// Frequency of the mass on the oil, rad a sample, and its damping ratio.
+        oil: f64,
+        damping: f64,
+    },
     /// The specimen's motion is commanded, its force measured.
     Specimen,
+    /// All stands on a table whose acceleration is the drive; motions are those over the table.
+    Table,
 }
 
 /// A chain of masses, the first tied to ground.
@@ -56,6 +66,8 @@ struct Beyond {
     sensor: Sensor,
     /// A static law between two filters.
     block: Option<Block>,
+    /// What a valve makes of the error of position.
+    valve: Command,
     /// Supply of a valve whose flow falls with the load's root, in deviations of the elastic force.
     supply: Option<f64>,
 }
@@ -82,6 +94,7 @@ struct Level {
     rate: f64,
     beside: f64,
     force: f64,
+    error: f64,
 }
 
 struct Rig {
@@ -103,17 +116,21 @@ struct Rig {
 /// Draws the rig of a seed and runs it.
 pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     let rng = &mut ChaCha8Rng::seed_from_u64(seed);
-    let kind = rng.random_range(0..22);
+    let kind = rng.random_range(0..26);
     let control = match rng.random_range(0..20) {
         _ if (4..=8).contains(&kind) || kind == 10 || kind == 20 => Control::Force,
+        _ if kind == 22 || kind == 23 => servo(rng),
+        _ if kind == 24 || kind == 25 => Control::Table,
         0..=9 => Control::Force,
-        10..=13 => Control::Loop { gain: rng.random_range(0.02..0.2), reset: rng.random_range(0.0..0.001) },
+        10..=11 => servo(rng),
+        12..=13 => Control::Loop { gain: rng.random_range(0.02..0.2), reset: rng.random_range(0.0..0.001) },
         _ if kind == 21 => Control::Force,
         _ => Control::Specimen,
     };
     // A second axis says nothing of what the first has.
     let axes = if kind == 8 || (control == Control::Force && rng.random_bool(0.3)) { 2 } else { 1 };
-    let masses = if control == Control::Specimen { 1 } else { rng.random_range(1..4) };
+    let masses =
+        if control == Control::Specimen || kind == 22 || kind == 23 { 1 } else { rng.random_range(1..4) };
     let first = log_uniform(0.012, 0.07, rng);
     let chain = |rng: &mut ChaCha8Rng| {
         let zeta = log_uniform(0.008, 0.25, rng);
@@ -125,9 +142,12 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         }
     };
     let chains: Vec<Chain> = (0..axes).map(|_| chain(rng)).collect();
-    let mass = rng.random_range(0..masses);
+    let mass =
+        if control == Control::Table && rng.random_bool(0.7) { 0 } else { rng.random_range(0..masses) };
     let quantity = match (control, rng.random_range(0..10)) {
         (Control::Specimen, _) => Quantity::Force,
+        (Control::Servo { .. }, _) => Quantity::Displacement,
+        (Control::Table, _) => Quantity::Acceleration,
         (_, 0..=4) => Quantity::Displacement,
         (_, 5..=6) => Quantity::Velocity,
         _ => Quantity::Acceleration,
@@ -161,6 +181,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
         command: Command::Plain,
         sensor: Sensor::Plain,
         block: None,
+        valve: Command::Plain,
         supply: None,
     };
     let levels = levels(rng);
@@ -195,18 +216,23 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
             Beyond { block: Some(block), background: None, ..plain }
         }
         21 => Beyond { supply: Some(rng.random_range(1.3..5.0)), background: None, ..plain },
+        22 | 23 => Beyond { valve: Command::valve(rng), background: None, ..plain },
+        24 => Beyond { force: Some(Force::stiffness(rng)), ..plain },
+        25 if rng.random_bool(0.5) => Beyond { force: Some(Force::friction(rng)), ..plain },
+        25 => Beyond { force: Some(Force::damping(rng)), ..plain },
         11 => Beyond { force: Some(Force::drift(rng)), background: None, ..plain },
         12 | 14 => Beyond { force: Some(Force::damping(rng)), background: None, ..plain },
         13 => Beyond { force: Some(Force::outside(rng)), background: None, ..plain },
         _ => Beyond { background: None, ..plain },
     };
-    let unscaled = Level { y: 1.0, rate: 1.0, beside: 1.0, force: 1.0 };
+    let unscaled = Level { y: 1.0, rate: 1.0, beside: 1.0, force: 1.0, error: 1.0 };
     let linear = Beyond {
         force: None,
         background: None,
         command: Command::Plain,
         sensor: Sensor::Plain,
         block: None,
+        valve: Command::Plain,
         supply: None,
         ..plain
     };
@@ -232,8 +258,12 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
             started_s: 100.0 * at as f64,
         });
     }
-    let channel = |name: String, quantity: Quantity| Channel { name, quantity };
-    let driven = if control == Control::Force { Quantity::Force } else { Quantity::Displacement };
+    let channel = |name: String, quantity: Quantity| Channel { name, quantity, size: None };
+    let driven = match control {
+        Control::Force => Quantity::Force,
+        Control::Table => Quantity::Acceleration,
+        _ => Quantity::Displacement,
+    };
     let responses = records[0].response.n_channels();
     let recording = Recording {
         drives: (0..axes).map(|i| channel(format!("drive_{i}"), driven)).collect(),
@@ -242,12 +272,20 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     };
     // What changes less than this cannot be seen beside rounding.
     let seen = with > 1e-8 * without;
-    let truth = [beyond.force.and_then(Force::family), beyond.command.family(), beyond.sensor.family()];
+    let maps = [beyond.command.family(), beyond.valve.family(), beyond.sensor.family()];
     // A static law behind a filter of the command is both a block structure and an actuator's map.
     let block = [Family::BlockStructure, Family::Actuator].map(|f| beyond.block.map(|_| f));
     let valve = beyond.supply.map(|_| Family::Actuator);
-    let truth = truth.into_iter().chain(block).chain([valve]).flatten().filter(|_| seen).collect();
+    let force = beyond.force.and_then(Force::family);
+    let truth = maps.into_iter().chain(block).chain([valve, force]).flatten().filter(|_| seen).collect();
     Ok(Case { recording, truth })
+}
+
+/// A loop around a valve that is as quick as the oil allows, or slower.
+fn servo(rng: &mut impl Rng) -> Control {
+    let oil = TAU * log_uniform(0.06, 0.16, rng);
+    let damping = rng.random_range(0.2..0.6);
+    Control::Servo { pace: 2.0 * damping * oil * rng.random_range(0.1..0.5), oil, damping }
 }
 
 /// RMS of the drive of each run.
@@ -301,6 +339,7 @@ impl Rig {
         let mut x = vec![0.0; axes * width + 2 * SLIDERS];
         let mut kept: Vec<Vec<f64>> = vec![Vec::with_capacity(n); axes * masses];
         let (mut y, mut rate, mut beside, mut force) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let mut error = Vec::new();
         for t in 0..n {
             let next = (t + 1).min(n - 1);
             for step in 0..STEPS {
@@ -330,6 +369,7 @@ impl Rig {
             rate.push(now.rate);
             beside.push(now.beside);
             force.push(now.elastic);
+            error.push(u[0] - x[2 * (masses - 1)]);
             for axis in 0..axes {
                 for mass in 0..masses {
                     let at = axis * width + 2 * mass;
@@ -337,6 +377,7 @@ impl Rig {
                         Quantity::Force => now.force,
                         Quantity::Displacement => x[at],
                         Quantity::Velocity => x[at + 1],
+                        _ if self.control == Control::Table => now.rates[at + 1] + u[axis],
                         _ => now.rates[at + 1],
                     });
                 }
@@ -347,6 +388,7 @@ impl Rig {
             rate: deviation(&rate).max(1e-12),
             beside: deviation(&beside).max(1e-12),
             force: deviation(&force).max(1e-12),
+            error: deviation(&error).max(1e-12),
         };
         let sensed = |y: Vec<f64>| -> Vec<f64> {
             let y = y[BEFORE..].to_vec();
@@ -469,6 +511,17 @@ impl Rig {
                             rates[actuator + 1] = TAU * self.lag * (wanted - x[actuator + 1]);
                             force += x[actuator + 1];
                         }
+                        Control::Servo { pace, oil, damping } => {
+                            let error = (u[axis] - x[own]) / level.error;
+                            let error = if axis == 0 { beyond.valve.at(error, &mut 0.0) } else { error };
+                            let wanted = pace * level.error * error;
+                            let flow = x[actuator + 1] * valve(axis, x[actuator + 1], x[actuator]);
+                            rates[actuator + 1] = TAU * 0.3 * (wanted - x[actuator + 1]);
+                            rates[actuator] =
+                                oil * oil * (flow - x[own + 1]) - 2.0 * damping * oil * x[actuator];
+                            force += x[actuator];
+                        }
+                        Control::Table => {}
                         Control::Specimen => {
                             // A stiff table follows the command; what it needs beside that is the specimen's.
                             let follow = (TAU * 0.15).powi(2);
@@ -477,6 +530,9 @@ impl Rig {
                             force = table;
                         }
                     }
+                }
+                if self.control == Control::Table {
+                    force -= u[axis];
                 }
                 rates[own] = x[own + 1];
                 rates[own + 1] = force;

@@ -119,6 +119,11 @@ pub fn factor(from: &str, to: &str) -> Option<f64> {
     (from == to).then(|| exact(from_size / to_size))
 }
 
+/// Size of a unit in SI units; `None` of one that is not known.
+pub fn size(unit: &str) -> Option<f64> {
+    find(&normal(unit)).map(|(_, size)| size)
+}
+
 /// The number of few digits that a ratio is but for its last bits: 0.001 for 1e-6 / 1e-3.
 fn exact(ratio: f64) -> f64 {
     let short: f64 = format!("{ratio:.11e}").parse().unwrap_or(ratio);

@@ -15,6 +15,8 @@ pub struct Channel {
     pub axis: Option<String>,
     /// Its unit.
     pub unit: String,
+    /// Size of its unit in SI units; `None` where that is not known.
+    pub size: Option<f64>,
     /// What it measures: stiffness and friction act on displacements.
     pub quantity: Quantity,
 }

@@ -12,7 +12,7 @@ use bytes::Bytes;
 
 use crate::compute::Class;
 use crate::domain::diagnosis::{Findings, VerdictSummary};
-use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span, UsedModel};
+use crate::domain::{Channel, DiagnosisRequest, FieldError, Problem, Run, Span, UsedModel, units};
 use crate::engine::diagnosis::{self, Diagnosis, Input, Mode, RunPart, VerdictKind};
 use crate::engine::model::{AddedEffect, ModelKind, Pair, Predictor, Preprocess, RigModel, apply_effects};
 use crate::engine::{EngineError, Progress, Signal};
@@ -139,6 +139,7 @@ async fn load(
         name: c.name.clone(),
         axis: c.axis.clone(),
         unit: c.unit.clone(),
+        size: units::size(&c.unit),
         quantity: c.quantity,
     };
     Ok(Input {

@@ -20,15 +20,19 @@ pub(super) fn laws(arguments: &[Argument], at: usize) -> Vec<(Law, Option<usize>
             }
             out.extend(alone(Law::rate_limits()));
             out.push((Law::StiffnessDrift, None));
-            let responses = |i: &usize| matches!(arguments[*i].place, Place::Response(_));
-            out.extend((0..arguments.len()).filter(responses).map(|i| (Law::ValveFlow, Some(i))));
+            out.extend(valve_flow(arguments));
+        }
+        // An error of control has no rate.
+        Place::Error(..) => {
+            out.extend(alone(Law::sliding()));
+            out.extend(valve_flow(arguments));
         }
         Place::Response(_) => {
             out.extend(alone(Law::friction()));
             out.extend(alone(Law::damping()));
             out.push((Law::StiffnessDrift, None));
         }
-        Place::Between(..) => {
+        Place::Between(..) | Place::OnTable(..) => {
             out.extend(alone(Law::friction()));
             out.extend(alone(Law::damping()));
         }
@@ -36,6 +40,12 @@ pub(super) fn laws(arguments: &[Argument], at: usize) -> Vec<(Law, Option<usize>
     }
     out.extend(others(arguments, at).into_iter().map(|i| (Law::CrossAxisKinematic, Some(i))));
     out
+}
+
+/// A valve whose flow falls with the load, which any response may stand for.
+fn valve_flow(arguments: &[Argument]) -> impl Iterator<Item = (Law, Option<usize>)> {
+    let responses = |i: &usize| matches!(arguments[*i].place, Place::Response(_));
+    (0..arguments.len()).filter(responses).map(|i| (Law::ValveFlow, Some(i)))
 }
 
 /// Laws of a sensor, or behind all dynamics.

@@ -208,7 +208,7 @@ mod tests {
             u.push(drive);
             y.push(a / (w * w) + white * noise() + slow * wander);
         }
-        let channel = |quantity| Channel { name: "c".into(), quantity };
+        let channel = |quantity| Channel { name: "c".into(), quantity, size: None };
         let signal = |x| Signal::new(RATE, vec![x]).unwrap();
         let record = Record { drive: signal(u), response: signal(y), added: None, started_s: 0.0 };
         Recording {

@@ -148,6 +148,10 @@ impl Entry {
                     add(&self.impulses[d], -lead..BEHIND as isize - lead);
                 }
                 Place::Output(_) => add(&[1.0], 0..if signals > 2 { AFTER as isize } else { 1 }),
+                Place::Error(d, _) | Place::OnTable(d, _) => {
+                    let h = &self.impulses[d][self.lead..];
+                    if own { add(&late(h), behind()) } else { add(h, behind()) }
+                }
                 Place::Response(_) | Place::Between(..) => {
                     for d in self.through(signals) {
                         let h = &self.impulses[d][self.lead..];
@@ -175,6 +179,7 @@ impl Entry {
                     1
                 }
             }
+            Place::Error(..) | Place::OnTable(..) => BEHIND,
             Place::Response(_) | Place::Between(..) => self.through(signals).count() * BEHIND,
         };
         signals * of_one
@@ -226,6 +231,11 @@ impl Entry {
                 Place::Output(_) => {
                     let lags = if signals.len() > 2 { AFTER as isize } else { 1 };
                     tracks.push((signal.clone(), 0..lags));
+                }
+                Place::Error(d, _) | Place::OnTable(d, _) => {
+                    let filters = if own { &self.delayed[d] } else { &self.causal[d] };
+                    let through = signal.iter().zip(filters).map(|(x, h)| h.apply(x)).collect();
+                    tracks.push((through, behind()));
                 }
                 Place::Response(_) | Place::Between(..) => {
                     let filters = if own { &self.delayed } else { &self.causal };

@@ -118,7 +118,7 @@ fn contenders(standings: &[Standing]) -> Vec<Vec<usize>> {
             Some(of) => {
                 let seen = of.iter().any(|&other| standings[other].place == standing.place);
                 let near = standing.ratio < ELSEWHERE * best;
-                if standing.place.is_of_structure() && near && !seen && of.len() < PLACES {
+                if standing.place.is_fed_back() && near && !seen && of.len() < PLACES {
                     of.push(at);
                 }
             }

@@ -511,7 +511,7 @@ impl Forward {
         let output = &self.outputs[response];
         let power = |h: &Kernel| dot(&h.taps, &h.taps);
         let drive = match self.place {
-            Place::Drive(d) => d,
+            Place::Drive(d) | Place::Error(d, _) | Place::OnTable(d, _) => d,
             _ => (0..output.linear.len())
                 .max_by(|&a, &b| power(&output.linear[a]).total_cmp(&power(&output.linear[b])))?,
         };
@@ -641,7 +641,7 @@ impl Forward {
         if !self.seen.is_empty() && self.seen.len() != self.outputs.len() - responses {
             return Err(format!("seen: {} entries", self.seen.len()));
         }
-        if !self.seen.iter().all(|seen| seen.is_among(responses)) {
+        if !self.seen.iter().all(|seen| seen.is_among(drives, responses)) {
             return Err("seen: responses of the model".into());
         }
         let source = |source: Source| match source {

@@ -204,7 +204,7 @@ impl Bench<'_> {
         };
         let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(|a| self.unbent(a)).collect();
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
-        let fed: Vec<usize> = (0..places.len()).filter(|&i| places[i].is_of_structure()).collect();
+        let fed: Vec<usize> = (0..places.len()).filter(|&i| places[i].is_fed_back()).collect();
         // Whatever the signals begin with, what is fed back is fitted to what was measured.
         let seen: Vec<&Argument> =
             fed.iter().map(|&i| arguments.iter().find(|a| a.place == places[i])).collect::<Option<_>>()?;
@@ -227,7 +227,8 @@ impl Bench<'_> {
                     if i == 0 { argument.quantity } else { other.map_or(argument.quantity, |o| o.quantity) };
                 Source::Drive { channel, quantity }
             }
-            (Place::Output(r) | Place::Response(r) | Place::Between(r, _), _) => Source::Linear(r),
+            (Place::Output(r) | Place::Response(r) | Place::Between(r, _), _)
+            | (Place::Error(_, r) | Place::OnTable(_, r), _) => Source::Linear(r),
         };
         let law = standing.law;
         let count = law.count();

@@ -7,12 +7,27 @@ use serde::{Deserialize, Serialize};
 use crate::{EngineError, Quantity, Signal};
 
 /// A channel of the rig.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Channel {
     /// Its name.
     pub name: String,
     /// What it measures: laws of stiffness, friction and damping act on motion.
     pub quantity: Quantity,
+    /// Size of its unit in SI units; `None` where that is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f64>,
+}
+
+impl Channel {
+    /// Factor from this channel's unit to that of another, both of them of one kind; 1 where neither is known, `None` where
+    /// one is.
+    pub(super) fn to_unit_of(&self, other: &Self) -> Option<f64> {
+        match (self.size, other.size) {
+            (Some(own), Some(other)) => Some(own / other),
+            (None, None) => Some(1.0),
+            _ => None,
+        }
+    }
 }
 
 /// One measured run.

@@ -22,7 +22,7 @@ const LOPSIDED: f64 = 0.577;
 enum Role {
     /// A force of the structure that acts on a motion; a positive gain gives way to the motion.
     Structure,
-    /// The specimen under a commanded motion, whose force is measured; a positive gain resists.
+    /// The specimen under a commanded motion, whose force is measured, or on a table; a positive gain resists.
     Specimen,
     Actuator,
     Sensor,
@@ -51,7 +51,8 @@ pub(super) fn effect(
         Place::Response(_) | Place::Between(..) => Role::Structure,
         Place::Output(_) => Role::Sensor,
         Place::Drive(_) if moves(of) && !moves(response) => Role::Specimen,
-        Place::Drive(_) => Role::Actuator,
+        Place::OnTable(..) => Role::Specimen,
+        Place::Drive(_) | Place::Error(..) => Role::Actuator,
     };
     match role {
         Role::Structure => of_force(law, -gain),

@@ -10,6 +10,7 @@ use super::drift::Drives;
 use super::input::{Channel, Record, Recording};
 use super::law::Scale;
 use super::motion::{Limits, Motion, beside, displacement, motion};
+use super::relative::{Sensor, relative};
 use crate::Quantity;
 
 /// The argument of a law.
@@ -22,6 +23,10 @@ pub enum Place {
     Response(usize),
     /// The first response less the second: a joint between two sensors.
     Between(usize, usize),
+    /// A drive less the response that follows it: the error that a controller acts on.
+    Error(usize, usize),
+    /// A table's drive less a response: the motion of what stands on it.
+    OnTable(usize, usize),
     /// The linear part's own prediction of a response: its sensor, or a static law behind all dynamics.
     Output(usize),
 }
@@ -36,6 +41,8 @@ pub(super) struct Argument {
     pub scale: Scale,
     /// Limits of what was integrated and differentiated.
     pub limits: Limits,
+    /// Factor of what is taken away in a difference of two responses, from its unit to the first's; else 1.
+    pub factor: f64,
     /// Whether it is what the linear part makes of the drives, at the rate of the analysis, and not what was measured.
     pub predicted: bool,
 }
@@ -46,28 +53,46 @@ impl Place {
         matches!(self, Self::Response(_) | Self::Between(..))
     }
 
+    /// Whether its argument follows from what a law there does.
+    pub fn is_fed_back(self) -> bool {
+        self.is_of_structure() || self.is_less_a_response()
+    }
+
+    /// Whether it is a drive less a response.
+    pub fn is_less_a_response(self) -> bool {
+        matches!(self, Self::Error(..) | Self::OnTable(..))
+    }
+
     /// Whether its channels are among so many drives and responses.
     pub(super) fn is_among(self, drives: usize, responses: usize) -> bool {
         match self {
             Self::Drive(d) => d < drives,
             Self::Response(r) | Self::Output(r) => r < responses,
             Self::Between(a, b) => a < responses && b < responses,
+            Self::Error(d, r) | Self::OnTable(d, r) => d < drives && r < responses,
         }
     }
 }
 
-/// How the displacement at a place of the structure follows from the responses.
+/// What responses add to the displacement at a place.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Seen {
     place: Place,
     quantity: Quantity,
     limits: Limits,
+    #[serde(default = "one")]
+    factor: f64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 impl Seen {
     /// That of an argument.
     pub fn of(argument: &Argument) -> Self {
-        Self { place: argument.place, quantity: argument.quantity, limits: argument.limits }
+        let Argument { place, quantity, limits, factor, .. } = *argument;
+        Self { place, quantity, limits, factor }
     }
 
     /// The displacement, at the rate of the responses.
@@ -76,13 +101,14 @@ impl Seen {
         match self.place {
             Place::Drive(_) => Vec::new(),
             Place::Response(r) | Place::Output(r) => of(r),
-            Place::Between(a, b) => of(a).iter().zip(of(b)).map(|(x, y)| x - y).collect(),
+            Place::Between(a, b) => of(a).iter().zip(of(b)).map(|(x, y)| x - self.factor * y).collect(),
+            Place::Error(_, r) | Place::OnTable(_, r) => of(r).iter().map(|x| -x).collect(),
         }
     }
 
-    /// Whether it is a place among so many responses.
-    pub fn is_among(&self, responses: usize) -> bool {
-        self.place.is_among(0, responses)
+    /// Whether it is a place among so many channels.
+    pub fn is_among(&self, drives: usize, responses: usize) -> bool {
+        self.place.is_fed_back() && self.place.is_among(drives, responses)
     }
 }
 
@@ -111,7 +137,7 @@ pub fn moved(recording: &Recording, places: &[Place]) -> Vec<Option<Moved>> {
             let d = recording.records.iter().map(of_record).collect();
             Some(Moved { d, drives: drives(&Vec::clone) })
         }
-        Place::Response(_) | Place::Between(..) => {
+        Place::Response(_) | Place::Between(..) | Place::Error(..) | Place::OnTable(..) => {
             let argument = arguments.iter().find(|a| a.place == *place)?;
             let within = |u: &Vec<f64>| beside(u, argument.quantity, rate, argument.limits);
             let d = argument.motion.iter().map(|m| m.d.clone()).collect();
@@ -160,7 +186,7 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
         }
         Limits { low_hz: drives.explain_from(r, limits), ..limits }
     };
-    let mut seen: Vec<(usize, Quantity, Limits)> = Vec::new();
+    let mut seen: Vec<Sensor> = Vec::new();
     for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
         let own = explained(r, channel.quantity);
         let motion = of(false, r, channel.quantity, own);
@@ -173,6 +199,8 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
     let mut between = Vec::new();
     for (a, (i, quantity, own)) in seen.iter().enumerate() {
         for (b, (j, other, its)) in seen[..a].iter().enumerate().filter(|(_, s)| s.1 == *quantity) {
+            let (first_unit, other_unit) = (&recording.responses[*i], &recording.responses[*j]);
+            let Some(factor) = other_unit.to_unit_of(first_unit) else { continue };
             let both = Limits { low_hz: own.low_hz.max(its.low_hz), ..limits };
             let cut = |at: usize, r: usize, own: &Limits| {
                 if own.low_hz < both.low_hz {
@@ -182,16 +210,21 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
                 }
             };
             let (x, y) = (cut(a, *i, own), cut(b, *j, its));
-            let motion = x.iter().zip(y.iter()).map(|(x, y)| less(x, y)).collect();
-            between.extend(argument(Place::Between(*i, *j), *quantity, both, motion));
+            let motion = x.iter().zip(y.iter()).map(|(x, y)| less(x, y, factor)).collect();
+            let found = argument(Place::Between(*i, *j), *quantity, both, motion);
+            between.extend(found.map(|found| Argument { factor, ..found }));
         }
     }
+    let relative: Vec<Argument> =
+        (0..recording.drives.len()).filter_map(|d| relative(recording, d, &seen, limits, used)).collect();
     out.extend(between);
+    out.extend(relative);
     out
 }
 
-fn less(x: &Motion, y: &Motion) -> Motion {
-    let of = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x - y).collect();
+/// One motion less another, which comes in another unit.
+pub(super) fn less(x: &Motion, y: &Motion, factor: f64) -> Motion {
+    let of = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x - factor * y).collect();
     Motion { d: of(&x.d, &y.d), v: of(&x.v, &y.v) }
 }
 
@@ -218,6 +251,7 @@ pub(super) fn argument(
         motion,
         scale: Scale { centre: if of_rig { 0.0 } else { mean }, d, v },
         limits,
+        factor: 1.0,
         predicted: false,
     })
 }

@@ -24,6 +24,7 @@ const PROBES: [Law; 5] = [
 
 /// Motions of the structure, of the places that were measured.
 pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument]) -> Vec<Argument> {
+    let of = |a: &Argument| -> Vec<Vec<f64>> { a.motion.iter().map(|m| m.d.clone()).collect() };
     let responses: Vec<&Argument> =
         measured.iter().filter(|a| matches!(a.place, Place::Response(_))).collect();
     let added: Vec<Option<Track>> = responses.iter().map(|a| desk.added_to(a)).collect();
@@ -31,7 +32,7 @@ pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument])
         .iter()
         .zip(&added)
         .map(|(a, added)| {
-            let moving = desk.thinned(&a.motion.iter().map(|m| m.d.clone()).collect::<Vec<_>>());
+            let moving = desk.thinned(&of(a));
             match added {
                 Some(added) => less(&moving, added),
                 None => moving,
@@ -66,8 +67,21 @@ pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument])
         .iter()
         .filter_map(|a| match a.place {
             Place::Response(r) => moving(a.place, a.quantity, &linear[at(r)?]),
-            Place::Between(i, j) => moving(a.place, a.quantity, &less(&linear[at(i)?], &linear[at(j)?])),
-            _ => None,
+            Place::Between(i, j) => {
+                let mut taken = linear[at(j)?].clone();
+                taken.iter_mut().flatten().for_each(|y| *y *= a.factor);
+                moving(a.place, a.quantity, &less(&linear[at(i)?], &taken))
+            }
+            Place::Error(_, r) | Place::OnTable(_, r) => {
+                let of_response = responses[at(r)?];
+                if of_response.quantity.integrals() != a.quantity.integrals() {
+                    return None;
+                }
+                let mut d = desk.thinned(&of(a));
+                add(&mut d, &less(&desk.thinned(&of(of_response)), &linear[at(r)?]));
+                moving(a.place, a.quantity, &d)
+            }
+            Place::Drive(_) | Place::Output(_) => None,
         })
         .collect()
 }

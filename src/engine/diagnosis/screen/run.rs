@@ -292,7 +292,11 @@ impl Bench<'_> {
     /// predicted holds nothing of it, and of an acceleration the displacement is another signal: a force moves it at once.
     pub(super) fn is_itself(&self, place: Place, way: Way, response: usize) -> bool {
         let integrated = self.desk.recording.responses[response].quantity.integrals() > 0;
-        place == Place::Response(response) && way != Way::Modal && !integrated
+        let of_it = match place {
+            Place::Response(r) | Place::Error(_, r) | Place::OnTable(_, r) => r == response,
+            _ => false,
+        };
+        of_it && way != Way::Modal && !integrated
     }
 
     pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {

@@ -100,6 +100,7 @@ fn request(effects: &[(usize, Force)], clip: [f64; 3], catalogue: Vec<Effect>) -
         name: format!("{name}_{axis}"),
         axis: Some(axis.into()),
         unit: unit.into(),
+        size: None,
         quantity,
     };
     let axes = ["x", "y", "z"];

@@ -71,6 +71,7 @@ fn adopting_the_effect_lowers_the_error_of_a_hybrid_2_on_a_load_nobody_saw() {
         name: name.into(),
         axis: Some(name[name.len() - 1..].into()),
         unit: unit.into(),
+        size: None,
         quantity,
     };
     let input = Input {

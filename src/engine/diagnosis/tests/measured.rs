@@ -30,6 +30,7 @@ fn asked(set: &str, files: &[&str], rate_hz: f64, quantities: &[Quantity], sampl
         name: format!("channel_{i}"),
         axis: None,
         unit: "1".into(),
+        size: None,
         quantity: *quantity,
     };
     let mut drives: Vec<Channel> = quantities.iter().enumerate().map(channel).collect();

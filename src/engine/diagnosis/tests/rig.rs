@@ -93,7 +93,13 @@ pub fn run(name: &str, drive: Vec<f64>, force: Force, noise: f64, seed: u64) -> 
 }
 
 fn channel(name: &str) -> Channel {
-    Channel { name: name.into(), axis: Some("x".into()), unit: "mm".into(), quantity: Quantity::Displacement }
+    Channel {
+        name: name.into(),
+        axis: Some("x".into()),
+        unit: "mm".into(),
+        size: None,
+        quantity: Quantity::Displacement,
+    }
 }
 
 /// A catalogue that is quick to try.

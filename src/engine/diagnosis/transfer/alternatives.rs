@@ -29,7 +29,7 @@ const WIDEST: f64 = 1.5;
 const OUTSIDE: f64 = 1.0 / 5.0;
 
 /// Features, in the order of the weights.
-pub const FEATURES: [&str; 28] = [
+pub const FEATURES: [&str; 29] = [
     "one",
     "left_by_regression",
     "left_by_free_run",
@@ -40,6 +40,7 @@ pub const FEATURES: [&str; 28] = [
     "over_a_drive",
     "over_the_output",
     "between_two_responses",
+    "over_a_drive_less_a_response",
     "left_by_free_run_at_one_level",
     "over_a_predicted_motion",
     "alike_in_every_mode",
@@ -114,7 +115,7 @@ fn of<'a>(
     standing: &'a Standing,
     free: &'a FreeRun,
 ) -> Option<Alternative<'a>> {
-    let refitted = refits.left(standing.family);
+    let refitted = refits.left(standing.family, standing.place);
     let kept = |ratio: f64| ratio.max(f64::MIN_POSITIVE).ln().clamp(LEAST_LEFT, MOST_LEFT);
     let yes = |is: bool| f64::from(u8::from(is));
     let error = rms(&screening.linear.errors[standing.response]);
@@ -133,6 +134,7 @@ fn of<'a>(
         yes(matches!(standing.place, Place::Drive(_))),
         yes(matches!(standing.place, Place::Output(_))),
         yes(matches!(standing.place, Place::Between(..))),
+        yes(standing.place.is_less_a_response()),
         yes(one_level) * kept(free.ratio),
         yes(by_modes),
         yes(by_modes) * standing.gain.abs(),

@@ -239,7 +239,9 @@ impl Of<'_> {
         use crate::Quantity::{Acceleration, Velocity};
         let channel = match self.ranked.standing.place {
             Place::Drive(d) => &self.input.drives[d],
-            Place::Response(r) | Place::Output(r) | Place::Between(r, _) => &self.input.responses[r],
+            Place::Response(r) | Place::Output(r) => &self.input.responses[r],
+            // In the unit of the first, and of the response.
+            Place::Between(r, _) | Place::Error(_, r) | Place::OnTable(_, r) => &self.input.responses[r],
         };
         let unit = &channel.unit;
         match channel.quantity {
@@ -268,9 +270,8 @@ impl Of<'_> {
         let (unit, rate) = self.unit();
         let shape = self.free.forward.curve(&force, CURVE).map(|(over_rate, x, curve)| {
             let (a, b): (Vec<f64>, Vec<f64>) = curve.iter().map(|f| (f * least, f * most)).unzip();
-            let (at, between) = words::place(self.input, standing.place);
             Shape {
-                argument: at.or(between.map(|[a, b]| format!("{a} - {b}"))).unwrap_or_default(),
+                argument: words::argument(self.input, standing.place),
                 unit: if over_rate { rate } else { unit },
                 low: a.iter().zip(&b).map(|(a, b)| a.min(*b)).collect(),
                 high: a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect(),

@@ -81,7 +81,7 @@ impl Runs {
 }
 
 fn recording<'a>(input: &Input, runs: impl Iterator<Item = (&'a Run, usize)>) -> Recording {
-    let channel = |c: &input::Channel| Channel { name: c.name.clone(), quantity: c.quantity };
+    let channel = |c: &input::Channel| Channel { name: c.name.clone(), quantity: c.quantity, size: c.size };
     let record = |(run, samples): (&Run, usize)| Record {
         drive: run.drive.slice(0..samples),
         response: run.response.slice(0..samples),

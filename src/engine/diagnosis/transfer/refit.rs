@@ -54,9 +54,10 @@ struct Task {
 }
 
 impl Refits {
-    /// What the best law of a family leaves.
-    pub fn left(&self, family: Family) -> Option<f64> {
-        least(self.0.iter().filter(|refit| refit.effect.family() == family))
+    /// What the best law of a family leaves; over a drive less a response it is another law than elsewhere.
+    pub fn left(&self, family: Family, place: Place) -> Option<f64> {
+        let alike = |refit: &&Refit| refit.place.is_less_a_response() == place.is_less_a_response();
+        least(self.0.iter().filter(|refit| refit.effect.family() == family).filter(alike))
     }
 
     /// The place at which a law of a family leaves least, where that is less than `share` of what the family leaves at
@@ -125,7 +126,7 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     near.retain(|standing| left(standing) < BEHIND * least);
     let may = |effect: &Effect| {
         let same = |family| family == effect.family();
-        let of_structure = near.iter().filter(|s| s.place.is_of_structure()).map(|s| s.family);
+        let of_structure = near.iter().filter(|s| s.place.is_fed_back()).map(|s| s.family);
         if effect.family().is_of_structure() {
             of_structure.into_iter().any(same)
         } else {
@@ -134,13 +135,20 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     };
     let may: Vec<Effect> = catalogue.iter().copied().filter(may).collect();
     let mut tasks: Vec<Task> = Vec::new();
-    for standing in near.iter().filter(|s| s.place.is_of_structure()) {
+    let of_structure: Vec<Effect> =
+        may.iter().copied().filter(|e| e.family().is_of_structure() || *e == Effect::ValveFlow).collect();
+    let of_errors: Vec<Effect> = catalogue
+        .iter()
+        .copied()
+        .filter(|e| of_an_error(*e).is_some_and(|e| near.iter().any(|s| s.family == e.family())))
+        .collect();
+    for standing in near.iter().filter(|s| s.place.is_fed_back()) {
         if tasks.len() < PLACES && tasks.iter().all(|task| task.place != standing.place) {
-            let effects = may
-                .iter()
-                .copied()
-                .filter(|e| e.family().is_of_structure() || *e == Effect::ValveFlow)
-                .collect();
+            let effects = if matches!(standing.place, Place::Error(..)) {
+                of_errors.clone()
+            } else {
+                of_structure.clone()
+            };
             tasks.push(Task { place: standing.place, effects });
         }
     }
@@ -157,6 +165,17 @@ fn tasks(recording: &Recording, screening: &Screening, catalogue: &[Effect]) -> 
     }
     tasks.retain(|task| !task.effects.is_empty());
     tasks
+}
+
+/// What a force over an error of control is of the actuator; `None` of what depends on its rate.
+fn of_an_error(force: Effect) -> Option<Effect> {
+    match force {
+        Effect::CubicStiffness | Effect::QuadraticStiffness => Some(Effect::DrivePolynomial),
+        Effect::Clearance | Effect::BumpStop => Some(Effect::DeadZone),
+        Effect::OneSidedStop | Effect::FreeStiffness => Some(Effect::FreeDriveMap),
+        Effect::BoucWenHysteresis | Effect::FreeHysteresis => Some(Effect::Backlash),
+        _ => None,
+    }
 }
 
 /// Whether an effect is one of a drive, or of a response's sensor.
@@ -184,8 +203,10 @@ fn beginnings(recording: &Recording) -> Recording {
 /// How many integrals of what was measured the motion at a place is.
 fn integrals(recording: &Recording, place: Place) -> usize {
     match place {
-        Place::Response(r) | Place::Between(r, _) => recording.responses[r].quantity.integrals(),
-        Place::Drive(_) | Place::Output(_) => 0,
+        Place::Response(r) | Place::Between(r, _) | Place::OnTable(_, r) => {
+            recording.responses[r].quantity.integrals()
+        }
+        Place::Drive(_) | Place::Output(_) | Place::Error(..) => 0,
     }
 }
 
@@ -206,9 +227,11 @@ fn fitted(
         return Ok(Vec::new());
     }
     let outcome = contest(&input, &task.effects, &prepared, &overview, watch)?;
+    let error = matches!(task.place, Place::Error(..));
+    let named = |effect: Effect| of_an_error(effect).filter(|_| error).unwrap_or(effect);
     let laws = outcome.ranked.iter().map(|ranked| Refit {
         place: task.place,
-        effect: ranked.scored.effect(),
+        effect: named(ranked.scored.effect()),
         left: (ranked.scored.chi2 / outcome.chi2_none).sqrt(),
     });
     Ok(laws.filter(|refit| refit.left.is_finite()).collect())
@@ -226,6 +249,7 @@ fn input(
         name: name.into(),
         axis: None,
         unit: String::new(),
+        size: None,
         quantity,
     };
     let runs: Vec<Run> = recording
@@ -293,7 +317,7 @@ mod tests {
     #[test]
     fn beside_a_free_linear_part_the_right_family_leaves_far_less_than_others() {
         let found = of(&runs(stiffening).recording, &unwatched).unwrap();
-        let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
+        let of_spring = found.left(Family::Stiffness, Place::Response(0)).expect("springs were fitted again");
         assert!(of_spring < 0.2, "{found:?}");
         let others = found.0.iter().filter(|refit| refit.effect.family() != Family::Stiffness);
         assert!(others.clone().count() > 0, "{found:?}");
@@ -315,9 +339,39 @@ mod tests {
             record.response = Signal::new(rate, vec![a]).unwrap();
         }
         let found = of(&recording, &unwatched).unwrap();
-        let of_spring = found.left(Family::Stiffness).expect("springs were fitted again");
+        let of_spring = found.left(Family::Stiffness, Place::Response(0)).expect("springs were fitted again");
         let others = found.0.iter().filter(|refit| refit.effect.family() != Family::Stiffness);
         others.for_each(|refit| assert!(of_spring < refit.left, "{refit:?}: {found:?}"));
+    }
+
+    #[test]
+    fn a_map_of_an_error_of_control_is_fitted_over_the_error() {
+        let runs: Vec<Run> = [(1.0, 1), (0.6, 2)]
+            .into_iter()
+            .map(|(level, seed)| {
+                let mut run = run("a", noise_drive(40.0, level, seed), stiffening, 0.003, seed);
+                // A valve that opens late, in a loop of position: `y' = 12 (e - clip(e))`, a sixteenth of a sample a step.
+                let (rate, mut y) = (run.drive.sample_rate_hz(), 0.0);
+                let mut moved = |u: &f64| {
+                    for _ in 0..16 {
+                        let error = u - y;
+                        y += 12.0 / (16.0 * rate) * (error - error.clamp(-0.2, 0.2));
+                    }
+                    y
+                };
+                let position = run.drive.channel(0).iter().map(&mut moved).collect();
+                run.response = Signal::new(rate, vec![position]).unwrap();
+                run
+            })
+            .collect();
+        let mut recording =
+            Runs::without_baseline(&Input { runs, repeats: Vec::new(), ..request(stiffening, 0.003) })
+                .recording;
+        recording.drives[0].quantity = Quantity::Displacement;
+        let found = of(&recording, &unwatched).unwrap();
+        let at = |place| found.left(Family::DeadbandBacklash, place).unwrap_or(f64::INFINITY);
+        assert!(at(Place::Error(0, 0)) < 0.3, "{found:?}");
+        assert!(at(Place::Error(0, 0)) < 0.7 * at(Place::Drive(0)), "{found:?}");
     }
 
     #[test]

@@ -11,19 +11,31 @@ use crate::diagnosis::screen::{Place, Standing};
 pub(super) fn place(input: &Input, place: Place) -> (Option<String>, Option<[String; 2]>) {
     let response = |r: usize| input.responses[r].name.clone();
     match place {
-        Place::Drive(d) => (Some(input.drives[d].name.clone()), None),
+        // A controller is its drive's.
+        Place::Drive(d) | Place::Error(d, _) => (Some(input.drives[d].name.clone()), None),
         Place::Response(r) | Place::Output(r) => (Some(response(r)), None),
         Place::Between(a, b) => {
             let (a, b) = if a < b { (a, b) } else { (b, a) };
             (None, Some([response(a), response(b)]))
         }
+        Place::OnTable(d, r) => (None, Some([input.drives[d].name.clone(), response(r)])),
+    }
+}
+
+/// What a law is a function of.
+pub(super) fn argument(input: &Input, at: Place) -> String {
+    let less = |a: &str, b: &str| format!("{a} - {b}");
+    match (at, place(input, at)) {
+        (Place::Error(d, r), _) => less(&input.drives[d].name, &input.responses[r].name),
+        (_, (_, Some([a, b]))) => less(&a, &b),
+        (_, (at, None)) => at.unwrap_or_default(),
     }
 }
 
 /// The axis of a law: its place's.
 pub(super) fn axis(input: &Input, standing: &Standing) -> Option<String> {
     match standing.place {
-        Place::Drive(d) => input.drives[d].axis.clone(),
+        Place::Drive(d) | Place::Error(d, _) | Place::OnTable(d, _) => input.drives[d].axis.clone(),
         Place::Response(r) | Place::Output(r) => input.responses[r].axis.clone(),
         Place::Between(a, b) => {
             let (a, b) = (&input.responses[a].axis, &input.responses[b].axis);

@@ -1,4 +1,4 @@
-use super::systems::{RATE_HZ, acceleration, hysteretic, noise, oscillator, pair, recording, run};
+use super::systems::{RATE_HZ, acceleration, hysteretic, noise, oscillator, pair, recording, run, servo};
 use crate::diagnosis::screen::{Place, Recording, Screening, Standing, group, screen};
 use crate::diagnosis::{Effect, Family};
 use crate::progress::unwatched;
@@ -58,6 +58,65 @@ fn a_joint_that_no_drive_acts_on_is_found_by_a_way_of_its_own_into_every_mode() 
     assert_eq!((first.family, first.place), (Family::Stiffness, Place::Between(1, 0)));
     let free = first.free.as_ref().unwrap();
     assert!(free.ratio < 0.2, "{}", free.ratio);
+}
+
+#[test]
+fn a_joint_between_sensors_of_two_units_is_found_where_the_units_are_known() {
+    let u = noise(6000, 7);
+    let [first, second] = pair(&u, |d, _| 0.5 * d * d * d);
+    let in_mm = second.iter().map(|y| 1000.0 * y).collect();
+    let mut recording =
+        recording(&[Quantity::Force], &[Quantity::Displacement; 2], vec![(vec![u], vec![first, in_mm])]);
+    (recording.responses[0].size, recording.responses[1].size) = (Some(1.0), Some(1e-3));
+    let screening = screened(&recording);
+    let first = screening.foremost()[0];
+    assert_eq!((first.family, first.place), (Family::Stiffness, Place::Between(1, 0)));
+    assert!(first.free.as_ref().is_some_and(|free| free.ratio < 0.2), "{first:?}");
+    // Of one that is not known nothing can be taken away.
+    recording.responses[1].size = None;
+    let screening = screened(&recording);
+    assert!(screening.standings.iter().all(|s| !matches!(s.place, Place::Between(..))));
+}
+
+#[test]
+fn a_valve_that_opens_late_is_a_dead_zone_of_the_error_and_not_of_the_command() {
+    let dead = |error: f64| error - error.clamp(-0.15, 0.15);
+    for quantity in [Quantity::Displacement, Quantity::Force] {
+        let runs = [(1.0, 21), (0.5, 22)].map(|(level, seed)| {
+            let u: Vec<f64> = noise(4000, seed).iter().map(|u| level * u).collect();
+            let y = servo(&u, dead);
+            (vec![u], vec![y])
+        });
+        let screening = screened(&recording(&[quantity], &[quantity], runs.into()));
+        let first = leader(&screening, 0.7);
+        assert_eq!((first.effect, first.place), (Effect::DeadZone, Place::Error(0, 0)));
+        assert!(first.free.as_ref().is_some_and(|free| free.ratio < 0.5), "{first:?}");
+    }
+}
+
+#[test]
+fn what_stands_on_a_table_bends_over_its_own_motion_less_the_tables() {
+    let shaken = |displaced: bool| {
+        let runs = [(1.0, 21), (0.5, 22)].map(|(level, seed)| {
+            let table: Vec<f64> = noise(4000, seed).iter().map(|u| level * u).collect();
+            let moving = if displaced { acceleration(&table) } else { table.clone() };
+            // The oscillator's drive stretches its spring by one.
+            let inertia: Vec<f64> = moving.iter().map(|a| -a / 625.0).collect();
+            let size = inertia.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
+            let over = oscillator(&inertia, |z, _| 0.3 * z * (z / size).powi(2));
+            let absolute = if displaced { over } else { acceleration(&over) };
+            (vec![table.clone()], vec![absolute.iter().zip(&table).map(|(y, u)| y + u).collect()])
+        });
+        let quantity = if displaced { Quantity::Displacement } else { Quantity::Acceleration };
+        screened(&recording(&[quantity], &[quantity], runs.into()))
+    };
+    for displaced in [false, true] {
+        let screening = shaken(displaced);
+        let first = screening.foremost()[0];
+        let told = (first.ratio, first.law, first.free.as_ref().map(|free| free.ratio));
+        assert_eq!((first.family, first.place), (Family::Stiffness, Place::OnTable(0, 0)), "{told:?}");
+        assert!(first.free.as_ref().is_some_and(|free| free.ratio < 0.4), "{told:?}");
+    }
 }
 
 #[test]

@@ -10,8 +10,11 @@ use crate::progress::unwatched;
 use crate::{Quantity, Signal};
 
 fn recording(rate_hz: f64, runs: Vec<Vec<Vec<f64>>>, quantities: &[Quantity]) -> Recording {
-    let channel =
-        |(i, quantity): (usize, &Quantity)| Channel { name: format!("channel_{i}"), quantity: *quantity };
+    let channel = |(i, quantity): (usize, &Quantity)| Channel {
+        name: format!("channel_{i}"),
+        quantity: *quantity,
+        size: None,
+    };
     let mut channels: Vec<Channel> = quantities.iter().enumerate().map(channel).collect();
     let responses = channels.split_off(1);
     let records = runs

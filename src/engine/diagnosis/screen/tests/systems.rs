@@ -86,6 +86,11 @@ pub fn pair(u: &[f64], force: impl Fn(f64, f64) -> f64) -> [Vec<f64>; 2] {
     [0, 1].map(|mass| states.iter().map(|q| q[mass]).collect())
 }
 
+/// The position of a servo axis, `y' = 30 flow(u - y)`.
+pub fn servo(u: &[f64], flow: impl Fn(f64) -> f64) -> Vec<f64> {
+    states(u, |[y], u| [30.0 * flow(u - y)]).into_iter().map(|[y]| y).collect()
+}
+
 /// The acceleration of a displacement.
 pub fn acceleration(y: &[f64]) -> Vec<f64> {
     let at = |k: usize| y[k.min(y.len() - 1)];
@@ -99,8 +104,11 @@ type Run = (Vec<Vec<f64>>, Vec<Vec<f64>>);
 /// Runs with noise of 0.3 % on every response.
 pub fn recording(drives: &[Quantity], responses: &[Quantity], runs: Vec<Run>) -> Recording {
     let channels = |name: &str, of: &[Quantity]| -> Vec<Channel> {
-        let channel =
-            |(i, quantity): (usize, &Quantity)| Channel { name: format!("{name}_{i}"), quantity: *quantity };
+        let channel = |(i, quantity): (usize, &Quantity)| Channel {
+            name: format!("{name}_{i}"),
+            quantity: *quantity,
+            size: None,
+        };
         of.iter().enumerate().map(channel).collect()
     };
     let records = runs
