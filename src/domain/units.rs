@@ -179,6 +179,7 @@ mod tests {
         {
             assert_eq!(factor(from, to), None, "{from} -> {to}");
         }
+        assert_eq!([size("mm"), size("m/s^2"), size("counts")], [Some(1e-3), Some(1.0), None]);
         assert!(known("m/s^2") && known("kN") && !known("force_x") && !known(""));
     }
 

@@ -86,9 +86,11 @@ pub fn pair(u: &[f64], force: impl Fn(f64, f64) -> f64) -> [Vec<f64>; 2] {
     [0, 1].map(|mass| states.iter().map(|q| q[mass]).collect())
 }
 
-/// The position of a servo axis, `y' = 30 flow(u - y)`.
+/// The position of a servo axis, `y' = q` with `q' = 40 (15 flow(u - y) - q)`. Without a lag behind the valve its dead
+/// zone would be dry friction.
 pub fn servo(u: &[f64], flow: impl Fn(f64) -> f64) -> Vec<f64> {
-    states(u, |[y], u| [30.0 * flow(u - y)]).into_iter().map(|[y]| y).collect()
+    let rate = |[y, q]: [f64; 2], u: f64| [q, 40.0 * (15.0 * flow(u - y) - q)];
+    states(u, rate).into_iter().map(|[y, _]| y).collect()
 }
 
 /// The acceleration of a displacement.
