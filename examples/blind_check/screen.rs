@@ -167,9 +167,10 @@ fn decided<'a>(found: &'a Screening, refits: &Refits) -> Option<(Ranked<'a>, f64
 fn place(recording: &Recording, place: Place) -> Value {
     let response = |r: usize| &recording.responses[r].name;
     match place {
-        Place::Drive(d) => serde_json::json!({"at": recording.drives[d].name}),
+        Place::Drive(d) | Place::Error(d, _) => serde_json::json!({"at": recording.drives[d].name}),
         Place::Response(r) | Place::Output(r) => serde_json::json!({"at": response(r)}),
         Place::Between(a, b) => serde_json::json!({"between": [response(a.min(b)), response(a.max(b))]}),
+        Place::OnTable(d, r) => serde_json::json!({"between": [recording.drives[d].name, response(r)]}),
     }
 }
 
@@ -227,7 +228,8 @@ fn print(name: &str, recording: &Recording) -> Option<(Screening, Refits)> {
         .take(3)
         .map(|s| {
             let free = s.free.as_ref().map_or(String::new(), |f| format!(" free x{:.3}", f.ratio));
-            let refit = refits.left(s.family).map_or(String::new(), |left| format!(" refit x{left:.3}"));
+            let refit = refits.left(s.family, s.place);
+            let refit = refit.map_or(String::new(), |left| format!(" refit x{left:.3}"));
             format!("x{:.3}{free}{refit} {} {:?}", s.ratio, s.effect.name(), s.place)
         })
         .collect();
