@@ -117,9 +117,10 @@ struct Rig {
 pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     let rng = &mut ChaCha8Rng::seed_from_u64(seed);
     let kind = rng.random_range(0..26);
+    let of_valve = kind == 22 || kind == 23;
     let control = match rng.random_range(0..20) {
         _ if (4..=8).contains(&kind) || kind == 10 || kind == 20 => Control::Force,
-        _ if kind == 22 || kind == 23 => servo(rng),
+        _ if of_valve => servo(rng),
         _ if kind == 24 || kind == 25 => Control::Table,
         0..=9 => Control::Force,
         10..=11 => servo(rng),
@@ -129,8 +130,7 @@ pub fn draw(seed: u64) -> Result<Case, rigcast::engine::EngineError> {
     };
     // A second axis says nothing of what the first has.
     let axes = if kind == 8 || (control == Control::Force && rng.random_bool(0.3)) { 2 } else { 1 };
-    let masses =
-        if control == Control::Specimen || kind == 22 || kind == 23 { 1 } else { rng.random_range(1..4) };
+    let masses = if control == Control::Specimen || of_valve { 1 } else { rng.random_range(1..4) };
     let first = log_uniform(0.012, 0.07, rng);
     let chain = |rng: &mut ChaCha8Rng| {
         let zeta = log_uniform(0.008, 0.25, rng);

@@ -27,6 +27,11 @@ impl Quantity {
         }
     }
 
+    /// Whether it is a displacement or one of its rates.
+    pub fn is_motion(self) -> bool {
+        matches!(self, Self::Displacement | Self::Velocity | Self::Acceleration)
+    }
+
     /// How often it has to be integrated to be a displacement; 0 of what is none of its derivatives.
     pub fn integrals(self) -> usize {
         match self {

@@ -1,6 +1,7 @@
 //! Spectral lines of signals under Hann's window.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 use std::sync::Arc;
 
 use realfft::num_complex::Complex64;
@@ -19,6 +20,12 @@ impl Hann {
         Self { window: (0..n).map(at).collect(), fft: RealFftPlanner::new().plan_fft_forward(n) }
     }
 
+    /// Where the window lies in a signal of so many samples, each place half over the one before it.
+    pub fn segments(&self, samples: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let n = self.window.len();
+        (0..).step_by(n / 2).map(move |start| start..start + n).take_while(move |rows| rows.end <= samples)
+    }
+
     /// Lines of `n` samples about their mean, from 0 to half of the sample rate, not scaled.
     ///
     /// # Panics
@@ -35,6 +42,13 @@ impl Hann {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn windows_lie_half_over_each_other_and_inside_the_signal() {
+        let all: Vec<Range<usize>> = Hann::new(8).segments(17).collect();
+        assert_eq!(all, [0..8, 4..12, 8..16]);
+        assert_eq!(Hann::new(8).segments(7).count(), 0);
+    }
 
     #[test]
     fn a_sine_on_a_line_is_in_three_lines_and_a_mean_in_none() {

@@ -78,8 +78,8 @@ fn power<'a>(channels: impl Iterator<Item = &'a [f64]>, size: usize) -> Vec<f64>
     let hann = Hann::new(size);
     let mut sum = vec![0.0; size / 2 + 1];
     for x in channels {
-        for start in (0..).step_by(size / 2).take_while(|start| start + size <= x.len()) {
-            let lines = hann.lines(&x[start..start + size]);
+        for rows in hann.segments(x.len()) {
+            let lines = hann.lines(&x[rows]);
             sum.iter_mut().zip(&lines).for_each(|(s, z)| *s += z.norm_sqr());
         }
     }

@@ -148,12 +148,8 @@ impl Entry {
                     add(&self.impulses[d], -lead..BEHIND as isize - lead);
                 }
                 Place::Output(_) => add(&[1.0], 0..if signals > 2 { AFTER as isize } else { 1 }),
-                Place::Error(d, _) | Place::OnTable(d, _) => {
-                    let h = &self.impulses[d][self.lead..];
-                    if own { add(&late(h), behind()) } else { add(h, behind()) }
-                }
-                Place::Response(_) | Place::Between(..) => {
-                    for d in self.through(signals) {
+                Place::Response(_) | Place::Between(..) | Place::Error(..) | Place::OnTable(..) => {
+                    for d in self.through(place, signals) {
                         let h = &self.impulses[d][self.lead..];
                         if own { add(&late(h), behind()) } else { add(h, behind()) }
                     }
@@ -179,15 +175,20 @@ impl Entry {
                     1
                 }
             }
-            Place::Error(..) | Place::OnTable(..) => BEHIND,
-            Place::Response(_) | Place::Between(..) => self.through(signals).count() * BEHIND,
+            Place::Response(_) | Place::Between(..) | Place::Error(..) | Place::OnTable(..) => {
+                self.through(place, signals).len() * BEHIND
+            }
         };
         signals * of_one
     }
 
-    /// Drives through whose impulse responses a response's signals enter.
-    fn through(&self, signals: usize) -> impl Iterator<Item = usize> + '_ {
-        self.order.iter().copied().take(if signals > 2 { 1 } else { THROUGH })
+    /// Drives through whose impulse responses so many signals at a place enter: over a drive less a response through that
+    /// drive's, over responses through those that move this one most.
+    fn through(&self, place: Place, signals: usize) -> Vec<usize> {
+        match place {
+            Place::Error(d, _) | Place::OnTable(d, _) => vec![d],
+            _ => self.order.iter().copied().take(if signals > 2 { 1 } else { THROUGH }).collect(),
+        }
     }
 
     /// Columns of signals at a place, `[segment][column][row]`. `own`: the place is this response itself.
@@ -232,14 +233,9 @@ impl Entry {
                     let lags = if signals.len() > 2 { AFTER as isize } else { 1 };
                     tracks.push((signal.clone(), 0..lags));
                 }
-                Place::Error(d, _) | Place::OnTable(d, _) => {
-                    let filters = if own { &self.delayed[d] } else { &self.causal[d] };
-                    let through = signal.iter().zip(filters).map(|(x, h)| h.apply(x)).collect();
-                    tracks.push((through, behind()));
-                }
-                Place::Response(_) | Place::Between(..) => {
+                Place::Response(_) | Place::Between(..) | Place::Error(..) | Place::OnTable(..) => {
                     let filters = if own { &self.delayed } else { &self.causal };
-                    for d in self.through(signals.len()) {
+                    for d in self.through(place, signals.len()) {
                         let through = signal.iter().zip(&filters[d]).map(|(x, h)| h.apply(x)).collect();
                         tracks.push((through, behind()));
                     }

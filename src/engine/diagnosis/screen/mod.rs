@@ -2,9 +2,9 @@
 //!
 //! The linear part of each response is made of modes that all responses and drives share, or of a finite impulse
 //! response of every drive, as rich as the data allow. A candidate is a law of the catalogue as a signal over a
-//! place: a drive, a response, the difference of two, or a drive less the response that follows it, which is the error of
-//! a loop or the motion over a table. The signal enters through the linear part's own impulse
-//! responses, as a force that acts where a drive does, and over drives also directly. All coefficients come from
+//! place: a drive, a response, the difference of two, or a drive less the response that follows it, which is the error
+//! of a loop or the motion over a table. The signal enters through the linear part's own impulse responses, as a force
+//! that acts where a drive does, and over drives also directly. All coefficients come from
 //! linear least squares on all groups of runs but one and count by the error in that one, relative to what the
 //! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
 //! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.

@@ -46,11 +46,10 @@ pub(super) fn effect(
         Law::Polynomial if second.abs() < LOPSIDED => Law::Quadratic,
         law => law,
     };
-    let moves = |q| matches!(q, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration);
     let role = match place {
         Place::Response(_) | Place::Between(..) => Role::Structure,
         Place::Output(_) => Role::Sensor,
-        Place::Drive(_) if moves(of) && !moves(response) => Role::Specimen,
+        Place::Drive(_) if of.is_motion() && !response.is_motion() => Role::Specimen,
         Place::OnTable(..) => Role::Specimen,
         Place::Drive(_) | Place::Error(..) => Role::Actuator,
     };

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::cell::LazyCell;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band::Band;
@@ -158,9 +159,7 @@ pub(super) fn limits(recording: &Recording, band: Band) -> Limits {
 /// All places but the outputs.
 pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -> Vec<Argument> {
     let rate = recording.sample_rate_hz();
-    let moving = |c: &Channel| {
-        matches!(c.quantity, Quantity::Displacement | Quantity::Velocity | Quantity::Acceleration)
-    };
+    let moving = |c: &Channel| c.quantity.is_motion();
     let some = recording.drives.iter().chain(&recording.responses).any(moving);
     let of = |drive: bool, channel: usize, quantity: Quantity, limits: Limits| -> Vec<Motion> {
         recording
@@ -215,8 +214,10 @@ pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -
             between.extend(found.map(|found| Argument { factor, ..found }));
         }
     }
-    let relative: Vec<Argument> =
-        (0..recording.drives.len()).filter_map(|d| relative(recording, d, &seen, limits, used)).collect();
+    let relative: Vec<Argument> = (0..recording.drives.len())
+        .into_par_iter()
+        .filter_map(|d| relative(recording, d, &seen, limits, used))
+        .collect();
     out.extend(between);
     out.extend(relative);
     out

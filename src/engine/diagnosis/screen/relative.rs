@@ -72,9 +72,8 @@ pub(super) fn relative(
 
 /// Whether the one less the other is a motion: a drive that is integrated no more than the response.
 fn comparable(drive: &Channel, response: &Channel) -> bool {
-    use Quantity::{Acceleration, Displacement, Velocity};
-    let moves = |c: &Channel| matches!(c.quantity, Displacement | Velocity | Acceleration);
-    moves(drive) && moves(response) && drive.quantity.integrals() <= response.quantity.integrals()
+    let [drive, response] = [drive.quantity, response.quantity];
+    drive.is_motion() && response.is_motion() && drive.integrals() <= response.integrals()
 }
 
 /// Largest ratio of a response to a drive, by H1 of Hann segments, half overlapping, where the drive has power.
@@ -85,9 +84,8 @@ fn peak(recording: &Recording, drive: usize, response: usize, used: &[usize]) ->
     let mut lines = vec![(0.0, Complex64::default()); size / 2 + 1];
     for (record, &used) in recording.records.iter().zip(used) {
         let (u, y) = (&record.drive.channel(drive)[..used], &record.response.channel(response)[..used]);
-        for start in (0..).step_by(size / 2).take_while(|start| start + size <= used) {
-            let of_drive = hann.lines(&u[start..start + size]);
-            let of_response = hann.lines(&y[start..start + size]);
+        for rows in hann.segments(used) {
+            let (of_drive, of_response) = (hann.lines(&u[rows.clone()]), hann.lines(&y[rows]));
             for ((own, cross), (u, y)) in lines.iter_mut().zip(of_drive.iter().zip(&of_response)) {
                 *own += u.norm_sqr();
                 *cross += u.conj() * y;

@@ -239,9 +239,12 @@ impl Of<'_> {
         use crate::Quantity::{Acceleration, Velocity};
         let channel = match self.ranked.standing.place {
             Place::Drive(d) => &self.input.drives[d],
-            Place::Response(r) | Place::Output(r) => &self.input.responses[r],
-            // In the unit of the first, and of the response.
-            Place::Between(r, _) | Place::Error(_, r) | Place::OnTable(_, r) => &self.input.responses[r],
+            // Differences are in the unit of the first response, and of the response where a drive is the first.
+            Place::Response(r)
+            | Place::Output(r)
+            | Place::Between(r, _)
+            | Place::Error(_, r)
+            | Place::OnTable(_, r) => &self.input.responses[r],
         };
         let unit = &channel.unit;
         match channel.quantity {
