@@ -2,9 +2,11 @@
 //! exact derivatives. Steiglitz and McBride's iteration stops near this optimum, not at it, and what
 //! it leaves would grow with the drive.
 
+use faer::Mat;
+
 use super::fit::{Linear, Part};
 use super::modes::{Modes, Pole};
-use crate::diagnosis::numerics::linear::{dot, norm, solve_spd};
+use crate::diagnosis::numerics::linear::{dot, norm, solve_spd, transposed_times};
 
 /// Jacobians.
 const ROUNDS: usize = 12;
@@ -19,26 +21,19 @@ pub(super) fn refine(parts: &[Part<'_>], start: Linear) -> Linear {
     for _ in 0..ROUNDS {
         let (columns, left) = jacobian(parts, &now);
         let lengths: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
-        let n = columns.len();
-        let mut normal = vec![vec![0.0; n]; n];
-        for i in 0..n {
-            for j in 0..=i {
-                let sum = dot(&columns[i], &columns[j]) / (lengths[i] * lengths[j]).max(f64::MIN_POSITIVE);
-                (normal[i][j], normal[j][i]) = (sum, sum);
-            }
-            if lengths[i] == 0.0 {
-                normal[i][i] = 1.0;
-            }
-        }
-        let gradient: Vec<f64> =
-            columns.iter().zip(&lengths).map(|(c, l)| dot(c, &left) / l.max(f64::MIN_POSITIVE)).collect();
+        let unit = |x: f64, length: f64| if length > 0.0 { x / length } else { 0.0 };
+        let scaled = Mat::from_fn(left.len(), columns.len(), |r, c| unit(columns[c][r], lengths[c]));
+        let product = transposed_times(&scaled, &scaled);
+        let of = |r: usize, c: usize| if r == c { 1.0 } else { product[(r, c)] };
+        let normal: Vec<Vec<f64>> =
+            (0..columns.len()).map(|r| (0..columns.len()).map(|c| of(r, c)).collect()).collect();
+        let gradient: Vec<f64> = (0..columns.len()).map(|c| dot(scaled.col_as_slice(c), &left)).collect();
         let before = cost;
         for _ in 0..7 {
             let mut damped = normal.clone();
             damped.iter_mut().enumerate().for_each(|(i, row)| row[i] += damping);
             let next = solve_spd(&damped, &gradient).and_then(|step| {
-                let step: Vec<f64> =
-                    step.iter().zip(&lengths).map(|(s, l)| if *l > 0.0 { s / l } else { 0.0 }).collect();
+                let step: Vec<f64> = step.iter().zip(&lengths).map(|(s, l)| unit(*s, *l)).collect();
                 moved(&now, &step)
             });
             if let Some(next) = next {

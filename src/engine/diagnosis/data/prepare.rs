@@ -20,6 +20,10 @@ use crate::diagnosis::numerics::rows::Rows;
 use crate::diagnosis::numerics::smooth::smooth;
 use crate::{EngineError, Signal};
 
+/// Samples of all baseline runs that the cores are fitted to, of each run the beginning: a core has some fifty numbers, and
+/// more samples take longer and tell them no better than the noise of the runs to explain lets anyone see.
+const CORE_SAMPLES: usize = 300_000;
+
 /// A request made ready.
 #[derive(Clone)]
 pub struct Prepared {
@@ -182,13 +186,18 @@ fn fit_core(
     band: [f64; 2],
     supposed: &Ar,
 ) -> Result<CoreFit, EngineError> {
+    let whole: usize = input.baseline.iter().map(|run| run.drive.n_samples()).sum();
+    let share = (CORE_SAMPLES as f64 / whole as f64).min(1.0);
     let stretches: Vec<core::Stretch<'_>> = input
         .baseline
         .iter()
         .zip(drives)
-        .map(|(run, drives)| core::Stretch {
-            drives: drives.clone(),
-            response: run.response.channel(response),
+        .map(|(run, drives)| {
+            let kept = (run.drive.n_samples() as f64 * share).ceil() as usize;
+            core::Stretch {
+                drives: drives.iter().map(|u| &u[..kept]).collect(),
+                response: &run.response.channel(response)[..kept],
+            }
         })
         .collect();
     if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use super::input::Recording;
 use crate::diagnosis::numerics::hann::Hann;
+use crate::diagnosis::numerics::linear::dot;
 
 /// Longest segment of a spectrum, samples.
 const LONGEST: usize = 1 << 16;
@@ -115,8 +116,8 @@ fn beyond<'a>(lines: impl Iterator<Item = &'a f64>, outside: f64) -> Option<usiz
 #[derive(Debug, Clone)]
 pub(super) struct Thinner {
     step: usize,
-    /// One half of the symmetric filter, the middle first.
-    half: Vec<f64>,
+    /// The symmetric filter.
+    filter: Vec<f64>,
 }
 
 impl Thinner {
@@ -134,7 +135,8 @@ impl Thinner {
             .collect();
         let sum: f64 = half[0] + 2.0 * half[1..].iter().sum::<f64>();
         half.iter_mut().for_each(|h| *h /= sum);
-        Self { step, half }
+        let filter = half[1..].iter().rev().chain(&half).copied().collect();
+        Self { step, filter }
     }
 
     /// `ceil(n / step)` samples, the first at the first.
@@ -142,19 +144,16 @@ impl Thinner {
         if self.step == 1 {
             return x.to_vec();
         }
-        let (n, reach) = (x.len(), self.half.len());
+        let (n, reach) = (x.len(), self.filter.len() / 2);
+        let held = |i: isize| x[i.clamp(0, n as isize - 1) as usize];
         (0..n)
             .step_by(self.step)
             .map(|at| {
-                if at >= reach && at + reach <= n {
-                    let (before, after) = (&x[at + 1 - reach..at], &x[at + 1..at + reach]);
-                    let pairs = before.iter().rev().zip(after).zip(&self.half[1..]);
-                    return self.half[0] * x[at] + pairs.map(|((a, b), h)| h * (a + b)).sum::<f64>();
+                if at >= reach && at + reach < n {
+                    return dot(&self.filter, &x[at - reach..=at + reach]);
                 }
-                let held = |i: isize| x[i.clamp(0, n as isize - 1) as usize];
-                let sides = |k: usize| held(at as isize - k as isize) + held((at + k) as isize);
-                self.half[0] * x[at]
-                    + self.half[1..].iter().enumerate().map(|(k, h)| h * sides(k + 1)).sum::<f64>()
+                let from = at as isize - reach as isize;
+                self.filter.iter().zip(from..).map(|(h, i)| h * held(i)).sum()
             })
             .collect()
     }

@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use super::arguments;
 use super::desk::Desk;
 use super::entry::Entry;
 use super::forward::Kernel;
@@ -16,7 +17,7 @@ use super::judge::Block;
 use super::law::{KINKS_OF_BEND, Law, Way};
 use super::linear_part::Setting;
 use super::moments::Lags;
-use super::place::{self, Argument};
+use super::place::Argument;
 use super::report::Standing;
 use super::run::Bench;
 use super::track::{Segment, Track, delayed};
@@ -43,7 +44,7 @@ impl Bench<'_> {
         let own = self.bent_here(arguments, standing, front);
         let lags = self.beside_lags(self.desk, |bench| bench.bent_here(arguments, standing, front));
         let unthinned = self.desk.unthinned().and_then(|desk| {
-            let arguments = place::arguments(desk.recording, desk.limits, &desk.used);
+            let arguments = arguments::arguments(desk.recording, desk.limits, &desk.used);
             self.beside_lags(&desk, |bench| bench.bent_here(&arguments, standing, front))
         });
         [own, lags.flatten(), unthinned.flatten()]

@@ -1,7 +1,7 @@
 //! Products of a column with all lags of all drives, block by block through the Fourier transform.
 
 use std::cell::RefCell;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use faer::Mat;
 use realfft::num_complex::Complex64;
@@ -87,35 +87,48 @@ pub(super) fn spectrum(x: &[f64], size: usize, forward: &dyn RealToComplex<f64>)
     lines
 }
 
-/// A filter of finite impulse response that goes over many signals of one length.
+/// A filter of finite impulse response, which goes over signals block by block (overlap and add).
 pub(super) struct Filter {
+    impulse: Vec<f64>,
     size: usize,
-    lines: Vec<Complex64>,
-    forward: Arc<dyn RealToComplex<f64>>,
-    inverse: Arc<dyn ComplexToReal<f64>>,
+    /// Spectrum of the impulse response, made when it is first asked for.
+    lines: OnceLock<Vec<Complex64>>,
 }
 
+/// A block is so many times as long as the impulse response, and has so many samples at least: transforms of that size
+/// stay in the caches.
+const TIMES_AS_LONG: usize = 4;
+const SMALLEST: usize = 2048;
+
 impl Filter {
-    /// `impulse[k]` is the response at lag `k`; signals have `n` samples.
-    pub fn new(impulse: &[f64], n: usize) -> Self {
-        let size = (n + impulse.len()).next_power_of_two();
-        let (forward, inverse) = plans(size);
-        Self { size, lines: spectrum(impulse, size, &*forward), forward, inverse }
+    /// `impulse[k]` is the response at lag `k`; signals have at most `n` samples.
+    pub fn new(impulse: Vec<f64>, n: usize) -> Self {
+        let whole = (n + impulse.len()).next_power_of_two();
+        let block = (TIMES_AS_LONG * impulse.len()).next_power_of_two().max(SMALLEST);
+        Self { impulse, size: whole.min(block), lines: OnceLock::new() }
     }
 
     /// The filtered deviations from the first sample, so that nothing starts with a jump.
     pub fn apply(&self, x: &[f64]) -> Vec<f64> {
+        let (forward, inverse) = plans(self.size);
+        let lines = self.lines.get_or_init(|| spectrum(&self.impulse, self.size, &*forward));
         let held = x.first().copied().unwrap_or(0.0);
-        let moved: Vec<f64> = x.iter().map(|x| x - held).collect();
-        let mut lines = spectrum(&moved, self.size, &*self.forward);
-        lines.iter_mut().zip(&self.lines).for_each(|(z, h)| *z *= h);
-        let last = lines.len() - 1;
-        lines[0].im = 0.0;
-        lines[last].im = 0.0;
-        let mut out = self.inverse.make_output_vec();
-        self.inverse.process(&mut lines, &mut out).expect("buffers are the plan's own");
-        out.truncate(x.len());
-        out.iter_mut().for_each(|y| *y /= self.size as f64);
+        let mut out = vec![0.0; x.len()];
+        let mut block = inverse.make_output_vec();
+        let mut of_block = forward.make_output_vec();
+        let step = self.size + 1 - self.impulse.len().max(1);
+        for at in (0..x.len()).step_by(step) {
+            let samples = &x[at..x.len().min(at + step)];
+            block.fill(0.0);
+            block.iter_mut().zip(samples).for_each(|(b, x)| *b = x - held);
+            forward.process(&mut block, &mut of_block).expect("buffers are the plan's own");
+            of_block.iter_mut().zip(lines).for_each(|(z, h)| *z *= h);
+            let last = of_block.len() - 1;
+            of_block[0].im = 0.0;
+            of_block[last].im = 0.0;
+            inverse.process(&mut of_block, &mut block).expect("buffers are the plan's own");
+            out[at..].iter_mut().zip(&block).for_each(|(y, b)| *y += b / self.size as f64);
+        }
         out
     }
 }
@@ -143,10 +156,17 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_convolves() {
-        let y = Filter::new(&[0.5, 0.0, -2.0], 6).apply(&[1.0, 2.0, 1.0, 1.0, 3.0, 1.0]);
-        for (found, expected) in y.iter().zip([0.0, 0.5, 0.0, -2.0, 1.0, 0.0]) {
-            assert!((found - expected).abs() < 1e-12, "{y:?}");
+    fn a_filter_convolves_whatever_the_blocks() {
+        let noise = |k: usize| ((k * 7919) % 1009) as f64 / 504.0 - 1.0;
+        for (taps, n) in [(3, 6), (1, 5000), (700, 9000), (4000, 3000)] {
+            let impulse: Vec<f64> = (0..taps).map(|k| noise(k + 17)).collect();
+            let x: Vec<f64> = (0..n).map(|k| 2.0 + noise(k)).collect();
+            let y = Filter::new(impulse.clone(), n).apply(&x);
+            for t in (0..n).step_by(97).chain([n - 1]) {
+                let lags = 0..taps.min(t + 1);
+                let expected: f64 = lags.map(|k| impulse[k] * (x[t - k] - x[0])).sum();
+                assert!((y[t] - expected).abs() < 1e-10 * taps as f64, "{taps} {t}: {} {expected}", y[t]);
+            }
         }
     }
 }

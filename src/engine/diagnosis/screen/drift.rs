@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 
 use super::input::Recording;
-use super::motion::{Limits, displacement};
+use super::motion::Limits;
+use crate::Quantity;
 use crate::diagnosis::numerics::hann::Hann;
 use crate::diagnosis::numerics::linear::{dot, least_squares};
 
@@ -61,13 +62,19 @@ impl<'a> Drives<'a> {
         Self { recording, records, highest, width }
     }
 
-    /// Frequency from which on a response's integral is the drives' doing, Hz: no lower than that of `limits`, which
-    /// stands where they explain no band of it.
-    pub fn explain_from(&self, response: usize, limits: Limits) -> f64 {
+    /// Frequency from which on a displacement that is integrated from a quantity is the drives' doing, Hz: no lower than
+    /// that of `limits`, which stands where they explain no band of it. `displacement` says it of a record inside limits.
+    pub fn explain_from(
+        &self,
+        quantity: Quantity,
+        limits: Limits,
+        displacement: impl Fn(usize, Limits) -> Vec<f64>,
+    ) -> f64 {
         let mut low_hz = limits.low_hz;
         // What is cut takes its ends with it, and the next band may be explained no more.
         for _ in 0..ROUNDS {
-            let next = self.explained_from(response, Limits { low_hz, ..limits });
+            let inside = Limits { low_hz, ..limits };
+            let next = self.explained_from(quantity, inside, |record| displacement(record, inside));
             if next <= low_hz {
                 break;
             }
@@ -77,14 +84,14 @@ impl<'a> Drives<'a> {
     }
 
     /// The same, by the integral inside the limits as they are.
-    fn explained_from(&self, response: usize, limits: Limits) -> f64 {
-        let rate = self.recording.sample_rate_hz();
-        let quantity = self.recording.responses[response].quantity;
+    fn explained_from(
+        &self,
+        quantity: Quantity,
+        limits: Limits,
+        displacement: impl Fn(usize) -> Vec<f64>,
+    ) -> f64 {
         let integrals = quantity.integrals() as i32;
-        let of_record = |of: &Lines| {
-            let y = &self.recording.records[of.record].response.channel(response)[..of.samples];
-            lines(&displacement(y, quantity, rate, limits), of.line_hz, self.highest)
-        };
+        let of_record = |of: &Lines| lines(&displacement(of.record)[..of.samples], of.line_hz, self.highest);
         let responses: Vec<Vec<Complex64>> = self.records.iter().map(of_record).collect();
         let (drives, width) = (self.recording.drives.len(), self.width);
         // Bands overlap by a half. What a window makes of a mean and of a slope is in the first two lines.
@@ -182,8 +189,9 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
+    use crate::Signal;
     use crate::diagnosis::screen::input::{Channel, Record};
-    use crate::{Quantity, Signal};
+    use crate::diagnosis::screen::motion::displacement;
 
     const RATE: f64 = 200.0;
     const LOW_HZ: f64 = 2.0 * RATE / 6000.0;
@@ -220,7 +228,11 @@ mod tests {
 
     fn from(of: &Recording, high_hz: f64) -> f64 {
         let limits = Limits { low_hz: LOW_HZ, high_hz: 100.0 };
-        Drives::new(of, &[6000], high_hz).explain_from(0, limits)
+        let quantity = of.responses[0].quantity;
+        let integral = |record: usize, limits| {
+            displacement(of.records[record].response.channel(0), quantity, RATE, limits)
+        };
+        Drives::new(of, &[6000], high_hz).explain_from(quantity, limits, integral)
     }
 
     fn of(white: f64, slow: f64, quantity: Quantity) -> f64 {

@@ -31,11 +31,11 @@ pub(super) struct Entry {
     longest: usize,
     /// Impulse responses from the lead on, by drive.
     impulses: Vec<Vec<f64>>,
-    /// Impulse responses from the lead on, `[drive][record]`.
-    whole: Vec<Vec<Filter>>,
+    /// Impulse responses from the lead on, by drive.
+    whole: Vec<Filter>,
     /// From lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
-    causal: Vec<Vec<Filter>>,
-    delayed: Vec<Vec<Filter>>,
+    causal: Vec<Filter>,
+    delayed: Vec<Filter>,
     /// Drives by what they contribute, most first.
     order: Vec<usize>,
     /// The linear part's prediction.
@@ -56,12 +56,9 @@ impl Entry {
     /// By impulse responses of the drives, from the lead of the linear part on.
     pub fn of(impulses: Vec<Vec<f64>>, setting: &Setting, drives: &[Track]) -> Self {
         let lead = setting.lags.lead;
-        let filters = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<Vec<Filter>> {
-            let one = |(d, h): (&Track, &Vec<f64>)| {
-                let impulse = of(h);
-                d.iter().map(|x| Filter::new(&impulse, x.len() + lead)).collect()
-            };
-            drives.iter().zip(&impulses).map(one).collect()
+        let samples = longest(drives) + lead;
+        let filters = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<Filter> {
+            impulses.iter().map(|h| Filter::new(of(h), samples)).collect()
         };
         let whole = filters(&|h| h.to_vec());
         let parts: Vec<Track> = drives.iter().zip(&whole).map(|(d, h)| ahead(d, h, lead)).collect();
@@ -218,7 +215,7 @@ impl Entry {
                     tracks.extend(states.into_iter().flatten().map(|state| (state, 0..1)));
                 }
                 Place::Drive(d) if way == Way::Loaded => {
-                    let through = signal.iter().zip(&self.delayed[d]).map(|(x, h)| h.apply(x)).collect();
+                    let through = signal.iter().map(|x| self.delayed[d].apply(x)).collect();
                     tracks.push((through, behind()));
                 }
                 Place::Drive(d) if way == Way::Behind => {
@@ -236,7 +233,7 @@ impl Entry {
                 Place::Response(_) | Place::Between(..) | Place::Error(..) | Place::OnTable(..) => {
                     let filters = if own { &self.delayed } else { &self.causal };
                     for d in self.through(place, signals.len()) {
-                        let through = signal.iter().zip(&filters[d]).map(|(x, h)| h.apply(x)).collect();
+                        let through = signal.iter().map(|x| filters[d].apply(x)).collect();
                         tracks.push((through, behind()));
                     }
                 }
@@ -267,12 +264,12 @@ fn late(h: &[f64]) -> Vec<f64> {
     std::iter::once(0.0).chain(h.iter().skip(1).copied()).collect()
 }
 
-/// The output of filters that begin `lead` samples ahead; signals are held at their ends.
-fn ahead(track: &Track, filters: &[Filter], lead: usize) -> Track {
-    let of = |(x, filter): (&Vec<f64>, &Filter)| {
+/// The output of a filter that begins `lead` samples ahead; signals are held at their ends.
+fn ahead(track: &Track, filter: &Filter, lead: usize) -> Track {
+    let of = |x: &Vec<f64>| {
         let held = x.last().copied().unwrap_or(0.0);
         let longer: Vec<f64> = x.iter().copied().chain(std::iter::repeat_n(held, lead)).collect();
         filter.apply(&longer).split_off(lead)
     };
-    track.iter().zip(filters).map(of).collect()
+    track.iter().map(of).collect()
 }

@@ -5,6 +5,7 @@
 //! by sample; where it is a drive, nothing is fed back.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
@@ -78,7 +79,7 @@ impl Kernel {
         let (lead, held) = ((-self.from).max(0) as usize, x.last().copied().unwrap_or(0.0));
         let longer: Vec<f64> =
             std::iter::once(0.0).chain(x.iter().copied()).chain(std::iter::repeat_n(held, lead)).collect();
-        let y = Filter::new(&self.taps, longer.len()).apply(&longer);
+        let y = Filter::new(self.taps.clone(), longer.len()).apply(&longer);
         let at = |t: usize| usize::try_from(t as isize + 1 - self.from).map_or(0.0, |k| y[k]);
         (0..x.len()).map(at).collect()
     }
@@ -91,6 +92,21 @@ impl Kernel {
         let mut y = self.apply(&moved);
         y.iter_mut().for_each(|y| *y += level);
         y
+    }
+
+    /// Sum over rows of what it makes of a signal that was zero before its first sample and is held after its last.
+    pub fn sum_over(&self, x: &RunningSums, rows: &Range<usize>) -> f64 {
+        let [start, end] = [rows.start, rows.end].map(|t| t as isize);
+        self.taps
+            .iter()
+            .zip(self.from..)
+            .map(|(h, lag)| h * (x.up_to(end - lag) - x.up_to(start - lag)))
+            .sum()
+    }
+
+    /// The same of a drive that was at its first sample for ever, about `mean`.
+    pub fn sum_over_held(&self, x: &HeldSums, mean: f64, rows: &Range<usize>) -> f64 {
+        self.sum_over(&x.moved, rows) + rows.len() as f64 * (x.first - mean) * self.sum()
     }
 
     /// Product with another over the lags that both have.
@@ -107,6 +123,46 @@ impl Kernel {
         let at = |lag: isize| usize::try_from(lag - self.from).ok().and_then(|k| self.taps.get(k)).copied();
         let last = self.from + self.taps.len() as isize;
         (1..last).map(|lag| at(lag).unwrap_or(0.0)).collect()
+    }
+}
+
+/// Running sums of a signal: what a filter makes of it is summed over any rows without filtering.
+pub(super) struct RunningSums {
+    /// Sum of the first samples, by their number.
+    sums: Vec<f64>,
+    last: f64,
+}
+
+impl RunningSums {
+    pub fn new(x: impl ExactSizeIterator<Item = f64>) -> Self {
+        let mut sums = Vec::with_capacity(x.len() + 1);
+        let (mut sum, mut last) = (0.0, 0.0);
+        sums.push(sum);
+        for x in x {
+            (sum, last) = (sum + x, x);
+            sums.push(sum);
+        }
+        Self { sums, last }
+    }
+
+    /// Sum of all samples before sample `end`: zeros before the first, the last one held.
+    fn up_to(&self, end: isize) -> f64 {
+        let Ok(end) = usize::try_from(end) else { return 0.0 };
+        let n = self.sums.len() - 1;
+        self.sums[end.min(n)] + end.saturating_sub(n) as f64 * self.last
+    }
+}
+
+/// Those of a drive about its first sample.
+pub(super) struct HeldSums {
+    first: f64,
+    moved: RunningSums,
+}
+
+impl HeldSums {
+    pub fn new(x: &[f64]) -> Self {
+        let first = x.first().copied().unwrap_or(0.0);
+        Self { first, moved: RunningSums::new(x.iter().map(|x| x - first)) }
     }
 }
 
@@ -316,6 +372,26 @@ impl Forward {
             y
         };
         self.outputs.iter().map(output).collect()
+    }
+
+    /// Sum over rows of what drives and signals make of each output, and of what the linear part alone does, both without
+    /// their offsets.
+    pub(super) fn sums_over(
+        &self,
+        drives: &[HeldSums],
+        signals: &[RunningSums],
+        rows: &Range<usize>,
+    ) -> Vec<[f64; 2]> {
+        let of_drives = |kernels: &[Kernel]| -> f64 {
+            let held = kernels.iter().zip(drives).zip(&self.drive_mean);
+            held.map(|((kernel, u), mean)| kernel.sum_over_held(u, *mean, rows)).sum()
+        };
+        let of_output = |output: &Output| {
+            let law: f64 =
+                output.kernels.iter().zip(signals).map(|(kernel, x)| kernel.sum_over(x, rows)).sum();
+            [of_drives(&output.linear) + law, of_drives(&output.before)]
+        };
+        self.outputs.iter().map(of_output).collect()
     }
 
     /// What the drives alone do.

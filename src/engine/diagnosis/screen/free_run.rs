@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::entry::Entry;
-use super::forward::{Course, Forward, Kernel, Output, Run, Source};
+use super::forward::{Course, Forward, HeldSums, Kernel, Output, Run, RunningSums, Source};
 use super::judge::{Base, Block, Coefficients};
 use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
@@ -86,6 +86,8 @@ struct Fit<'a, 'd> {
     aim: &'a Aim,
     /// Measured outputs.
     measured: Vec<&'a Track>,
+    /// Running sums of the drives, `[record][drive]`.
+    drives: Vec<Vec<HeldSums>>,
     most: usize,
 }
 
@@ -307,12 +309,14 @@ impl Bench<'_> {
             (&rebased, Entry::all(&rebased, outputs, &desk.drives))
         };
         let entries: &[Entry] = if more.is_empty() { self.entries } else { &more };
+        let records = 0..desk.recording.records.len();
         Some(then(&Fit {
             bench: self,
             base,
             entries,
             aim,
             measured: desk.responses.iter().chain(&aim.extra).collect(),
+            drives: records.map(|r| desk.drives.iter().map(|d| HeldSums::new(&d[r])).collect()).collect(),
             most: desk.lengths().into_iter().max().unwrap_or(1),
         }))
     }
@@ -484,17 +488,14 @@ impl Fit<'_, '_> {
         records.dedup();
         let mut sums = vec![[0.0; 3]; forward.outputs.len()];
         for record in records {
-            let course = self.course(record);
-            let of_record: Vec<Vec<f64>> = signals.iter().map(|s| s[record].clone()).collect();
-            let made = forward.outputs_of(&course, &of_record);
-            let before: Vec<Vec<f64>> =
-                forward.outputs.iter().map(|o| forward.linear(&o.before, &course)).collect();
+            let of_record: Vec<RunningSums> =
+                signals.iter().map(|s| RunningSums::new(s[record].iter().copied())).collect();
             for segment in segments.iter().filter(|s| s.record == record) {
-                for (output, sums) in sums.iter_mut().enumerate() {
-                    let measured = &self.measured[output][record][segment.rows.clone()];
-                    for (sum, made) in sums.iter_mut().zip([&made[output], &before[output]]) {
-                        *sum +=
-                            measured.iter().zip(&made[segment.rows.clone()]).map(|(y, m)| y - m).sum::<f64>();
+                let made = forward.sums_over(&self.drives[record], &of_record, &segment.rows);
+                for ((measured, made), sums) in self.measured.iter().zip(made).zip(&mut sums) {
+                    let measured: f64 = measured[record][segment.rows.clone()].iter().sum();
+                    for (sum, made) in sums.iter_mut().zip(made) {
+                        *sum += measured - made;
                     }
                     sums[2] += segment.rows.len() as f64;
                 }

@@ -21,6 +21,7 @@
 //! part of it; an offset that drifts is lost with the means, which are taken off stretch by stretch, and sought in them
 //! before; noise and lines follow from no drive; valve flow stands as its second-order series.
 
+mod arguments;
 mod band;
 mod bend;
 mod candidates;

@@ -1,17 +1,12 @@
 //! Where a law may act, and over which motion.
 
-use std::borrow::Cow;
-use std::cell::LazyCell;
-
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::arguments::arguments;
 use super::band::Band;
-use super::drift::Drives;
-use super::input::{Channel, Record, Recording};
+use super::input::{Record, Recording};
 use super::law::Scale;
-use super::motion::{Limits, Motion, beside, displacement, motion};
-use super::relative::{Sensor, relative};
+use super::motion::{Limits, Motion, beside, displacement};
 use crate::Quantity;
 
 /// The argument of a law.
@@ -154,73 +149,6 @@ pub(super) fn limits(recording: &Recording, band: Band) -> Limits {
     let shortest = recording.records.iter().map(|r| r.drive.n_samples()).min().unwrap_or(1);
     let low_hz = (0.5 * band.low_hz).max(2.0 * rate / shortest as f64);
     Limits { low_hz, high_hz: (rate / band.step as f64).max(band.high_hz) }
-}
-
-/// All places but the outputs.
-pub(super) fn arguments(recording: &Recording, limits: Limits, used: &[usize]) -> Vec<Argument> {
-    let rate = recording.sample_rate_hz();
-    let moving = |c: &Channel| c.quantity.is_motion();
-    let some = recording.drives.iter().chain(&recording.responses).any(moving);
-    let of = |drive: bool, channel: usize, quantity: Quantity, limits: Limits| -> Vec<Motion> {
-        recording
-            .records
-            .iter()
-            .zip(used)
-            .map(|(r, &used)| {
-                let signal = if drive { &r.drive } else { &r.response };
-                motion(&signal.channel(channel)[..used], quantity, rate, limits)
-            })
-            .collect()
-    };
-    let mut out = Vec::new();
-    for (i, channel) in recording.drives.iter().enumerate() {
-        let motion = of(true, i, channel.quantity, limits);
-        out.extend(argument(Place::Drive(i), channel.quantity, limits, motion));
-    }
-    // What noise makes of an acceleration's displacement at low frequencies is no motion.
-    let drives = LazyCell::new(|| Drives::new(recording, used, limits.high_hz));
-    let explained = |r: usize, quantity: Quantity| -> Limits {
-        if quantity.integrals() == 0 {
-            return limits;
-        }
-        Limits { low_hz: drives.explain_from(r, limits), ..limits }
-    };
-    let mut seen: Vec<Sensor> = Vec::new();
-    for (r, channel) in recording.responses.iter().enumerate().filter(|(_, c)| moving(c) || !some) {
-        let own = explained(r, channel.quantity);
-        let motion = of(false, r, channel.quantity, own);
-        if let Some(argument) = argument(Place::Response(r), channel.quantity, own, motion) {
-            out.push(argument);
-            seen.push((r, channel.quantity, own));
-        }
-    }
-    let first = out.len() - seen.len();
-    let mut between = Vec::new();
-    for (a, (i, quantity, own)) in seen.iter().enumerate() {
-        for (b, (j, other, its)) in seen[..a].iter().enumerate().filter(|(_, s)| s.1 == *quantity) {
-            let (first_unit, other_unit) = (&recording.responses[*i], &recording.responses[*j]);
-            let Some(factor) = other_unit.to_unit_of(first_unit) else { continue };
-            let both = Limits { low_hz: own.low_hz.max(its.low_hz), ..limits };
-            let cut = |at: usize, r: usize, own: &Limits| {
-                if own.low_hz < both.low_hz {
-                    Cow::Owned(of(false, r, *other, both))
-                } else {
-                    Cow::Borrowed(&out[first + at].motion)
-                }
-            };
-            let (x, y) = (cut(a, *i, own), cut(b, *j, its));
-            let motion = x.iter().zip(y.iter()).map(|(x, y)| less(x, y, factor)).collect();
-            let found = argument(Place::Between(*i, *j), *quantity, both, motion);
-            between.extend(found.map(|found| Argument { factor, ..found }));
-        }
-    }
-    let relative: Vec<Argument> = (0..recording.drives.len())
-        .into_par_iter()
-        .filter_map(|d| relative(recording, d, &seen, limits, used))
-        .collect();
-    out.extend(between);
-    out.extend(relative);
-    out
 }
 
 /// One motion less another, which comes in another unit.

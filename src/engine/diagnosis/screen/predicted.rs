@@ -6,7 +6,7 @@ use super::desk::Desk;
 use super::entry::Entry;
 use super::judge::{Base, Block};
 use super::law::Law;
-use super::motion::{Limits, Motion, motion};
+use super::motion::{Limits, Motion, beside, motion};
 use super::place::{Argument, Place, argument};
 use super::run::Bench;
 use super::track::{Track, add, less, mean};
@@ -77,8 +77,11 @@ pub(super) fn predicted(desk: &Desk<'_>, base: &Base<'_>, measured: &[Argument])
                 if of_response.quantity.integrals() != a.quantity.integrals() {
                     return None;
                 }
+                // What the response is beside the linear part comes back in, as far as it was taken away.
+                let mut beside_linear = less(&desk.thinned(&of(of_response)), &linear[at(r)?]);
+                beside_linear.iter_mut().for_each(|d| *d = beside(d, a.quantity, rate, a.limits));
                 let mut d = desk.thinned(&of(a));
-                add(&mut d, &less(&desk.thinned(&of(of_response)), &linear[at(r)?]));
+                add(&mut d, &beside_linear);
                 moving(a.place, a.quantity, &d)
             }
             Place::Drive(_) | Place::Output(_) => None,

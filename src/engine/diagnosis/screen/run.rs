@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::arguments::arguments;
 use super::candidates;
 use super::desk::Desk;
 use super::entry::Entry;
@@ -15,7 +16,7 @@ use super::judge::{Base, Block, HeldOut};
 use super::law::{Law, Way};
 use super::modes::Poles;
 use super::naming;
-use super::place::{Argument, Place, arguments};
+use super::place::{Argument, Place};
 use super::predicted::predicted;
 use super::report::{LinearPart, Screening, Standing};
 use super::track::Track;
