@@ -176,6 +176,34 @@ pub(super) enum Source {
     Linear(usize),
     /// An output of the free run itself.
     Output(usize),
+    /// The same where the output is the rate of the argument.
+    LinearRate(usize),
+    /// See [`Self::LinearRate`].
+    OutputRate(usize),
+}
+
+impl Source {
+    /// The same by what the linear part alone says.
+    pub fn opened(self) -> Self {
+        match self {
+            Self::Output(output) => Self::Linear(output),
+            Self::OutputRate(output) => Self::LinearRate(output),
+            known => known,
+        }
+    }
+
+    /// The output that it is, of the free run or of the linear part.
+    fn output(self) -> Option<usize> {
+        match self {
+            Self::Drive { .. } => None,
+            Self::Linear(o) | Self::Output(o) | Self::LinearRate(o) | Self::OutputRate(o) => Some(o),
+        }
+    }
+
+    /// Whether it depends on what the law does.
+    fn is_fed_back(self) -> bool {
+        self.opened() != self
+    }
 }
 
 /// A signal that the free run makes: a response, or an argument that is none.
@@ -335,16 +363,13 @@ impl Forward {
 
     /// Whether the law's argument depends on what the law does.
     pub(super) fn feeds_back(&self) -> bool {
-        let fed = |source: Source| matches!(source, Source::Output(_));
-        fed(self.argument.0) || self.second.is_some_and(|s| fed(s.0))
+        self.argument.0.is_fed_back() || self.second.is_some_and(|s| s.0.is_fed_back())
     }
 
     /// Whether the law's argument is a motion of the structure.
     pub(super) fn is_over_a_motion(&self) -> bool {
-        let motion = |source: Source| match source {
-            Source::Output(_) => true,
-            Source::Linear(output) => output >= self.responses,
-            Source::Drive { .. } => false,
+        let motion = |source: Source| {
+            source.is_fed_back() || source.output().is_some_and(|output| output >= self.responses)
         };
         motion(self.argument.0) || self.second.is_some_and(|s| motion(s.0))
     }
@@ -404,19 +429,29 @@ impl Forward {
         y
     }
 
-    /// The motion of an argument that is known beforehand, at the recording's rate or, of the linear part's
+    /// What the linear part alone makes of an output, with what known effects add to it.
+    fn linear_output(&self, output: usize, course: &Course<'_>) -> Vec<f64> {
+        let of = &self.outputs[output];
+        let mut y = self.linear(&of.before, course);
+        y.iter_mut().for_each(|y| *y += of.offset_before);
+        course.add(output, &mut y);
+        y
+    }
+
+    /// The motion of an argument that is known beforehand; of its rate, where that is the output, no displacement. It is at the recording's rate or, of the linear part's
     /// output, at that of the analysis.
     fn known(&self, source: Source, course: &Course<'_>) -> Motion {
         match source {
             Source::Drive { channel, quantity } => {
                 motion(course.whole[channel], quantity, self.rate_hz, self.limits)
             }
+            Source::LinearRate(output) | Source::OutputRate(output) => {
+                let v = self.linear_output(output, course);
+                Motion { d: v.clone(), v }
+            }
             // Of an argument that is no response.
             Source::Linear(output) | Source::Output(output) if output >= self.responses => {
-                let of = &self.outputs[output];
-                let mut d = self.linear(&of.before, course);
-                d.iter_mut().for_each(|d| *d += of.offset_before);
-                course.add(output, &mut d);
+                let d = self.linear_output(output, course);
                 let limits = Limits { low_hz: 0.0, high_hz: self.analysis_hz() };
                 motion(&d, Quantity::Displacement, self.analysis_hz(), limits)
             }
@@ -440,25 +475,33 @@ impl Forward {
     /// Signals of a law that nothing is fed back to.
     fn open(&self, course: &Course<'_>) -> Vec<Vec<f64>> {
         let thinner = Thinner::new(self.step);
-        let thin = |source: Source, x: &[f64]| {
-            if matches!(source, Source::Drive { .. }) { thinner.thin(x) } else { x.to_vec() }
-        };
         let (source, scale) = self.argument;
-        let argument = self.known(source, course);
-        let second = self.second.map(|(source, scale)| (source, scale, self.known(source, course)));
+        let driven = |source: Source| matches!(source, Source::Drive { .. });
+        // A law is taken at the recording's rate where all that it sees is known there.
+        let whole = driven(source) && self.second.is_none_or(|s| driven(s.0));
+        let motion_of = |source: Source| {
+            let Motion { d, v } = self.known(source, course);
+            if driven(source) && !whole {
+                Motion { d: thinner.thin(&d), v: thinner.thin(&v) }
+            } else {
+                Motion { d, v }
+            }
+        };
+        let thin = |x: &[f64]| if whole { thinner.thin(x) } else { x.to_vec() };
+        let argument = motion_of(source);
+        let second = self.second.map(|(source, scale)| (scale, motion_of(source)));
         let beside: Option<Vec<f64>> =
-            second.as_ref().map(|(_, scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
-        let driven = matches!(source, Source::Drive { .. });
-        let rate = if driven { self.rate_hz } else { self.analysis_hz() };
+            second.as_ref().map(|(scale, m)| m.d.iter().map(|d| (d - scale.centre) / scale.d).collect());
+        let rate = if whole { self.rate_hz } else { self.analysis_hz() };
         let signals = self.law.signals(&argument, scale, rate, course.clock, beside.as_deref());
-        let mut out: Vec<Vec<f64>> = signals.iter().map(|x| thin(source, x)).collect();
-        out.push(thin(source, &argument.d));
-        out.extend(second.map(|(source, _, m)| thin(source, &m.d)));
+        let mut out: Vec<Vec<f64>> = signals.iter().map(|x| thin(x)).collect();
+        out.push(thin(&argument.d));
+        out.extend(second.map(|(_, m)| thin(&m.d)));
         out
     }
 
     fn feed(&self, source: Source, course: &Course<'_>) -> Feed {
-        let Source::Output(output) = source else {
+        let (true, Some(output)) = (source.is_fed_back(), source.output()) else {
             let known = self.known(source, course).d;
             let drive = matches!(source, Source::Drive { .. });
             let known = if drive { Thinner::new(self.step).thin(&known) } else { known };
@@ -478,6 +521,7 @@ impl Forward {
         let scale = self.argument.1;
         let mut argument = self.feed(self.argument.0, course);
         let mut second = self.second.map(|(source, scale)| (self.feed(source, course), scale));
+        let of_rate = matches!(self.argument.0, Source::OutputRate(_));
         let law_signals = self.law.count();
         let mut signals: Vec<Vec<f64>> = vec![vec![0.0; n]; self.signals()];
         let mut now = vec![0.0; law_signals];
@@ -488,18 +532,21 @@ impl Forward {
             let d = argument.at(t, &signals);
             let x = second.as_mut().map(|(feed, scale)| (feed.at(t, &signals), *scale));
             let far = |x: f64, scale: Scale| (x - scale.centre).abs() > RUNAWAY * scale.d || x.is_nan();
-            if far(d, scale) || x.is_some_and(|(x, scale)| far(x, scale)) {
+            let runs_away = if of_rate { d.abs() > RUNAWAY * scale.v || d.is_nan() } else { far(d, scale) };
+            if runs_away || x.is_some_and(|(x, scale)| far(x, scale)) {
                 return None;
             }
             // Backward differences of second order.
             let v = match past {
+                _ if of_rate => d / rate,
                 [Some(before), Some(earlier)] => 1.5 * d - 2.0 * before + 0.5 * earlier,
                 [Some(before), None] => d - before,
                 _ => 0.0,
             };
             past = [Some(d), past[0]];
             let instant = Instant {
-                d: (d - scale.centre) / scale.d,
+                // A law over a rate asks for no displacement.
+                d: if of_rate { 0.0 } else { (d - scale.centre) / scale.d },
                 v: v * rate / scale.v,
                 x: x.map_or(0.0, |(x, scale)| (x - scale.centre) / scale.d),
                 t: course.clock[0] + pace * t as f64,
@@ -722,8 +769,13 @@ impl Forward {
         }
         let source = |source: Source| match source {
             Source::Drive { channel, .. } => channel < drives,
-            Source::Linear(r) | Source::Output(r) => r < self.outputs.len(),
+            _ => source.output().is_some_and(|output| output < self.outputs.len()),
         };
+        // What has no displacement is for laws that ask for none.
+        let of_rate = |source: Source| matches!(source, Source::LinearRate(_) | Source::OutputRate(_));
+        if of_rate(self.argument.0) && !self.law.is_over_rate() || self.second.is_some_and(|s| of_rate(s.0)) {
+            return Err("argument: the rate of a displacement".into());
+        }
         let arguments = || std::iter::once(self.argument).chain(self.second);
         let two = matches!(self.law, Law::ValveFlow | Law::CrossAxisKinematic);
         let all =

@@ -105,10 +105,7 @@ impl Aim {
 
     /// The same over the motion that the linear part alone has.
     fn opened(&self) -> Self {
-        let open = |(source, scale): (Source, Scale)| match source {
-            Source::Output(output) => (Source::Linear(output), scale),
-            known => (known, scale),
-        };
+        let open = |(source, scale): (Source, Scale)| (source.opened(), scale);
         let bare = Forward {
             argument: open(self.bare.argument),
             second: self.bare.second.map(open),
@@ -204,7 +201,11 @@ impl Bench<'_> {
             Some(place) => Some(among.iter().find(|a| a.place == place)?),
             None => None,
         };
-        let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(|a| self.unbent(a)).collect();
+        // A rate that is measured, or is one integral away, need not be had from a displacement.
+        let of_rate =
+            standing.law.is_over_rate() && argument.quantity.integrals() > 0 && self.desk.added.is_empty();
+        let unbent_of = |a: &Argument| if of_rate { self.rate(a) } else { self.unbent(a) };
+        let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(unbent_of).collect();
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();
         let fed: Vec<usize> = (0..places.len()).filter(|&i| places[i].is_fed_back()).collect();
         // Whatever the signals begin with, what is fed back is fitted to what was measured.
@@ -215,7 +216,7 @@ impl Bench<'_> {
             .iter()
             .enumerate()
             .map(|(i, a)| {
-                let measured = self.unbent(a);
+                let measured = unbent_of(a);
                 match of_fed.get(i) {
                     Some(added) => less(&measured, added),
                     None => measured,
@@ -223,6 +224,7 @@ impl Bench<'_> {
             })
             .collect();
         let source = |i: usize| match (places[i], fed.iter().position(|&f| f == i)) {
+            (_, Some(at)) if of_rate => Source::OutputRate(self.entries.len() + at),
             (_, Some(at)) => Source::Output(self.entries.len() + at),
             (Place::Drive(channel), _) => {
                 let quantity =

@@ -15,6 +15,7 @@ use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
 use super::law::{Law, Way};
 use super::modes::Poles;
+use super::motion::Motion;
 use super::naming;
 use super::place::{Argument, Place};
 use super::predicted::predicted;
@@ -391,8 +392,17 @@ impl Bench<'_> {
 
     /// The linear signal at a place at the rate of the analysis.
     pub(super) fn unbent(&self, argument: &Argument) -> Track {
-        let d: Vec<Vec<f64>> = argument.motion.iter().map(|m| m.d.clone()).collect();
-        if argument.predicted { d } else { self.desk.thinned(&d) }
+        self.of_motion(argument, |m| &m.d)
+    }
+
+    /// Its rate at the rate of the analysis.
+    pub(super) fn rate(&self, argument: &Argument) -> Track {
+        self.of_motion(argument, |m| &m.v)
+    }
+
+    fn of_motion(&self, argument: &Argument, part: fn(&Motion) -> &[f64]) -> Track {
+        let of: Vec<Vec<f64>> = argument.motion.iter().map(|m| part(m).to_vec()).collect();
+        if argument.predicted { of } else { self.desk.thinned(&of) }
     }
 }
 

@@ -1,5 +1,6 @@
 //! The screen on simulated and measured systems.
 
+mod forward;
 mod groups;
 mod laws;
 mod measured;
