@@ -2,11 +2,9 @@
 //! exact derivatives. Steiglitz and McBride's iteration stops near this optimum, not at it, and what
 //! it leaves would grow with the drive.
 
-use faer::Mat;
-
 use super::fit::{Linear, Part};
 use super::modes::{Modes, Pole};
-use crate::diagnosis::numerics::linear::{dot, norm, solve_spd, transposed_times};
+use crate::diagnosis::numerics::linear::{dot, from_columns, norm, solve_spd, transposed_times};
 
 /// Jacobians.
 const ROUNDS: usize = 12;
@@ -22,7 +20,10 @@ pub(super) fn refine(parts: &[Part<'_>], start: Linear) -> Linear {
         let (columns, left) = jacobian(parts, &now);
         let lengths: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
         let unit = |x: f64, length: f64| if length > 0.0 { x / length } else { 0.0 };
-        let scaled = Mat::from_fn(left.len(), columns.len(), |r, c| unit(columns[c][r], lengths[c]));
+        let mut scaled = from_columns(left.len(), columns.iter().map(Vec::as_slice));
+        for (c, length) in lengths.iter().enumerate() {
+            scaled.col_as_slice_mut(c).iter_mut().for_each(|x| *x = unit(*x, *length));
+        }
         let product = transposed_times(&scaled, &scaled);
         let of = |r: usize, c: usize| if r == c { 1.0 } else { product[(r, c)] };
         let normal: Vec<Vec<f64>> =

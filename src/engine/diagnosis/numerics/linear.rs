@@ -19,15 +19,12 @@ pub fn least_squares(columns: &[&[f64]], target: &[f64]) -> Vec<f64> {
     let norms: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
     let scale: Vec<f64> =
         norms.iter().map(|&n| if n > 0.0 && n.is_finite() { 1.0 / n } else { 0.0 }).collect();
-    let matrix = Mat::from_fn(rows + p, p, |i, j| {
-        if i < rows {
-            columns[j][i] * scale[j]
-        } else if i - rows == j {
-            RIDGE
-        } else {
-            0.0
-        }
-    });
+    let mut matrix = Mat::zeros(rows + p, p);
+    for (j, (column, scale)) in columns.iter().zip(&scale).enumerate() {
+        let of = matrix.col_as_slice_mut(j);
+        of[..rows].iter_mut().zip(*column).for_each(|(to, x)| *to = x * scale);
+        of[rows + j] = RIDGE;
+    }
     let rhs = Mat::from_fn(rows + p, 1, |i, _| if i < rows { target[i] } else { 0.0 });
     let x = decompose::least_squares(&matrix, &rhs);
     (0..p).map(|j| if x[(j, 0)].is_finite() { x[(j, 0)] * scale[j] } else { 0.0 }).collect()
@@ -144,6 +141,15 @@ pub fn transposed_times(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
         return a.transpose() * b;
     }
     Mat::from_fn(a.ncols(), b.ncols(), |r, c| dot(a.col_as_slice(r), b.col_as_slice(c)))
+}
+
+/// A matrix of columns of `rows` rows.
+pub fn from_columns<'a>(rows: usize, columns: impl ExactSizeIterator<Item = &'a [f64]>) -> Mat<f64> {
+    let mut out = Mat::zeros(rows, columns.len());
+    for (c, column) in columns.enumerate() {
+        out.col_as_slice_mut(c).copy_from_slice(column);
+    }
+    out
 }
 
 /// Root mean square; 0 for no samples.

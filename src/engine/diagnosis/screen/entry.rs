@@ -4,8 +4,8 @@
 use std::ops::Range;
 
 use super::correlate::Filter;
-use super::forward::Kernel;
 use super::judge::Base;
+use super::kernel::Kernel;
 use super::law::Way;
 use super::linear_part::Setting;
 use super::place::Place;

@@ -9,8 +9,9 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::entry::Entry;
-use super::forward::{Course, Forward, HeldSums, Kernel, Output, Run, RunningSums, Source};
+use super::forward::{Course, Forward, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
+use super::kernel::{HeldSums, Kernel, RunningSums};
 use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
 use super::place::{Argument, Place, Seen};

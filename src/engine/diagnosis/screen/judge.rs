@@ -9,7 +9,7 @@ use super::linear_part::Setting;
 use super::moments::Moments;
 use super::regressors::Regressors;
 use super::track::Segment;
-use crate::diagnosis::numerics::linear::{dot, transposed_times};
+use crate::diagnosis::numerics::linear::{dot, from_columns, transposed_times};
 
 /// Ridge of a candidate's columns relative to their power: what the linear part holds already gets nothing.
 const RIDGE: f64 = 1e-8;
@@ -146,10 +146,13 @@ impl<'a> Base<'a> {
             .iter()
             .map(|segment| {
                 let rows = segment.first().map_or(0, Vec::len);
-                Mat::from_fn(rows, m, |r, c| {
-                    let value = segment[c][r] * norms[c];
-                    if value.is_finite() { value } else { 0.0 }
-                })
+                let mut scaled = from_columns(rows, segment.iter().map(Vec::as_slice));
+                for (c, norm) in norms.iter().enumerate() {
+                    for x in scaled.col_as_slice_mut(c) {
+                        *x = if (*x * norm).is_finite() { *x * norm } else { 0.0 };
+                    }
+                }
+                scaled
             })
             .collect();
         drop(columns);
@@ -385,9 +388,9 @@ fn gamma(others: &Others, solved: &Mat<f64>, theta: &Mat<f64>, response: usize) 
 }
 
 fn wide(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
-    Mat::from_fn(a.nrows(), a.ncols() + b.ncols(), |r, c| {
-        if c < a.ncols() { a[(r, c)] } else { b[(r, c - a.ncols())] }
-    })
+    let columns: Vec<&[f64]> =
+        [a, b].into_iter().flat_map(|m| (0..m.ncols()).map(|c| m.col_as_slice(c))).collect();
+    from_columns(a.nrows(), columns.into_iter())
 }
 
 fn sum(parts: &[Mat<f64>]) -> Mat<f64> {

@@ -36,6 +36,7 @@ mod front;
 mod groups;
 mod input;
 mod judge;
+mod kernel;
 mod law;
 mod linear_part;
 mod memory;

@@ -13,7 +13,7 @@ use realfft::num_complex::Complex64;
 use rigcast_numerics::decompose::Cholesky;
 
 use super::track::{Segment, Track, delayed};
-use crate::diagnosis::numerics::linear::{eigenvalues, transposed_times};
+use crate::diagnosis::numerics::linear::{eigenvalues, from_columns, transposed_times};
 
 /// Rounds of relocation at a time.
 const ROUNDS: usize = 4;
@@ -21,8 +21,10 @@ const ROUNDS: usize = 4;
 const SLOWEST: f64 = 0.9999;
 /// Ridge relative to each column's power.
 const RIDGE: f64 = 1e-10;
-/// Samples of an impulse response that are computed side by side.
+/// Samples of an impulse response, and poles of a filter, that are computed side by side.
 const TOGETHER: usize = 8;
+/// Samples of a filter that are kept at hand.
+const BLOCK: usize = 64;
 
 /// Poles of the upper half plane and real ones, of sampled signals.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,24 +48,21 @@ impl Poles {
     /// The states of a signal that drives every mode by itself, one sample late; held before its start.
     pub fn filter(&self, track: &Track) -> Vec<Track> {
         let mut out = Vec::with_capacity(self.states());
-        for &pole in &self.0 {
-            let (mut re, mut im): (Track, Track) = (Vec::new(), Vec::new());
+        // Several poles at a time: one alone would wait for the sample before.
+        for poles in self.0.chunks(TOGETHER) {
+            let mut states: Vec<[Track; 2]> = vec![[Vec::new(), Vec::new()]; poles.len()];
             for x in track {
-                let mut z = x.first().map_or(Complex64::default(), |x| Complex64::from(*x) / (1.0 - pole));
-                let all: Vec<Complex64> = x
-                    .iter()
-                    .map(|x| {
-                        let now = z;
-                        z = pole * z + x;
-                        now
-                    })
-                    .collect();
-                re.push(all.iter().map(|z| z.re).collect());
-                im.push(all.iter().map(|z| z.im).collect());
+                let of_poles = together(poles, x);
+                states.iter_mut().zip(of_poles).for_each(|([re, im], [x, y])| {
+                    re.push(x);
+                    im.push(y);
+                });
             }
-            out.push(re);
-            if pole.im != 0.0 {
-                out.push(im);
+            for (pole, [re, im]) in poles.iter().zip(states) {
+                out.push(re);
+                if pole.im != 0.0 {
+                    out.push(im);
+                }
             }
         }
         out
@@ -157,6 +156,33 @@ impl Poles {
     }
 }
 
+/// Real and imaginary parts of the states of at most [`TOGETHER`] poles over one record.
+fn together(poles: &[Complex64], x: &[f64]) -> Vec<[Vec<f64>; 2]> {
+    let of = |part: fn(&Complex64) -> f64, from: &[Complex64]| -> [f64; TOGETHER] {
+        std::array::from_fn(|k| from.get(k).map_or(0.0, part))
+    };
+    let first = x.first().copied().unwrap_or_default();
+    let held: Vec<Complex64> = poles.iter().map(|pole| Complex64::from(first) / (1.0 - pole)).collect();
+    let (p, q) = (of(|p| p.re, poles), of(|p| p.im, poles));
+    let (mut re, mut im) = (of(|z| z.re, &held), of(|z| z.im, &held));
+    let mut out = vec![[Vec::with_capacity(x.len()), Vec::with_capacity(x.len())]; poles.len()];
+    let mut block = [[[0.0; TOGETHER]; 2]; BLOCK];
+    for samples in x.chunks(BLOCK) {
+        for (now, x) in block.iter_mut().zip(samples) {
+            *now = [re, im];
+            for k in 0..TOGETHER {
+                (re[k], im[k]) = (p[k] * re[k] - q[k] * im[k] + x, p[k] * im[k] + q[k] * re[k]);
+            }
+        }
+        for (k, parts) in out.iter_mut().enumerate() {
+            for (part, out) in parts.iter_mut().enumerate() {
+                out.extend(block[..samples.len()].iter().map(|now| now[part][k]));
+            }
+        }
+    }
+    out
+}
+
 /// Columns of drives: `direct` lags from `-lead` on, and the states of every mode, drive by drive; one matrix a
 /// segment.
 pub(super) fn columns(
@@ -186,7 +212,7 @@ pub(super) fn columns(
 }
 
 fn matrix(columns: Vec<Vec<f64>>, rows: usize) -> Mat<f64> {
-    Mat::from_fn(rows, columns.len(), |r, c| columns[c][r])
+    from_columns(rows, columns.iter().map(Vec::as_slice))
 }
 
 /// Relocates poles for some rounds, fewer where they rest; `None` where a round fails.
@@ -296,6 +322,36 @@ mod tests {
             assert!((poles.follows(&of(parts), rates) - expected).abs() < 1e-12, "{parts:?} {rates}");
         }
         assert!(poles.follows(&of([sine, -sine]), 0).abs() < 0.9);
+    }
+
+    #[test]
+    fn many_poles_side_by_side_are_each_by_itself() {
+        let pole = |k: usize| {
+            if k == 4 {
+                Complex64::new(0.7, 0.0)
+            } else {
+                Complex64::from_polar(0.99 - 0.02 * k as f64, 0.2 * k as f64 + 0.1)
+            }
+        };
+        let poles = Poles((0..TOGETHER + 3).map(pole).collect());
+        let record = |n: usize| -> Vec<f64> { (0..n).map(|k| 0.5 + (0.3 * k as f64).sin()).collect() };
+        let track = vec![record(2 * BLOCK + 7), Vec::new(), record(3)];
+        let mut found = poles.filter(&track).into_iter();
+        for pole in &poles.0 {
+            let alone = |x: &Vec<f64>| -> Vec<Complex64> {
+                let mut z = x.first().map_or(Complex64::default(), |x| Complex64::from(*x) / (1.0 - pole));
+                x.iter().map(|x| std::mem::replace(&mut z, pole * z + x)).collect()
+            };
+            let states: Vec<Vec<Complex64>> = track.iter().map(alone).collect();
+            let of = |part: fn(&Complex64) -> f64| -> Track {
+                states.iter().map(|record| record.iter().map(part).collect()).collect()
+            };
+            assert_eq!(found.next(), Some(of(|z| z.re)));
+            if pole.im != 0.0 {
+                assert_eq!(found.next(), Some(of(|z| z.im)));
+            }
+        }
+        assert_eq!(found.next(), None);
     }
 
     #[test]

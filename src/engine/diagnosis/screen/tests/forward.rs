@@ -1,4 +1,5 @@
-use crate::diagnosis::screen::forward::{Course, Forward, HeldSums, Kernel, Output, RunningSums, Source};
+use crate::diagnosis::screen::forward::{Course, Forward, Output, Source};
+use crate::diagnosis::screen::kernel::{HeldSums, Kernel, RunningSums};
 use crate::diagnosis::screen::law::{Law, Scale};
 use crate::diagnosis::screen::motion::Limits;
 use crate::diagnosis::screen::place::Place;
