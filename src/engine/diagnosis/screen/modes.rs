@@ -340,7 +340,12 @@ mod tests {
         for pole in &poles.0 {
             let alone = |x: &Vec<f64>| -> Vec<Complex64> {
                 let mut z = x.first().map_or(Complex64::default(), |x| Complex64::from(*x) / (1.0 - pole));
-                x.iter().map(|x| std::mem::replace(&mut z, pole * z + x)).collect()
+                let mut step = |x: &f64| {
+                    let now = z;
+                    z = pole * z + x;
+                    now
+                };
+                x.iter().map(&mut step).collect()
             };
             let states: Vec<Vec<Complex64>> = track.iter().map(alone).collect();
             let of = |part: fn(&Complex64) -> f64| -> Track {
