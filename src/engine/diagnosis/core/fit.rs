@@ -24,8 +24,6 @@ use crate::diagnosis::numerics::rows::Rows;
 const ORDERS: [usize; 10] = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12];
 /// Orders of the first fits, which only serve to learn the noise's colour.
 const FIRST_ORDERS: [usize; 4] = [2, 4, 7, 10];
-/// Samples by which the order is chosen, of each stretch the beginning.
-const ORDER_SAMPLES: usize = 40_000;
 /// Relocations of the poles per order.
 const ROUNDS: usize = 8;
 /// Price of a parameter in squared noise floors over a whole stretch: a spurious mode may choose
@@ -146,23 +144,21 @@ impl<'a> Centred<'a> {
     /// The best model of the best order up to `affordable`, and the noise that it leaves.
     fn choose(&self, band: [f64; 2], affordable: usize, linear: bool) -> (Linear, Ar) {
         let drives = self.drives[0].len();
-        let samples: usize = self.response.iter().map(Vec::len).sum();
-        let few = (ORDER_SAMPLES as f64 / samples as f64).min(1.0);
-        let beginnings = self.part(0.0, few, band, self.supposed);
+        let all = self.part(0.0, 1.0, band, self.supposed);
         // The first noise is taken from a model that is rather too rich than too poor: what a poor one
         // leaves at a resonance would pass for noise there and hide that it is poor.
         let noise = FIRST_ORDERS
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
-                let linear = fitted(&beginnings, order, band);
-                (beginnings.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
+                let linear = fitted(&all, order, band);
+                (all.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map_or_else(|| self.supposed.clone(), |first| first.1);
 
-        let early = self.part(0.0, few * (1.0 - HELD_OUT), band, &noise);
-        let held_out = self.part(few * (1.0 - HELD_OUT), few, band, &noise);
+        let early = self.part(0.0, 1.0 - HELD_OUT, band, &noise);
+        let held_out = self.part(1.0 - HELD_OUT, 1.0, band, &noise);
         let scored: Vec<(f64, Linear)> = ORDERS
             .par_iter()
             .filter(|&&order| order <= affordable)

@@ -23,6 +23,10 @@ use crate::{EngineError, Signal};
 /// Samples of all baseline runs that the cores are fitted to, of each run the beginning: a core has some fifty numbers, and
 /// more samples take longer and tell them no better than the noise of the runs to explain lets anyone see.
 const CORE_SAMPLES: usize = 300_000;
+/// Least share of its average power that each drive has in them.
+const LEAST_MOVED: f64 = 0.5;
+/// Samples that a run keeps at least.
+const SHORTEST: usize = 1000;
 
 /// A request made ready.
 #[derive(Clone)]
@@ -82,6 +86,30 @@ fn drives(runs: &[Run]) -> Vec<Vec<&[f64]>> {
     runs.iter().map(|run| run.drive.channels().iter().map(Vec::as_slice).collect()).collect()
 }
 
+/// Of each run the beginning, so that [`CORE_SAMPLES`] are left; all of them where a drive moves later, in which case a
+/// core of the beginnings would know nothing of it.
+fn beginnings(runs: Vec<Vec<&[f64]>>) -> Vec<Vec<&[f64]>> {
+    let whole: usize = runs.iter().map(|drives| drives[0].len()).sum();
+    let share = (CORE_SAMPLES as f64 / whole.max(1) as f64).min(1.0);
+    let kept: Vec<Vec<&[f64]>> = runs
+        .iter()
+        .map(|drives| {
+            let all = drives[0].len();
+            let samples = ((all as f64 * share).ceil() as usize).max(SHORTEST).min(all);
+            drives.iter().map(|u| &u[..samples]).collect()
+        })
+        .collect();
+    let energy = |runs: &[Vec<&[f64]>], d: usize| -> f64 {
+        let of = |u: &[f64]| {
+            let centre = mean(u);
+            u.iter().map(|u| (u - centre) * (u - centre)).sum::<f64>()
+        };
+        runs.iter().map(|drives| of(drives[d])).sum()
+    };
+    let moves = |d: usize| energy(&kept, d) >= LEAST_MOVED * share * energy(&runs, d);
+    if (0..runs.first().map_or(0, Vec::len)).all(moves) { kept } else { runs }
+}
+
 /// `supposed` is what the cores count errors in at first; `assumed` the noise where repeats tell none, by what a core
 /// leaves of the baseline in its band.
 fn above_noise(
@@ -90,7 +118,7 @@ fn above_noise(
     assumed: impl Fn(&Ar, [f64; 2]) -> Ar,
 ) -> Result<Prepared, EngineError> {
     input.check()?;
-    let baseline = drives(&input.baseline);
+    let baseline = beginnings(drives(&input.baseline));
     let band = band(input)?;
     let Split { mut pieces, mut warnings, cut: by_drive } = split(input);
     for role in [Role::Fit, Role::Select, Role::Test] {
@@ -186,18 +214,13 @@ fn fit_core(
     band: [f64; 2],
     supposed: &Ar,
 ) -> Result<CoreFit, EngineError> {
-    let whole: usize = input.baseline.iter().map(|run| run.drive.n_samples()).sum();
-    let share = (CORE_SAMPLES as f64 / whole as f64).min(1.0);
     let stretches: Vec<core::Stretch<'_>> = input
         .baseline
         .iter()
         .zip(drives)
-        .map(|(run, drives)| {
-            let kept = (run.drive.n_samples() as f64 * share).ceil() as usize;
-            core::Stretch {
-                drives: drives.iter().map(|u| &u[..kept]).collect(),
-                response: &run.response.channel(response)[..kept],
-            }
+        .map(|(run, drives)| core::Stretch {
+            drives: drives.clone(),
+            response: &run.response.channel(response)[..drives[0].len()],
         })
         .collect();
     if stretches.iter().all(|s| s.response.windows(2).all(|w| w[0] == w[1])) {
@@ -477,5 +500,26 @@ impl Drives {
             out.peak.push(peak);
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_baseline_counts_by_its_beginnings_unless_a_drive_moves_later() {
+        let wave = |from: usize, n: usize| -> Vec<f64> {
+            (0..n).map(|k| if k < from { 0.0 } else { (0.3 * k as f64).sin() }).collect()
+        };
+        let n = 2 * CORE_SAMPLES;
+        let (moving, late, short) = (wave(0, n), wave(n / 2, n), wave(0, SHORTEST / 2));
+        let samples = |runs: Vec<Vec<&[f64]>>| -> Vec<usize> {
+            beginnings(runs).iter().map(|drives| drives.iter().map(|u| u.len()).min().unwrap()).collect()
+        };
+        let cut = samples(vec![vec![&moving, &moving], vec![&short, &short]]);
+        assert!(cut[0].abs_diff(CORE_SAMPLES) < SHORTEST && cut[1] == short.len(), "{cut:?}");
+        assert_eq!(samples(vec![vec![&moving, &late]]), [n], "the second drive moves in the second half");
+        assert_eq!(samples(vec![vec![&moving[..CORE_SAMPLES]]]), [CORE_SAMPLES]);
     }
 }

@@ -31,9 +31,9 @@ pub(super) struct Entry {
     longest: usize,
     /// Impulse responses from the lead on, by drive.
     impulses: Vec<Vec<f64>>,
-    /// Impulse responses from the lead on, by drive.
+    /// The filters of them, by drive.
     whole: Vec<Filter>,
-    /// From lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
+    /// Those from lag 0 on, and from lag 1 on: what a response does to itself takes a sample.
     causal: Vec<Filter>,
     delayed: Vec<Filter>,
     /// Drives by what they contribute, most first.

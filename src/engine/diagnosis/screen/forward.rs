@@ -628,9 +628,10 @@ impl Forward {
             Source::Drive { channel, .. } => channel < drives,
             _ => source.output().is_some_and(|output| output < self.outputs.len()),
         };
-        // What has no displacement is for laws that ask for none.
+        // What has no displacement is for laws that ask for none, and known effects add displacements.
         let of_rate = |source: Source| matches!(source, Source::LinearRate(_) | Source::OutputRate(_));
-        if of_rate(self.argument.0) && !self.law.is_over_rate() || self.second.is_some_and(|s| of_rate(s.0)) {
+        let known = self.law.is_over_rate() && self.seen.is_empty();
+        if of_rate(self.argument.0) && !known || self.second.is_some_and(|s| of_rate(s.0)) {
             return Err("argument: the rate of a displacement".into());
         }
         let arguments = || std::iter::once(self.argument).chain(self.second);

@@ -203,8 +203,10 @@ impl Bench<'_> {
             None => None,
         };
         // A rate that is measured, or is one integral away, need not be had from a displacement.
-        let of_rate =
-            standing.law.is_over_rate() && argument.quantity.integrals() > 0 && self.desk.added.is_empty();
+        let of_rate = standing.law.is_over_rate()
+            && argument.place.is_fed_back()
+            && argument.quantity.integrals() > 0
+            && self.desk.added.is_empty();
         let unbent_of = |a: &Argument| if of_rate { self.rate(a) } else { self.unbent(a) };
         let unbent: Vec<Track> = std::iter::once(argument).chain(other).map(unbent_of).collect();
         let places: Vec<Place> = std::iter::once(argument).chain(other).map(|a| a.place).collect();

@@ -88,11 +88,11 @@ impl Less {
     fn motions(&self, measured: &Measured<'_>, record: usize, limits: Limits) -> [Motion; 2] {
         let (rate, [of_drive, of_response]) = (measured.rate_hz(), self.quantities);
         let u: Vec<f64> = measured.drive(record, self.drive).iter().map(|u| self.factor * u).collect();
-        // What is integrated has a lower limit, and the other then has it too.
-        let u = beside(&u, of_response, rate, limits);
+        // What is integrated has a lower limit, and so has all that it is compared with: the other, and its own rate.
+        let inside = |x: &[f64]| beside(x, of_response, rate, limits);
         [
-            motion(&u, of_drive, rate, limits),
-            motion(measured.response(record, self.response), of_response, rate, limits),
+            motion(&inside(&u), of_drive, rate, limits),
+            motion(&inside(measured.response(record, self.response)), of_response, rate, limits),
         ]
     }
 }

@@ -1,5 +1,6 @@
 //! The screen on simulated and measured systems.
 
+mod arguments;
 mod forward;
 mod groups;
 mod laws;
