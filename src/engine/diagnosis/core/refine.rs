@@ -20,7 +20,7 @@ pub(super) fn refine(parts: &[Part<'_>], start: Linear) -> Linear {
         let (columns, left) = jacobian(parts, &now);
         let lengths: Vec<f64> = columns.iter().map(|c| norm(c)).collect();
         let unit = |x: f64, length: f64| if length > 0.0 { x / length } else { 0.0 };
-        let mut scaled = from_columns(left.len(), columns.iter().map(Vec::as_slice));
+        let mut scaled = from_columns(left.len(), &columns);
         for (c, length) in lengths.iter().enumerate() {
             scaled.col_as_slice_mut(c).iter_mut().for_each(|x| *x = unit(*x, *length));
         }

@@ -15,7 +15,7 @@ use crate::diagnosis::effects::kernel::{Clock, Scales};
 use crate::diagnosis::effects::plant::{Course, Plant};
 use crate::diagnosis::input::{Input, Mode, Role, Run};
 use crate::diagnosis::numerics::ar::Ar;
-use crate::diagnosis::numerics::linear::{dot, mean, rms};
+use crate::diagnosis::numerics::linear::{dot, mean, rms, squares_about_mean};
 use crate::diagnosis::numerics::rows::Rows;
 use crate::diagnosis::numerics::smooth::smooth;
 use crate::{EngineError, Signal};
@@ -100,11 +100,7 @@ fn beginnings(runs: Vec<Vec<&[f64]>>) -> Vec<Vec<&[f64]>> {
         })
         .collect();
     let energy = |runs: &[Vec<&[f64]>], d: usize| -> f64 {
-        let of = |u: &[f64]| {
-            let centre = mean(u);
-            u.iter().map(|u| (u - centre) * (u - centre)).sum::<f64>()
-        };
-        runs.iter().map(|drives| of(drives[d])).sum()
+        runs.iter().map(|drives| squares_about_mean(drives[d])).sum()
     };
     let moves = |d: usize| energy(&kept, d) >= LEAST_MOVED * share * energy(&runs, d);
     if (0..runs.first().map_or(0, Vec::len)).all(moves) { kept } else { runs }

@@ -144,10 +144,10 @@ pub fn transposed_times(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
 }
 
 /// A matrix of columns of `rows` rows.
-pub fn from_columns<'a>(rows: usize, columns: impl ExactSizeIterator<Item = &'a [f64]>) -> Mat<f64> {
+pub fn from_columns(rows: usize, columns: &[impl AsRef<[f64]>]) -> Mat<f64> {
     let mut out = Mat::zeros(rows, columns.len());
-    for (c, column) in columns.enumerate() {
-        out.col_as_slice_mut(c).copy_from_slice(column);
+    for (c, column) in columns.iter().enumerate() {
+        out.col_as_slice_mut(c).copy_from_slice(column.as_ref());
     }
     out
 }
@@ -155,6 +155,12 @@ pub fn from_columns<'a>(rows: usize, columns: impl ExactSizeIterator<Item = &'a 
 /// Root mean square; 0 for no samples.
 pub fn rms(x: &[f64]) -> f64 {
     if x.is_empty() { 0.0 } else { (dot(x, x) / x.len() as f64).sqrt() }
+}
+
+/// Sum of the squares about the mean.
+pub fn squares_about_mean(x: &[f64]) -> f64 {
+    let centre = mean(x);
+    x.iter().map(|x| (x - centre) * (x - centre)).sum()
 }
 
 /// Mean; 0 for no samples.

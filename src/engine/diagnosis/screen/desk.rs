@@ -8,6 +8,7 @@ use super::correlate::Correlator;
 use super::groups::{Grouping, Stretch};
 use super::input::Recording;
 use super::judge::Base;
+use super::kernel::HeldSums;
 use super::linear_part::{LEAD, Setting, choose, longest, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
@@ -35,6 +36,8 @@ pub(super) struct Desk<'a> {
     pub used: Vec<usize>,
     pub segments: Vec<Segment>,
     pub drives: Vec<Track>,
+    /// Running sums of the drives, `[record][drive]`.
+    pub sums: Vec<Vec<HeldSums>>,
     /// Without what known effects add to them.
     pub responses: Vec<Track>,
     /// What these add to each; empty without any.
@@ -97,6 +100,8 @@ impl<'a> Desk<'a> {
             *response = less(response, added);
         }
         responses.iter_mut().for_each(still);
+        let sums =
+            (0..records.len()).map(|r| drives.iter().map(|d| HeldSums::new(&d[r])).collect()).collect();
         let mut desk = Self {
             recording,
             grouping,
@@ -106,6 +111,7 @@ impl<'a> Desk<'a> {
             used,
             segments,
             drives,
+            sums,
             responses,
             added,
             clocks: clocks(recording),

@@ -10,6 +10,7 @@ use super::law::Way;
 use super::linear_part::Setting;
 use super::place::Place;
 use super::track::{Segment, Track, delayed};
+use crate::diagnosis::numerics::linear::squares_about_mean;
 
 /// Lags of a drive's signal that enter directly, of a law of one or two signals and of one of more.
 const DIRECT: [usize; 2] = [8, 4];
@@ -62,15 +63,7 @@ impl Entry {
         };
         let whole = filters(&|h| h.to_vec());
         let parts: Vec<Track> = drives.iter().zip(&whole).map(|(d, h)| ahead(d, h, lead)).collect();
-        let power = |track: &Track| -> f64 {
-            track
-                .iter()
-                .map(|x| {
-                    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
-                    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
-                })
-                .sum()
-        };
+        let power = |track: &Track| -> f64 { track.iter().map(|x| squares_about_mean(x)).sum() };
         let powers: Vec<f64> = parts.iter().map(power).collect();
         let mut order: Vec<usize> = (0..drives.len()).filter(|&d| powers[d] > 0.0).collect();
         order.sort_by(|&a, &b| powers[b].total_cmp(&powers[a]));

@@ -57,6 +57,10 @@ impl Source {
         }
     }
 
+    fn is_a_drive(self) -> bool {
+        self.output().is_none()
+    }
+
     /// Whether it depends on what the law does.
     fn is_fed_back(self) -> bool {
         self.opened() != self
@@ -329,21 +333,24 @@ impl Forward {
         }
     }
 
+    /// The same at the rate of the analysis.
+    fn known_thinned(&self, source: Source, course: &Course<'_>) -> Motion {
+        let known = self.known(source, course);
+        if !source.is_a_drive() {
+            return known;
+        }
+        let thinner = Thinner::new(self.step);
+        Motion { d: thinner.thin(&known.d), v: thinner.thin(&known.v) }
+    }
+
     /// Signals of a law that nothing is fed back to.
     fn open(&self, course: &Course<'_>) -> Vec<Vec<f64>> {
-        let thinner = Thinner::new(self.step);
         let (source, scale) = self.argument;
-        let driven = |source: Source| matches!(source, Source::Drive { .. });
         // A law is taken at the recording's rate where all that it sees is known there.
-        let whole = driven(source) && self.second.is_none_or(|s| driven(s.0));
-        let motion_of = |source: Source| {
-            let Motion { d, v } = self.known(source, course);
-            if driven(source) && !whole {
-                Motion { d: thinner.thin(&d), v: thinner.thin(&v) }
-            } else {
-                Motion { d, v }
-            }
-        };
+        let whole = source.is_a_drive() && self.second.is_none_or(|s| s.0.is_a_drive());
+        let motion_of =
+            |source| if whole { self.known(source, course) } else { self.known_thinned(source, course) };
+        let thinner = Thinner::new(self.step);
         let thin = |x: &[f64]| if whole { thinner.thin(x) } else { x.to_vec() };
         let argument = motion_of(source);
         let second = self.second.map(|(source, scale)| (scale, motion_of(source)));
@@ -359,10 +366,7 @@ impl Forward {
 
     fn feed(&self, source: Source, course: &Course<'_>) -> Feed {
         let (true, Some(output)) = (source.is_fed_back(), source.output()) else {
-            let known = self.known(source, course).d;
-            let drive = matches!(source, Source::Drive { .. });
-            let known = if drive { Thinner::new(self.step).thin(&known) } else { known };
-            return Feed { known, past: None };
+            return Feed { known: self.known_thinned(source, course).d, past: None };
         };
         let of = &self.outputs[output];
         let mut linear = self.linear(&of.linear, course);

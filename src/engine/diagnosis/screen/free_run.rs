@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::entry::Entry;
 use super::forward::{Course, Forward, Output, Run, Source};
 use super::judge::{Base, Block, Coefficients};
-use super::kernel::{HeldSums, Kernel, RunningSums};
+use super::kernel::{Kernel, RunningSums};
 use super::law::{Law, Scale, Way};
 use super::linear_part::Setting;
 use super::place::{Argument, Place, Seen};
@@ -87,8 +87,6 @@ struct Fit<'a, 'd> {
     aim: &'a Aim,
     /// Measured outputs.
     measured: Vec<&'a Track>,
-    /// Running sums of the drives, `[record][drive]`.
-    drives: Vec<Vec<HeldSums>>,
     most: usize,
 }
 
@@ -314,14 +312,12 @@ impl Bench<'_> {
             (&rebased, Entry::all(&rebased, outputs, &desk.drives))
         };
         let entries: &[Entry] = if more.is_empty() { self.entries } else { &more };
-        let records = 0..desk.recording.records.len();
         Some(then(&Fit {
             bench: self,
             base,
             entries,
             aim,
             measured: desk.responses.iter().chain(&aim.extra).collect(),
-            drives: records.map(|r| desk.drives.iter().map(|d| HeldSums::new(&d[r])).collect()).collect(),
             most: desk.lengths().into_iter().max().unwrap_or(1),
         }))
     }
@@ -496,7 +492,7 @@ impl Fit<'_, '_> {
             let of_record: Vec<RunningSums> =
                 signals.iter().map(|s| RunningSums::new(s[record].iter().copied())).collect();
             for segment in segments.iter().filter(|s| s.record == record) {
-                let made = forward.sums_over(&self.drives[record], &of_record, &segment.rows);
+                let made = forward.sums_over(&self.bench.desk.sums[record], &of_record, &segment.rows);
                 for ((measured, made), sums) in self.measured.iter().zip(made).zip(&mut sums) {
                     let measured: f64 = measured[record][segment.rows.clone()].iter().sum();
                     for (sum, made) in sums.iter_mut().zip(made) {

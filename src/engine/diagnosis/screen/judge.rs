@@ -146,7 +146,7 @@ impl<'a> Base<'a> {
             .iter()
             .map(|segment| {
                 let rows = segment.first().map_or(0, Vec::len);
-                let mut scaled = from_columns(rows, segment.iter().map(Vec::as_slice));
+                let mut scaled = from_columns(rows, segment);
                 for (c, norm) in norms.iter().enumerate() {
                     for x in scaled.col_as_slice_mut(c) {
                         *x = if (*x * norm).is_finite() { *x * norm } else { 0.0 };
@@ -390,7 +390,7 @@ fn gamma(others: &Others, solved: &Mat<f64>, theta: &Mat<f64>, response: usize) 
 fn wide(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
     let columns: Vec<&[f64]> =
         [a, b].into_iter().flat_map(|m| (0..m.ncols()).map(|c| m.col_as_slice(c))).collect();
-    from_columns(a.nrows(), columns.into_iter())
+    from_columns(a.nrows(), &columns)
 }
 
 fn sum(parts: &[Mat<f64>]) -> Mat<f64> {

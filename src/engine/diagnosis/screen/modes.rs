@@ -206,13 +206,9 @@ pub(super) fn columns(
                 };
                 delayed(&track[segment.record], segment, lag)
             };
-            matrix((0..drives.len() * width).map(of).collect(), segment.rows.len())
+            from_columns(segment.rows.len(), &(0..drives.len() * width).map(of).collect::<Vec<_>>())
         })
         .collect()
-}
-
-fn matrix(columns: Vec<Vec<f64>>, rows: usize) -> Mat<f64> {
-    from_columns(rows, columns.iter().map(Vec::as_slice))
 }
 
 /// Relocates poles for some rounds, fewer where they rest; `None` where a round fails.
@@ -244,9 +240,10 @@ pub(super) fn relocate(
                     (Mat::zeros(p, n), Mat::zeros(n, n), Mat::zeros(n, 1), Mat::zeros(p, 1));
                 let mut yy = 0.0;
                 for (segment, x) in segments.iter().zip(&base) {
-                    let s = states.iter().map(|s| delayed(&s[segment.record], segment, 0)).collect();
-                    let s = matrix(s, segment.rows.len());
-                    let y = matrix(vec![delayed(&response[segment.record], segment, 0)], segment.rows.len());
+                    let rows = segment.rows.len();
+                    let s: Vec<_> = states.iter().map(|s| delayed(&s[segment.record], segment, 0)).collect();
+                    let s = from_columns(rows, &s);
+                    let y = from_columns(rows, &[delayed(&response[segment.record], segment, 0)]);
                     cross += x.transpose() * &s;
                     gram += s.transpose() * &s;
                     with += transposed_times(&s, &y);

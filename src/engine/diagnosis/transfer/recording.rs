@@ -1,7 +1,7 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
 use crate::diagnosis::input::{self, Input, Mode, Run, level};
-use crate::diagnosis::numerics::linear::mean;
+use crate::diagnosis::numerics::linear::{mean, squares_about_mean};
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// Samples of the baseline that are screened beside fewer of the runs to explain.
@@ -98,15 +98,11 @@ fn recording<'a>(input: &Input, runs: impl Iterator<Item = (&'a Run, usize)>) ->
 /// Of each response the RMS of what adopted effects leave of it, which laws are sought in, relative to its own; 1
 /// without any.
 fn shares(recording: &Recording) -> Vec<f64> {
-    let about_mean = |y: &[f64]| {
-        let centre = mean(y);
-        y.iter().map(|y| (y - centre) * (y - centre)).sum::<f64>()
-    };
     let of = |r: usize| {
         let (mut rest, mut all) = (0.0, 0.0);
         for record in &recording.records {
-            all += about_mean(record.response.channel(r));
-            rest += about_mean(&record.beside_added(r, 0..record.response.n_samples()));
+            all += squares_about_mean(record.response.channel(r));
+            rest += squares_about_mean(&record.beside_added(r, 0..record.response.n_samples()));
         }
         if all > 0.0 { f64::sqrt(rest / all) } else { 1.0 }
     };
