@@ -56,8 +56,7 @@ impl Bench<'_> {
     /// Does something beside a finite impulse response; `None` where it is singular.
     fn beside_lags<T>(&self, desk: &Desk<'_>, then: impl FnOnce(&Bench<'_>) -> T) -> Option<T> {
         let lags = self.base.setting().lags;
-        let rows: usize = desk.segments.iter().map(|s| s.rows.len()).sum();
-        let affordable = (WORK / rows.max(1) as f64).sqrt() as usize;
+        let affordable = (WORK / desk.rows().max(1) as f64).sqrt() as usize;
         let span = lags.lead + desk.longest().min(affordable);
         let setting = Setting { lags: Lags { span, ..lags }, poles: None, ridge: RIDGE, growth: 1.0 };
         let base = desk.rebased(&setting, &[])?;

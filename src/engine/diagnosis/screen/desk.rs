@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::band::{Band, Thinner};
 use super::correlate::Correlator;
-use super::groups::{Grouping, Stretch};
+use super::groups::Stretch;
 use super::input::Recording;
 use super::judge::Base;
 use super::kernel::HeldSums;
@@ -13,12 +13,11 @@ use super::linear_part::{LEAD, Setting, choose, longest, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
 use super::motion::Limits;
+use super::pieces::Pieces;
 use super::place::{Argument, Seen, limits};
 use super::regressors::Regressors;
 use super::track::{Segment, Track, delayed, deviation, less};
 
-/// Most rows that are fitted and judged: more cost time and tell little more.
-const MOST_ROWS: usize = 48_000;
 /// Logarithm of held-out errors by which a finite impulse response has to beat modes to be tried too.
 const BETTER: f64 = 0.02;
 /// A group's level counts at most so many times more or less than the mean.
@@ -27,7 +26,7 @@ const MOST_WEIGHT: f64 = 30.0;
 /// The recording at the rate of the analysis.
 pub(super) struct Desk<'a> {
     pub recording: &'a Recording,
-    grouping: &'a Grouping,
+    pieces: &'a Pieces<'a>,
     pub band: Band,
     /// Limits of what is integrated and differentiated.
     pub limits: Limits,
@@ -47,25 +46,24 @@ pub(super) struct Desk<'a> {
 }
 
 impl<'a> Desk<'a> {
-    pub fn new(recording: &'a Recording, grouping: &'a Grouping) -> Self {
-        Self::in_band(recording, grouping, Band::of(recording))
+    pub fn new(pieces: &'a Pieces<'a>) -> Self {
+        Self::in_band(pieces, pieces.band)
     }
 
     /// The same at the recording's own rate; `None` where it is.
     pub fn unthinned(&self) -> Option<Self> {
         let band = Band { step: 1, ..self.band };
-        (self.band.step > 1).then(|| Self::in_band(self.recording, self.grouping, band))
+        (self.band.step > 1).then(|| Self::in_band(self.pieces, band))
     }
 
-    fn in_band(recording: &'a Recording, grouping: &'a Grouping, band: Band) -> Self {
-        let step = band.step;
+    fn in_band(pieces: &'a Pieces<'a>, band: Band) -> Self {
+        let (recording, step) = (&*pieces.recording, band.step);
         let limits = limits(recording, band);
         let thinner = Thinner::new(step);
-        let rows: usize = grouping.stretches.iter().map(|s| s.samples.len() / step).sum();
-        let share = (MOST_ROWS as f64 / rows.max(1) as f64).min(1.0);
+        let share = pieces.share(step);
         let mut used = vec![0; recording.records.len()];
         let mut segments: Vec<Segment> = Vec::new();
-        for stretch in &grouping.stretches {
+        for stretch in pieces.stretches.iter() {
             let n = recording.records[stretch.record].drive.n_samples();
             let (start, end) = (stretch.samples.start.min(n), stretch.samples.end.min(n));
             let from = start.div_ceil(step);
@@ -104,7 +102,7 @@ impl<'a> Desk<'a> {
             (0..records.len()).map(|r| drives.iter().map(|d| HeldSums::new(&d[r])).collect()).collect();
         let mut desk = Self {
             recording,
-            grouping,
+            pieces,
             band,
             limits,
             thinner,
@@ -114,7 +112,7 @@ impl<'a> Desk<'a> {
             sums,
             responses,
             added,
-            clocks: clocks(recording),
+            clocks: clocks(recording, pieces.programme),
         };
         desk.leave_out_the_start();
         desk.weigh();
@@ -123,6 +121,11 @@ impl<'a> Desk<'a> {
 
     pub fn rate_hz(&self) -> f64 {
         self.recording.sample_rate_hz() / self.band.step as f64
+    }
+
+    /// Rows that are fitted and judged.
+    pub fn rows(&self) -> usize {
+        self.segments.iter().map(|s| s.rows.len()).sum()
     }
 
     /// Longest memory of a linear part that the records can carry, samples.
@@ -264,12 +267,9 @@ fn still(track: &mut Track) {
     }
 }
 
-/// Places in time from the start of the first record to the end of the last.
-fn clocks(recording: &Recording) -> Vec<[f64; 2]> {
-    let spans = recording.records.iter().map(|r| [r.started_s, r.started_s + r.drive.duration_s()]);
-    let spans: Vec<[f64; 2]> = spans.collect();
-    let first = spans.iter().map(|s| s[0]).fold(f64::INFINITY, f64::min);
-    let last = spans.iter().map(|s| s[1]).fold(f64::NEG_INFINITY, f64::max);
+/// Places in time of each record's start and end, from the start of the programme, 0, to its end, 1.
+fn clocks(recording: &Recording, [first, last]: [f64; 2]) -> Vec<[f64; 2]> {
     let length = (last - first).max(f64::MIN_POSITIVE);
-    spans.iter().map(|s| s.map(|t| (t - first) / length)).collect()
+    let at = |t: f64| (t - first) / length;
+    recording.records.iter().map(|r| [at(r.started_s), at(r.started_s + r.drive.duration_s())]).collect()
 }

@@ -56,6 +56,16 @@ pub struct Recording {
 }
 
 impl Record {
+    /// Some of its samples, as a record of their own.
+    pub fn piece(&self, samples: Range<usize>) -> Self {
+        Self {
+            drive: self.drive.slice(samples.clone()),
+            response: self.response.slice(samples.clone()),
+            added: self.added.as_ref().map(|added| added.slice(samples.clone())),
+            started_s: self.started_s + samples.start as f64 / self.drive.sample_rate_hz(),
+        }
+    }
+
     /// Samples of a response without what known effects add to it.
     pub fn beside_added(&self, response: usize, samples: Range<usize>) -> Vec<f64> {
         let y = &self.response.channel(response)[samples.clone()];

@@ -20,7 +20,7 @@ pub(super) const LEAD: usize = 4;
 /// Memories that are compared, samples of the analysis.
 const MEMORIES: [usize; 10] = [8, 16, 32, 64, 128, 192, 256, 384, 512, 768];
 /// Most coefficients: the time of a factorisation grows with their cube.
-const MOST: usize = 800;
+pub(super) const MOST: usize = 800;
 /// Ridges, relative to each drive's power.
 const RIDGES: [f64; 5] = [1e-9, 1e-7, 1e-5, 1e-3, 1e-2];
 /// The ridge at the end of the memory beside that at its beginning: old samples tell less.

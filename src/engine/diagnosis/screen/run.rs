@@ -5,10 +5,12 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::arguments::arguments;
+use super::arguments;
+use super::band::Band;
 use super::candidates;
 use super::desk::Desk;
 use super::entry::Entry;
+use super::first_look::{self, Chosen, FirstLook};
 use super::foremost::NOTHING;
 use super::groups::Grouping;
 use super::input::Recording;
@@ -17,6 +19,7 @@ use super::law::{Law, Way};
 use super::modes::Poles;
 use super::motion::Motion;
 use super::naming;
+use super::pieces::{MOST_ROWS, Pieces};
 use super::place::{Argument, Place};
 use super::predicted::predicted;
 use super::report::{LinearPart, Screening, Standing};
@@ -29,6 +32,8 @@ const FEWEST: usize = 300;
 /// The stage, and its share.
 const STAGE: &str = "laws by transfer";
 pub(super) const SCREENED: f64 = 0.6;
+/// Share of a first look in what follows it.
+const LOOKED: f64 = 0.6;
 /// Share of what the best law of the drive as it is leaves, below which a filter ahead of the bend has gained something.
 const FILTER_GAINS: f64 = 0.85;
 
@@ -50,28 +55,29 @@ pub fn screen(
             limit: "a grouping of these runs".into(),
         });
     }
-    let desk = Desk::new(recording, grouping);
+    let band = Band::of(recording);
+    let pieces = Pieces::of(recording, grouping, band, MOST_ROWS);
+    let desk = Desk::new(&pieces);
     let groups = desk.segments.iter().map(|s| s.group + 1).max().unwrap_or(0);
     if groups < 2 {
         return Err(EngineError::TooShort { what: "groups of runs of the screen", needed: 2, found: groups });
     }
-    let arguments = arguments(recording, desk.limits, &desk.used);
+    let over = arguments::arguments(desk.recording, desk.limits, &desk.used);
     let bases = desk.bases();
-    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base, &arguments)).collect();
-    let benches = bases.iter().zip(&ways).map(|(base, ways)| Bench {
-        desk: &desk,
-        base,
-        entries: &ways.entries,
-        linear: &ways.linear,
-        predicted: &ways.predicted,
-    });
+    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base, &over)).collect();
+    let benches = bases.iter().zip(&ways).map(|(base, ways)| ways.bench(&desk, base));
+    let few = (desk.rows() > first_look::WORTH * first_look::ROWS)
+        .then(|| Pieces::of(recording, grouping, band, first_look::ROWS));
+    let few = few.as_ref().map(Desk::new);
+    let over_few = few.as_ref().map(|few| arguments::arguments(few.recording, few.limits, &few.used));
+    let look = few.as_ref().zip(over_few.as_ref()).map(|(desk, arguments)| FirstLook { desk, arguments });
     // The linear part is the one beside which some law leaves least.
     let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
     let mut best: Option<(Screening, Bench<'_>)> = None;
     for (at, bench) in benches.enumerate() {
         let progress =
             SCREENED * at as f64 / bases.len() as f64..SCREENED * (at + 1) as f64 / bases.len() as f64;
-        let screening = bench.screening(grouping, &arguments, watch, &progress)?;
+        let screening = bench.screening(grouping, &over, look.as_ref(), watch, &progress)?;
         if best.as_ref().is_none_or(|b| left(&screening) < left(&b.0)) {
             best = Some((screening, bench));
         }
@@ -81,23 +87,27 @@ pub fn screen(
         channel: 0,
         sample: 0,
     })?;
-    bench.run_free(&arguments, &mut screening.standings, watch)?;
+    bench.run_free(&over, &mut screening.standings, watch)?;
     Ok(screening)
 }
 
 /// How signals enter beside a linear part, what that leaves alone, and the motions that it predicts.
-struct Ways {
+pub(super) struct Ways {
     entries: Vec<Entry>,
     linear: Vec<HeldOut>,
     predicted: Vec<Argument>,
 }
 
 impl Ways {
-    fn new(desk: &Desk<'_>, base: &Base<'_>, arguments: &[Argument]) -> Self {
+    pub fn new(desk: &Desk<'_>, base: &Base<'_>, arguments: &[Argument]) -> Self {
         let responses = desk.responses.len();
         let entries = Entry::all(base, responses, &desk.drives);
         let predicted = predicted(desk, base, arguments);
         Self { entries, linear: (0..responses).map(|r| base.linear(r)).collect(), predicted }
+    }
+
+    pub fn bench<'a>(&'a self, desk: &'a Desk<'a>, base: &'a Base<'a>) -> Bench<'a> {
+        Bench { desk, base, entries: &self.entries, linear: &self.linear, predicted: &self.predicted }
     }
 }
 
@@ -121,21 +131,32 @@ struct AtResponse {
 }
 
 impl Bench<'_> {
-    /// All laws at all places beside this linear part.
+    /// All laws at all places beside this linear part, or those that a first look finds worth it.
     fn screening(
         &self,
         grouping: &Grouping,
         arguments: &[Argument],
+        look: Option<&FirstLook<'_>>,
         watch: Watch<'_>,
         progress: &Range<f64>,
     ) -> Result<Screening, EngineError> {
+        let looked = look.map_or(0.0, |_| LOOKED);
+        let step = |share: f64| report(watch, STAGE, within(share, progress));
+        let chosen = match look {
+            Some(look) => look.chosen(self, |share| step(looked * share))?,
+            None => None,
+        };
         let mut standings: Vec<Standing> = Vec::new();
         for at in 0..arguments.len() {
-            report(watch, STAGE, within(at as f64 / arguments.len() as f64, progress))?;
-            standings.extend(self.over(arguments, at));
+            step(looked + (1.0 - looked) * at as f64 / arguments.len() as f64)?;
+            standings.extend(self.over(arguments, at, chosen.as_ref()));
         }
-        for at in self.promising() {
-            standings.extend(self.over(self.predicted, at));
+        let promising = match &chosen {
+            Some(chosen) => self.known(chosen),
+            None => self.promising(),
+        };
+        for at in promising {
+            standings.extend(self.over(self.predicted, at, chosen.as_ref()));
         }
         for response in 0..self.entries.len() {
             standings.extend(self.over_output(response));
@@ -162,12 +183,22 @@ impl Bench<'_> {
         })
     }
 
-    /// Standings of all laws over one argument, at all responses.
-    fn over(&self, arguments: &[Argument], at: usize) -> Vec<Standing> {
+    /// Predicted motions that a first look has tried.
+    fn known(&self, chosen: &Chosen) -> Vec<usize> {
+        (0..self.predicted.len()).filter(|&at| chosen.over(&self.predicted[at]).is_some()).collect()
+    }
+
+    /// Standings of the laws over one argument at all responses, of those that are `chosen` if some are.
+    pub(super) fn over(&self, arguments: &[Argument], at: usize, chosen: Option<&Chosen>) -> Vec<Standing> {
         let argument = &arguments[at];
         let companions = self.companions_of(argument);
-        self.laws(arguments, at)
-            .into_par_iter()
+        let mut laws = self.laws(arguments, at);
+        // A law of two places has as many others as move there.
+        if let Some(worth) = chosen.and_then(|c| c.over(argument)).filter(|worth| worth.len() == laws.len()) {
+            let mut worth = worth.iter();
+            laws.retain(|_| worth.next().copied().unwrap_or(true));
+        }
+        laws.into_par_iter()
             .map(|(law, other)| {
                 let law = law.over(argument);
                 let other = other.map(|o| &arguments[o]);

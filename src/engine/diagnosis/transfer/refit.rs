@@ -187,15 +187,8 @@ fn of_channel(effect: Effect) -> bool {
 fn beginnings(recording: &Recording) -> Recording {
     let whole: usize = recording.records.iter().map(|r| r.drive.n_samples()).sum();
     let share = (SAMPLES as f64 / whole.max(1) as f64).min(1.0);
-    let records = recording.records.iter().map(|record| {
-        let kept = 0..(record.drive.n_samples() as f64 * share).ceil() as usize;
-        Record {
-            drive: record.drive.slice(kept.clone()),
-            response: record.response.slice(kept.clone()),
-            added: record.added.as_ref().map(|added| added.slice(kept)),
-            started_s: record.started_s,
-        }
-    });
+    let kept = |record: &Record| (record.drive.n_samples() as f64 * share).ceil() as usize;
+    let records = recording.records.iter().map(|record| record.piece(0..kept(record)));
     let (drives, responses) = (recording.drives.clone(), recording.responses.clone());
     Recording { drives, responses, records: records.collect() }
 }

@@ -33,6 +33,22 @@ fn a_stiffening_spring_is_named_over_its_displacement_and_asks_the_same_of_every
 }
 
 #[test]
+fn of_many_rows_a_first_look_by_few_keeps_the_right_law() {
+    let force = |y: f64, _: f64| 0.003 * y * y * y;
+    let (long, short) = (screened(&run(150_000, 1.0, force)), screened(&run(20_000, 1.0, force)));
+    let first = leader(&long, 0.8);
+    assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Response(0)));
+    let of_short = leader(&short, 0.8);
+    assert!(first.ratio < 1.1 * of_short.ratio, "{} {}", first.ratio, of_short.ratio);
+    // Each family of the whole list is there, by few of its laws.
+    let families = |of: &Screening| -> std::collections::BTreeSet<Family> {
+        of.standings.iter().map(|s| s.family).collect()
+    };
+    assert_eq!(families(&long), families(&short));
+    assert!(2 * long.standings.len() < short.standings.len(), "{}", long.standings.len());
+}
+
+#[test]
 fn dry_friction_is_named_over_its_velocity() {
     let screening = screened(&run(N, 1.0, |_, v| 0.25 * (v / 0.5).tanh()));
     let first = leader(&screening, 0.9);

@@ -5,4 +5,4 @@ mod forward;
 mod groups;
 mod laws;
 mod measured;
-mod systems;
+pub mod systems;

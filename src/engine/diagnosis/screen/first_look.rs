@@ -1,0 +1,106 @@
+//! A first look at all laws by a quarter of the rows: which of them are worth all rows.
+
+use super::desk::Desk;
+use super::foremost::NOTHING;
+use super::pieces::MOST_ROWS;
+use super::place::{Argument, Place};
+use super::report::Standing;
+use super::run::{Bench, Ways};
+use crate::EngineError;
+use crate::diagnosis::effects::effect::Family;
+
+/// Rows of a first look.
+pub(super) const ROWS: usize = MOST_ROWS / 4;
+/// It is worth it where all rows are at least so many times as many.
+pub(super) const WORTH: usize = 3;
+/// A linear part takes so many rows for each of its columns to be known.
+const OF_A_COLUMN: usize = 15;
+/// Laws that leave no more than so many times what the best of their family leaves, and than what the best of all leaves,
+/// may be the foremost by all rows; so may the first of each family, and the first at each place.
+const OF_FAMILY: f64 = 1.25;
+const OF_ALL: f64 = 1.5;
+const FIRST: usize = 4;
+
+/// A recording with few rows, and what moves there.
+pub(super) struct FirstLook<'a> {
+    pub desk: &'a Desk<'a>,
+    pub arguments: &'a [Argument],
+}
+
+/// Which laws at each place are worth all rows.
+pub(super) struct Chosen(Vec<AtPlace>);
+
+struct AtPlace {
+    place: Place,
+    predicted: bool,
+    /// In the order in which they are tried.
+    laws: Vec<bool>,
+}
+
+impl Chosen {
+    /// Whether the laws over an argument are, in the order in which they are tried; `None` where nothing is known.
+    pub fn over(&self, argument: &Argument) -> Option<&[bool]> {
+        let same = |at: &&AtPlace| at.place == argument.place && at.predicted == argument.predicted;
+        self.0.iter().find(same).map(|at| at.laws.as_slice())
+    }
+}
+
+impl FirstLook<'_> {
+    /// Tries all laws beside a linear part that is set as that of `whole` is; `None` where it cannot be had of few rows.
+    /// `step` is told the share that is done.
+    pub fn chosen(
+        &self,
+        whole: &Bench<'_>,
+        step: impl Fn(f64) -> Result<(), EngineError>,
+    ) -> Result<Option<Chosen>, EngineError> {
+        let setting = whole.base.setting();
+        if self.desk.rows() < OF_A_COLUMN * setting.width() * self.desk.drives.len() {
+            return Ok(None);
+        }
+        let Some(base) = self.desk.rebased(setting, &[]) else { return Ok(None) };
+        let ways = Ways::new(self.desk, &base, self.arguments);
+        let bench = ways.bench(self.desk, &base);
+        let promising = bench.promising();
+        let all = (self.arguments.len() + promising.len()) as f64;
+        let mut found: Vec<(&Argument, Vec<Standing>)> = Vec::new();
+        for at in 0..self.arguments.len() {
+            step(found.len() as f64 / all)?;
+            found.push((&self.arguments[at], bench.over(self.arguments, at, None)));
+        }
+        for at in promising {
+            step(found.len() as f64 / all)?;
+            found.push((&bench.predicted[at], bench.over(bench.predicted, at, None)));
+        }
+        Ok(Some(chosen(&found)))
+    }
+}
+
+fn chosen(found: &[(&Argument, Vec<Standing>)]) -> Chosen {
+    let mut ranked: Vec<&Standing> = found.iter().flat_map(|(_, standings)| standings).collect();
+    ranked.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+    let best = ranked.first().map_or(1.0, |s| s.ratio);
+    // The last of the first of each family, and its best.
+    let mut families: Vec<(Family, f64, f64, usize)> = Vec::new();
+    for standing in &ranked {
+        match families.iter_mut().find(|of| of.0 == standing.family) {
+            Some(of) if of.3 < FIRST => (of.2, of.3) = (standing.ratio, of.3 + 1),
+            Some(_) => {}
+            None => families.push((standing.family, standing.ratio, standing.ratio, 1)),
+        }
+    }
+    let worth = |standing: &Standing| {
+        let of = families.iter().find(|of| of.0 == standing.family);
+        let (least, among) = of.map_or((1.0, 1.0), |of| (of.1, of.2));
+        let near = standing.ratio <= OF_FAMILY * least || standing.ratio <= OF_ALL * best;
+        standing.ratio <= among || (near && standing.ratio < NOTHING)
+    };
+    let of_place = |(argument, standings): &(&Argument, Vec<Standing>)| {
+        let first = standings.iter().map(|s| s.ratio).fold(f64::INFINITY, f64::min);
+        AtPlace {
+            place: argument.place,
+            predicted: argument.predicted,
+            laws: standings.iter().map(|s| s.ratio <= first || worth(s)).collect(),
+        }
+    };
+    Chosen(found.iter().map(of_place).collect())
+}
