@@ -41,7 +41,9 @@ impl Bench<'_> {
     /// the rate of the analysis or at the recording's own, whichever leaves least: modes that were placed on bent
     /// responses are not those of the filters, and a bend has harmonics above the band.
     pub(super) fn bent(&self, arguments: &[Argument], standing: &Standing, front: Front) -> Option<FreeRun> {
-        let own = self.bent_here(arguments, standing, front);
+        // A linear part that is a long impulse response is no better a start than the one below, and takes minutes.
+        let affordable = self.base.setting().width() <= affordable(self.desk);
+        let own = affordable.then(|| self.bent_here(arguments, standing, front)).flatten();
         let lags = self.beside_lags(self.desk, |bench| bench.bent_here(arguments, standing, front));
         let unthinned = self.desk.unthinned().and_then(|desk| {
             let arguments = arguments::arguments(desk.recording, desk.limits, &desk.used);
@@ -56,9 +58,9 @@ impl Bench<'_> {
     /// Does something beside a finite impulse response; `None` where it is singular.
     fn beside_lags<T>(&self, desk: &Desk<'_>, then: impl FnOnce(&Bench<'_>) -> T) -> Option<T> {
         let lags = self.base.setting().lags;
-        let affordable = (WORK / desk.rows().max(1) as f64).sqrt() as usize;
-        let span = lags.lead + desk.longest().min(affordable);
-        let setting = Setting { lags: Lags { span, ..lags }, poles: None, ridge: RIDGE, growth: 1.0 };
+        let span = lags.lead + desk.longest().min(affordable(desk));
+        let setting =
+            Setting { lags: Lags { span, ..lags }, poles: None, ridge: RIDGE, growth: 1.0, apart: false };
         let base = desk.rebased(&setting, &[])?;
         let entries = Entry::all(&base, self.entries.len(), &desk.drives);
         Some(then(&Bench { desk, base: &base, entries: &entries, linear: self.linear, predicted: &[] }))
@@ -165,6 +167,11 @@ impl Bench<'_> {
     fn columns_of(&self, block: &Block, response: usize) -> Vec<f64> {
         self.base.coefficients(block, response, None, 1).columns
     }
+}
+
+/// Coefficients of a filter behind a bend at most.
+fn affordable(desk: &Desk<'_>) -> usize {
+    (WORK / desk.rows().max(1) as f64).sqrt() as usize
 }
 
 /// What the signals have in common over all lags: the strongest direction of their coefficients, `[signal][lag]`.

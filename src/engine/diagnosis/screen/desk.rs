@@ -9,19 +9,25 @@ use super::groups::Stretch;
 use super::input::Recording;
 use super::judge::Base;
 use super::kernel::HeldSums;
-use super::linear_part::{LEAD, Setting, choose, longest, moved, with_modes};
+use super::linear_part::{LEAD, Setting, choose, longest, modes_beside, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
-use super::motion::Limits;
+use super::motion::{Limits, Motion};
 use super::pieces::Pieces;
-use super::place::{Argument, Seen, limits};
+use super::place::{Argument, Place, Seen, limits};
 use super::regressors::Regressors;
 use super::track::{Segment, Track, delayed, deviation, less};
+use crate::diagnosis::numerics::linear::rms;
 
 /// Logarithm of held-out errors by which a finite impulse response has to beat modes to be tried too.
 const BETTER: f64 = 0.02;
 /// A group's level counts at most so many times more or less than the mean.
 const MOST_WEIGHT: f64 = 30.0;
+
+/// Error of the linear part, relative to a response, from which on a law that causes it may have moved the modes, and
+/// responses over which it is sought.
+const STRONG: f64 = 0.3;
+const BENDS_OF: usize = 2;
 
 /// The recording at the rate of the analysis.
 pub(super) struct Desk<'a> {
@@ -199,6 +205,58 @@ impl<'a> Desk<'a> {
             bases.extend(Base::new(&chosen, &self.segments, centred(), lags, setting));
         }
         bases
+    }
+
+    /// Motions at the responses of which the linear part leaves so much that a law may have moved the modes, those of which
+    /// it leaves most first.
+    pub fn strong<'b>(&self, bases: &[Base<'_>], over: &'b [Argument]) -> Vec<&'b Argument> {
+        let error = |r: usize| bases.iter().map(|b| rms(&b.linear(r).errors)).fold(f64::INFINITY, f64::min);
+        let of = |a: &'b Argument| match a.place {
+            Place::Response(r) => Some((error(r), a)),
+            _ => None,
+        };
+        let mut strong: Vec<(f64, &Argument)> = over.iter().filter_map(of).filter(|s| s.0 > STRONG).collect();
+        strong.sort_by(|a, b| b.0.total_cmp(&a.0));
+        strong.into_iter().take(BENDS_OF).map(|(_, argument)| argument).collect()
+    }
+
+    /// A linear part whose modes are found beside bends of motions: a law that is strong has moved those of the others.
+    /// `None` where it cannot be had.
+    pub fn base_beside_bends(&self, bases: &[Base<'_>], strong: &[&Argument]) -> Option<Base<'_>> {
+        let forces: Vec<Track> = strong.iter().flat_map(|argument| self.bends(argument)).collect();
+        if forces.is_empty() {
+            return None;
+        }
+        let lead = bases.first()?.setting().lags.lead;
+        let m = modes_beside(&self.drives, &forces, &self.responses, &self.segments, lead)?;
+        let centred = centred(&self.responses, &self.segments);
+        Base::new(&m.moments, &self.segments, centred, Regressors::Columns(m.columns), m.setting)
+    }
+
+    /// A linear part of modes that are found beside forces, with the lead of another.
+    pub fn setting_beside(&self, forces: &[Track], like: &Setting) -> Option<Setting> {
+        let found = modes_beside(&self.drives, forces, &self.responses, &self.segments, like.lags.lead)?;
+        Some(found.setting)
+    }
+
+    /// What springs, stops, friction and dampers would make of a motion, as far as a few shapes tell.
+    fn bends(&self, argument: &Argument) -> Vec<Track> {
+        let scale = argument.scale;
+        let shapes: [fn(f64, f64) -> f64; 5] = [
+            |d, _| d * d * d,
+            |d, _| (d - 1.0).max(0.0),
+            |d, _| (d + 1.0).min(0.0),
+            |_, v| (5.0 * v).tanh(),
+            |_, v| v * v.abs(),
+        ];
+        let of = |shape: fn(f64, f64) -> f64| -> Track {
+            let of_record = |m: &Motion| -> Vec<f64> {
+                let at = |(d, v): (&f64, &f64)| shape((d - scale.centre) / scale.d, v / scale.v);
+                self.thinner.thin(&m.d.iter().zip(&m.v).map(at).collect::<Vec<f64>>())
+            };
+            argument.motion.iter().map(of_record).collect()
+        };
+        shapes.into_iter().map(of).collect()
     }
 
     /// A linear part of modes for other responses, beside the lead of one for these.

@@ -54,6 +54,8 @@ struct Part {
     place: Place,
     way: Way,
     signals: std::ops::Range<usize>,
+    /// Whether it enters at all.
+    open: bool,
 }
 
 /// The best round so far.
@@ -129,7 +131,13 @@ impl Bench<'_> {
         }
         let mut best: Option<(Aim, FreeRun)> = None;
         for start in starts {
-            best = self.better(best, start);
+            if self.base.setting().apart && feeds_back {
+                // Of all bends that the modes were found beside the law is one.
+                let law = &start.signals[start.parts[0].signals.clone()];
+                let own = self.desk.setting_beside(law, self.base.setting());
+                best = self.better(best, start.clone(), own.as_ref());
+            }
+            best = self.better(best, start, None);
         }
         let badly = standing.predicted && left(best.as_ref().map(|b| &b.1)) > RUNS_WELL * standing.ratio;
         if feeds_back && (badly || best.is_none()) {
@@ -138,17 +146,22 @@ impl Bench<'_> {
                 Some((aim, _)) => aim.opened(),
                 None => self.aim(arguments, standing)?.opened(),
             };
-            best = match self.better(best, open.clone()) {
-                None => self.better(None, open.by_modes()),
+            best = match self.better(best, open.clone(), None) {
+                None => self.better(None, open.by_modes(), None),
                 found => found,
             };
         }
         best
     }
 
-    /// The free run of another start where it leaves less.
-    fn better(&self, best: Option<(Aim, FreeRun)>, start: Aim) -> Option<(Aim, FreeRun)> {
-        let found = self.beside(&start, None);
+    /// The free run of another start, on the screen's linear part or one that is set otherwise, where it leaves less.
+    fn better(
+        &self,
+        best: Option<(Aim, FreeRun)>,
+        start: Aim,
+        setting: Option<&Setting>,
+    ) -> Option<(Aim, FreeRun)> {
+        let found = self.beside(&start, setting);
         if left(found.as_ref()) < left(best.as_ref().map(|b| &b.1)) {
             found.map(|run| (start, run))
         } else {
@@ -237,12 +250,20 @@ impl Bench<'_> {
         };
         let law = standing.law;
         let count = law.count();
+        let way = self.way(law, argument);
+        // Beside modes that no law has moved the motion itself tells nothing more, but how a response goes on.
+        let open = !(self.base.setting().apart && way == Way::Modal);
         let mut parts = vec![
-            Part { place: argument.place, way: self.way(law, argument), signals: 0..count },
-            Part { place: argument.place, way: Way::Plain, signals: count..count + 1 },
+            Part { place: argument.place, way, signals: 0..count, open: true },
+            Part { place: argument.place, way: Way::Plain, signals: count..count + 1, open },
         ];
         if let Some(other) = other {
-            parts.push(Part { place: other.place, way: Way::Plain, signals: count + 1..count + 2 });
+            parts.push(Part {
+                place: other.place,
+                way: Way::Plain,
+                signals: count + 1..count + 2,
+                open: true,
+            });
         }
         let desk = self.desk;
         let bare = Forward {
@@ -331,7 +352,10 @@ impl Fit<'_, '_> {
         let mut best: Option<Round> = None;
         let mut signals = self.aim.signals.clone();
         let mut own: Option<Vec<Entry>> = None;
-        for _ in 0..ROUNDS {
+        // Beside modes of its own a law that is let in by what was measured needs no second round, and one by what was
+        // simulated with a strong law strays.
+        let rounds = if self.base.setting().apart { 1 } else { ROUNDS };
+        for _ in 0..rounds {
             let entries = own.as_deref().unwrap_or(self.entries);
             let blocks = self.blocks(entries, &signals);
             let Some((forward, runs)) = self.run(entries, &blocks, &signals, None, &records) else { break };
@@ -399,7 +423,8 @@ impl Fit<'_, '_> {
         };
         // What moves every mode by itself does so alike at all responses.
         let modal = &self.aim.parts[0];
-        let shared = (modal.way == Way::Modal).then(|| made(modal, 0));
+        let alike = modal.way == Way::Modal && !self.base.setting().apart;
+        let shared = alike.then(|| made(modal, 0));
         (0..self.measured.len())
             .map(|output| {
                 let of = |part: &Part| match &shared {
@@ -409,7 +434,8 @@ impl Fit<'_, '_> {
                     _ => made(part, output),
                 };
                 let first = of(&self.aim.parts[0]);
-                self.aim.parts[1..].iter().fold(first, |all, part| all.beside(&of(part), self.base.segments))
+                let rest = self.aim.parts[1..].iter().filter(|part| part.open);
+                rest.fold(first, |all, part| all.beside(&of(part), self.base.segments))
             })
             .collect()
     }
@@ -430,6 +456,10 @@ impl Fit<'_, '_> {
             let mut at = 0;
             let mut kernels = Vec::new();
             for part in &self.aim.parts {
+                if !part.open {
+                    kernels.extend(part.signals.clone().map(|_| Kernel::default()));
+                    continue;
+                }
                 let own = self.own(part, output);
                 let entry = &entries[output];
                 let count = part.signals.len();

@@ -33,6 +33,8 @@ const LEAD_HELPS: f64 = 0.05;
 /// Pairs of poles that are compared, the lags beside them, their ridges, and most columns with modes.
 const PAIRS: [usize; 6] = [2, 4, 6, 9, 13, 18];
 const DIRECT: usize = 8;
+/// Pairs of poles that are compared beside forces.
+const PAIRS_BESIDE: [usize; 4] = [1, 2, 4, 6];
 const MODE_RIDGES: [f64; 4] = [1e-10, 1e-8, 1e-6, 1e-4];
 const MOST_OF_MODES: usize = 240;
 /// How often poles are relocated and compared.
@@ -46,6 +48,9 @@ pub(super) struct Setting {
     pub poles: Option<Poles>,
     pub ridge: f64,
     pub growth: f64,
+    /// Whether a law over a measured motion enters every mode by a factor of its own, too: the drives' ways into a
+    /// response are not known, since what moved the modes has moved them.
+    pub apart: bool,
 }
 
 impl Setting {
@@ -131,7 +136,9 @@ pub(super) fn choose(moments: &[Moments], segments: &[Segment], lags: Lags) -> (
         let settings: Vec<Setting> = RIDGES
             .into_iter()
             .filter(near)
-            .flat_map(|ridge| GROWTHS.map(|growth| Setting { lags: to, poles: None, ridge, growth }))
+            .flat_map(|ridge| {
+                GROWTHS.map(|growth| Setting { lags: to, poles: None, ridge, growth, apart: false })
+            })
             .collect();
         let found = errors(&of_parts, lags, &settings);
         let (error, best) = least(&found);
@@ -177,7 +184,7 @@ pub(super) fn with_modes(
         let mut poles = Poles::spread(pairs, 0.35);
         // Noise may move poles away again: later rounds are no better of themselves.
         for _ in 0..STAGES {
-            let Some(next) = relocate(poles, drives, responses, segments, DIRECT) else { break };
+            let Some(next) = relocate(poles, drives, &[], responses, segments, DIRECT) else { break };
             poles = next;
             let found = with_poles(&poles, drives, responses, segments, lead);
             if found.error.is_finite() && best.as_ref().is_none_or(|b| found.error < b.error - ALIKE) {
@@ -186,6 +193,41 @@ pub(super) fn with_modes(
         }
     }
     best
+}
+
+/// Modes that are found beside forces which drive them as a law might: what is strong then moves no poles. Their number
+/// by what they leave with the forces; `None` where no poles can be had.
+pub(super) fn modes_beside(
+    drives: &[Track],
+    forces: &[Track],
+    responses: &[Track],
+    segments: &[Segment],
+    lead: usize,
+) -> Option<WithModes> {
+    let mut best: Option<(f64, Poles)> = None;
+    for pairs in PAIRS_BESIDE {
+        let all = (drives.len() + forces.len()) * (2 * pairs + DIRECT);
+        if all > MOST_OF_MODES && pairs > PAIRS_BESIDE[0] {
+            break;
+        }
+        let mut poles = Poles::spread(pairs, 0.35);
+        for _ in 0..STAGES {
+            let Some(next) = relocate(poles, drives, forces, responses, segments, DIRECT) else { break };
+            poles = next;
+            let columns = modes::columns_beside(drives, forces, segments, &poles, lead, lead + DIRECT);
+            let parts = of_parts(&Moments::of_columns(&columns, responses, segments), segments);
+            // Each column has a ridge of its own, as if it were a drive.
+            let lags = Lags { lead: 0, span: 1 };
+            let setting = Setting { lags, poles: None, ridge: MODE_RIDGES[1], growth: 1.0, apart: false };
+            let error = self::error(&parts, &setting);
+            if error.is_finite() && best.as_ref().is_none_or(|b| error < b.0 - ALIKE) {
+                best = Some((error, poles.clone()));
+            }
+        }
+    }
+    let mut found = with_poles(&best?.1, drives, responses, segments, lead);
+    found.setting.apart = true;
+    found.error.is_finite().then_some(found)
 }
 
 /// A linear part of modes whose poles are given, with the ridge by held-out error.
@@ -200,7 +242,13 @@ fn with_poles(
     let columns = modes::columns(drives, segments, poles, lead, lags.span);
     let moments = Moments::of_columns(&columns, responses, segments);
     let parts = of_parts(&moments, segments);
-    let settings = MODE_RIDGES.map(|ridge| Setting { lags, poles: Some(poles.clone()), ridge, growth: 1.0 });
+    let settings = MODE_RIDGES.map(|ridge| Setting {
+        lags,
+        poles: Some(poles.clone()),
+        ridge,
+        growth: 1.0,
+        apart: false,
+    });
     let found: Vec<(f64, Setting)> =
         settings.into_iter().map(|setting| (self::error(&parts, &setting), setting)).collect();
     let (error, setting) = least(&found);
@@ -215,9 +263,9 @@ pub(super) fn moved(
     segments: &[Segment],
 ) -> Option<Setting> {
     let lead = setting.lags.lead;
-    let poles = relocate(setting.poles.clone()?, drives, responses, segments, DIRECT)?;
+    let poles = relocate(setting.poles.clone()?, drives, &[], responses, segments, DIRECT)?;
     let found = with_poles(&poles, drives, responses, segments, lead);
-    found.error.is_finite().then_some(found.setting)
+    found.error.is_finite().then_some(Setting { apart: setting.apart, ..found.setting })
 }
 
 fn of_parts(moments: &[Moments], segments: &[Segment]) -> Vec<Moments> {

@@ -9,10 +9,16 @@
 //! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
 //! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.
 //!
+//! A strong law moves the modes of a linear part that is fitted without it. Where much is left, modes are found beside
+//! bends of the motions too, and laws are tried there once more.
+//!
 //! A law of the structure is tried once more over the motion that the linear part predicts at its place, where there
 //! is no noise, and there it moves every mode by factors of its own, as a force does that acts elsewhere than the
 //! drives. What is predicted so follows from drives alone. Another place than a family's first stands where its free
 //! run leaves clearly less.
+//!
+//! Of a long recording the beginnings of its stretches are looked at, as records of their own, and all laws are tried by
+//! few rows before those that may come first are by all.
 //!
 //! A bend between two filters is a law over a drive behind a filter, whose numbers are searched; its signals leave
 //! through what the linear part has beyond that filter.

@@ -192,36 +192,47 @@ pub(super) fn columns(
     lead: usize,
     direct: usize,
 ) -> Vec<Mat<f64>> {
-    let states: Vec<Vec<Track>> = drives.par_iter().map(|d| poles.filter(d)).collect();
-    let width = direct + poles.states();
+    columns_beside(drives, &[], segments, poles, lead, direct)
+}
+
+/// The same, then the states of every mode alone that `forces` drive.
+pub(super) fn columns_beside(
+    drives: &[Track],
+    forces: &[Track],
+    segments: &[Segment],
+    poles: &Poles,
+    lead: usize,
+    direct: usize,
+) -> Vec<Mat<f64>> {
+    let of_drives: Vec<Vec<Track>> = drives.par_iter().map(|d| poles.filter(d)).collect();
+    let of_forces: Vec<Vec<Track>> = forces.par_iter().map(|d| poles.filter(d)).collect();
     segments
         .par_iter()
         .map(|segment| {
-            let of = |c: usize| {
-                let (d, k) = (c / width, c % width);
-                let (track, lag) = if k < direct {
-                    (&drives[d], k as isize - lead as isize)
-                } else {
-                    (&states[d][k - direct], 0)
-                };
-                delayed(&track[segment.record], segment, lag)
-            };
-            from_columns(segment.rows.len(), &(0..drives.len() * width).map(of).collect::<Vec<_>>())
+            let late = |track: &Track, lag| delayed(&track[segment.record], segment, lag);
+            let mut all: Vec<Vec<f64>> = Vec::new();
+            for (drive, states) in drives.iter().zip(&of_drives) {
+                all.extend((0..direct).map(|k| late(drive, k as isize - lead as isize)));
+                all.extend(states.iter().map(|state| late(state, 0)));
+            }
+            all.extend(of_forces.iter().flatten().map(|state| late(state, 0)));
+            from_columns(segment.rows.len(), &all)
         })
         .collect()
 }
 
-/// Relocates poles for some rounds, fewer where they rest; `None` where a round fails.
+/// Relocates poles for some rounds, fewer where they rest; `None` where a round fails. `forces` drive the modes alone.
 pub(super) fn relocate(
     start: Poles,
     drives: &[Track],
+    forces: &[Track],
     responses: &[Track],
     segments: &[Segment],
     direct: usize,
 ) -> Option<Poles> {
     let mut poles = start;
     for _ in 0..ROUNDS {
-        let base = columns(drives, segments, &poles, 0, direct);
+        let base = columns_beside(drives, forces, segments, &poles, 0, direct);
         let p = base.first()?.ncols();
         let mut a = Mat::<f64>::zeros(p, p);
         for x in &base {
@@ -296,9 +307,30 @@ mod tests {
         let drive: Track = vec![(0..1500).map(|_| next()).collect()];
         let response = Poles(vec![true_pole]).filter(&drive)[1].clone();
         let segments = [Segment { record: 0, rows: 200..1500, group: 0, part: 0, unit: 0, weight: 1.0 }];
-        let found = relocate(Poles::spread(2, 0.4), &[drive], &[response], &segments, 2).unwrap();
+        let found = relocate(Poles::spread(2, 0.4), &[drive], &[], &[response], &segments, 2).unwrap();
         let nearest = found.0.iter().map(|p| (p - true_pole).norm()).fold(f64::INFINITY, f64::min);
         assert!(nearest < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn a_force_that_drives_the_modes_alone_moves_no_poles() {
+        let true_pole = Complex64::from_polar(0.98, 0.4);
+        let wave = |f: f64, k: usize| (f * k as f64).sin();
+        let track = |of: &dyn Fn(usize) -> f64| -> Track { vec![(0..1500).map(of).collect()] };
+        let drive = track(&|k| wave(0.31, k) + wave(0.44, k) + wave(0.9, k) + wave(1.7, k));
+        let force = track(&|k| 3.0 * (wave(0.47, k) + wave(0.36, k) + wave(1.1, k)));
+        let both: Track = vec![drive[0].iter().zip(&force[0]).map(|(u, f)| u + f).collect()];
+        let response = Poles(vec![true_pole]).filter(&both)[1].clone();
+        let segments = [Segment { record: 0, rows: 300..1500, group: 0, part: 0, unit: 0, weight: 1.0 }];
+        let nearest = |forces: &[Track]| {
+            let start = Poles::spread(1, 0.4);
+            let drives = std::slice::from_ref(&drive);
+            let found =
+                relocate(start, drives, forces, std::slice::from_ref(&response), &segments, 2).unwrap();
+            found.0.iter().map(|p| (p - true_pole).norm()).fold(f64::INFINITY, f64::min)
+        };
+        let (beside, alone) = (nearest(std::slice::from_ref(&force)), nearest(&[]));
+        assert!(beside < 1e-5 && alone > 1e-2, "{beside} {alone}");
     }
 
     #[test]

@@ -32,6 +32,8 @@ pub struct LinearPart {
     pub memory_s: f64,
     /// How far they reach ahead of the present, s; 0 where that helps nothing.
     pub lead_s: f64,
+    /// Whether its modes were found beside bends of the motions, since a strong law had moved those of the others.
+    pub apart: bool,
     /// Ridge relative to the drives' power.
     pub ridge: f64,
     /// Error in each group by the fit to all others, relative to the response, `[response][group]`.

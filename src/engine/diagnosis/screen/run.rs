@@ -12,6 +12,7 @@ use super::desk::Desk;
 use super::entry::Entry;
 use super::first_look::{self, Chosen, FirstLook};
 use super::foremost::NOTHING;
+use super::free_run::left;
 use super::groups::Grouping;
 use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
@@ -25,7 +26,7 @@ use super::predicted::predicted;
 use super::report::{LinearPart, Screening, Standing};
 use super::track::Track;
 use crate::EngineError;
-use crate::progress::{Watch, report, within};
+use crate::progress::{Progress, Watch, report, within};
 
 /// Fewest samples in all: with fewer no linear part can be told from a law.
 const FEWEST: usize = 300;
@@ -34,6 +35,11 @@ const STAGE: &str = "laws by transfer";
 pub(super) const SCREENED: f64 = 0.6;
 /// Share of a first look in what follows it.
 const LOOKED: f64 = 0.6;
+/// Free runs beside modes that were found beside bends leave no more than this share of what others leave, where they
+/// count.
+const CLEARLY: f64 = 0.7;
+/// And no more than this share of what those modes leave alone.
+const MOSTLY: f64 = 0.5;
 /// Share of what the best law of the drive as it is leaves, below which a filter ahead of the bend has gained something.
 const FILTER_GAINS: f64 = 0.85;
 
@@ -64,21 +70,40 @@ pub fn screen(
     }
     let over = arguments::arguments(desk.recording, desk.limits, &desk.used);
     let bases = desk.bases();
-    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(&desk, base, &over)).collect();
-    let benches = bases.iter().zip(&ways).map(|(base, ways)| ways.bench(&desk, base));
     let few = (desk.rows() > first_look::WORTH * first_look::ROWS)
         .then(|| Pieces::of(recording, grouping, band, first_look::ROWS));
     let few = few.as_ref().map(Desk::new);
     let over_few = few.as_ref().map(|few| arguments::arguments(few.recording, few.limits, &few.used));
     let look = few.as_ref().zip(over_few.as_ref()).map(|(desk, arguments)| FirstLook { desk, arguments });
-    // The linear part is the one beside which some law leaves least.
-    let left = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
+    let strong = desk.strong(&bases, &over);
+    let first = |p: Progress<'_>| watch(p.within(&(0.0..if strong.is_empty() { 1.0 } else { 0.5 })));
+    let screening = beside(&desk, &bases, grouping, &over, look.as_ref(), &first)?;
+    let Some(apart) = desk.base_beside_bends(&bases, &strong) else { return Ok(screening) };
+    let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
+    let anew = beside(&desk, &[apart], grouping, &over, look.as_ref(), &second)?;
+    let left = left_by_free_runs(&anew);
+    let explains = left < MOSTLY * mean_error(&anew.linear.errors);
+    Ok(if explains && left < CLEARLY * left_by_free_runs(&screening) { anew } else { screening })
+}
+
+/// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost.
+fn beside(
+    desk: &Desk<'_>,
+    bases: &[Base<'_>],
+    grouping: &Grouping,
+    over: &[Argument],
+    look: Option<&FirstLook<'_>>,
+    watch: Watch<'_>,
+) -> Result<Screening, EngineError> {
+    let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(desk, base, over)).collect();
+    let benches = bases.iter().zip(&ways).map(|(base, ways)| ways.bench(desk, base));
+    let least = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
     let mut best: Option<(Screening, Bench<'_>)> = None;
     for (at, bench) in benches.enumerate() {
         let progress =
             SCREENED * at as f64 / bases.len() as f64..SCREENED * (at + 1) as f64 / bases.len() as f64;
-        let screening = bench.screening(grouping, &over, look.as_ref(), watch, &progress)?;
-        if best.as_ref().is_none_or(|b| left(&screening) < left(&b.0)) {
+        let screening = bench.screening(grouping, over, look, watch, &progress)?;
+        if best.as_ref().is_none_or(|b| least(&screening) < least(&b.0)) {
             best = Some((screening, bench));
         }
     }
@@ -87,8 +112,25 @@ pub fn screen(
         channel: 0,
         sample: 0,
     })?;
-    bench.run_free(&over, &mut screening.standings, watch)?;
+    bench.run_free(over, &mut screening.standings, watch)?;
+    if screening.linear.apart {
+        // By a way of its own into every mode a response predicts itself: what runs freely tells laws apart.
+        let left = |s: &Standing| left(s.free.as_ref());
+        screening.standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
+    }
     Ok(screening)
+}
+
+/// What the best free run leaves of all responses and groups, relative to them: a geometric mean.
+fn left_by_free_runs(screening: &Screening) -> f64 {
+    let free = screening.standings.iter().filter_map(|s| s.free.as_ref());
+    free.map(|run| mean_error(&run.errors)).fold(mean_error(&screening.linear.errors), f64::min)
+}
+
+/// Geometric mean over responses and groups, `[response][group]`.
+fn mean_error(errors: &[Vec<f64>]) -> f64 {
+    let moving: Vec<f64> = errors.iter().flatten().copied().filter(|e| *e > 0.0).collect();
+    geometric_mean(&moving)
 }
 
 /// How signals enter beside a linear part, what that leaves alone, and the motions that it predicts.
@@ -102,7 +144,8 @@ impl Ways {
     pub fn new(desk: &Desk<'_>, base: &Base<'_>, arguments: &[Argument]) -> Self {
         let responses = desk.responses.len();
         let entries = Entry::all(base, responses, &desk.drives);
-        let predicted = predicted(desk, base, arguments);
+        // A linear part that leaves so much predicts no motion.
+        let predicted = if base.setting().apart { Vec::new() } else { predicted(desk, base, arguments) };
         Self { entries, linear: (0..responses).map(|r| base.linear(r)).collect(), predicted }
     }
 
@@ -176,6 +219,7 @@ impl Bench<'_> {
                 modes: setting.poles.as_ref().map(Poles::states),
                 memory_s: setting.memory(longest) as f64 / rate,
                 lead_s: setting.lags.lead as f64 / rate,
+                apart: setting.apart,
                 ridge: setting.ridge,
                 errors: self.linear.iter().map(|l| l.errors.clone()).collect(),
             },
@@ -291,7 +335,12 @@ impl Bench<'_> {
             .par_iter()
             .map(|&response| {
                 let block = self.block(place, Way::Plain, unbent, response);
-                let errors = self.base.judge(&block, response);
+                let mut errors = self.base.judge(&block, response);
+                if self.base.setting().apart && place.is_of_structure() {
+                    // By a way of its own into every mode a response predicts itself, whatever the law.
+                    let apart = self.base.judge(&self.block(place, Way::Modal, unbent, response), response);
+                    errors.errors.iter_mut().zip(apart.errors).for_each(|(e, apart)| *e = e.min(apart));
+                }
                 (response, block, errors)
             })
             .collect()
@@ -317,8 +366,9 @@ impl Bench<'_> {
 
     /// How the signals of a law over an argument reach a response.
     pub(super) fn way(&self, law: Law, argument: &Argument) -> Way {
-        let modes = self.base.setting().poles.is_some();
-        if modes && argument.predicted && argument.place.is_of_structure() { Way::Modal } else { law.way() }
+        let setting = self.base.setting();
+        let by_modes = setting.poles.is_some() && (argument.predicted || setting.apart);
+        if by_modes && argument.place.is_of_structure() { Way::Modal } else { law.way() }
     }
 
     /// Whether the signals at a place are of the response that they enter: what it does to itself takes a sample. What is
@@ -329,7 +379,7 @@ impl Bench<'_> {
             Place::Response(r) | Place::Error(_, r) | Place::OnTable(_, r) => r == response,
             _ => false,
         };
-        of_it && way != Way::Modal && !integrated
+        of_it && !integrated && (way != Way::Modal || self.base.setting().apart)
     }
 
     pub(super) fn block(&self, place: Place, way: Way, signals: &[Track], response: usize) -> Block {
@@ -347,7 +397,8 @@ impl Bench<'_> {
         companions: &[(usize, Block, HeldOut)],
     ) -> Standing {
         let way = self.way(law, argument);
-        let shared = (way == Way::Modal).then(|| self.block(argument.place, way, signals, 0));
+        let alike = way == Way::Modal && !self.base.setting().apart;
+        let shared = alike.then(|| self.block(argument.place, way, signals, 0));
         let mut ratios = vec![1.0; self.entries.len()];
         let mut best: Option<AtResponse> = None;
         let (mut left, mut before, mut error) = (0.0, 0.0, 0.0);

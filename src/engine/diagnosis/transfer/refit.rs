@@ -80,7 +80,8 @@ fn least<'a>(of: impl Iterator<Item = &'a Refit>) -> Option<f64> {
 }
 
 /// Fits the families that may be right once more, at the places of the structure where they do best and at the
-/// response that they help most. None are where one drive tells nothing, or where known effects act already.
+/// response that they help most. None are where one drive tells nothing, where known effects act already, or where a strong
+/// law has moved the modes that a fit would begin with.
 ///
 /// # Errors
 /// [`EngineError::Cancelled`].
@@ -91,7 +92,10 @@ pub fn refits(
     catalogue: &[Effect],
     watch: Watch<'_>,
 ) -> Result<Refits, EngineError> {
-    if screening.transfer == Transfer::OneDrive || recording.records.iter().any(|r| r.added.is_some()) {
+    let known = recording.records.iter().any(|r| r.added.is_some());
+    // A fit begins with the linear part of the signals as they are. Where a strong law has moved its modes, a fit may end
+    // anywhere.
+    if screening.transfer == Transfer::OneDrive || known || screening.linear.apart {
         return Ok(Refits::default());
     }
     let tasks = tasks(recording, screening, catalogue);
@@ -315,6 +319,16 @@ mod tests {
         let others = found.0.iter().filter(|refit| refit.effect.family() != Family::Stiffness);
         assert!(others.clone().count() > 0, "{found:?}");
         others.for_each(|refit| assert!(of_spring < 0.5 * refit.left, "{refit:?}: {found:?}"));
+    }
+
+    #[test]
+    fn nothing_is_fitted_again_where_a_strong_law_has_moved_the_modes() {
+        let recording = runs(stiffening).recording;
+        let grouping = group(&recording, &[]);
+        let mut screening = screen(&recording, &grouping, &unwatched).unwrap();
+        screening.linear.apart = true;
+        let found = refits(&recording, &grouping, &screening, &Effect::ALL, &unwatched).unwrap();
+        assert_eq!(found, Refits::default());
     }
 
     #[test]

@@ -32,6 +32,43 @@ fn a_stiffening_spring_is_named_over_its_displacement_and_asks_the_same_of_every
     assert!(first.spread().unwrap() < 0.2, "{first:?}");
 }
 
+/// Runs of three levels, whose springs stiffen so that a linear part leaves most of the response.
+fn of_a_strong_spring() -> Recording {
+    let runs = [0.5, 0.75, 1.0].iter().enumerate().map(|(i, level)| {
+        let u: Vec<f64> = noise(3000, 40 + i as u64).iter().map(|u| level * u).collect();
+        let y = oscillator(&u, |y, _| 0.02 * y * y * y);
+        (vec![u], vec![y])
+    });
+    recording(&[Quantity::Force], &[Quantity::Displacement], runs.collect())
+}
+
+#[test]
+fn a_spring_that_has_moved_the_modes_is_named_beside_modes_that_are_found_beside_it() {
+    let screening = screened(&of_a_strong_spring());
+    assert!(screening.linear.apart && screening.linear.errors[0].iter().all(|e| *e > 0.4), "{screening:?}");
+    let first = screening.foremost()[0];
+    assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Response(0)));
+    let free = first.free.as_ref().unwrap();
+    assert!(free.ratio < 0.2 && free.worst < 0.4, "{} {}", free.ratio, free.worst);
+}
+
+#[test]
+fn a_linear_rig_in_much_noise_has_no_modes_beside_bends() {
+    let mut recording = run(6000, 1.0, |_, _| 0.0);
+    let noisy = {
+        let y = recording.records[0].response.channel(0);
+        // A force that nothing measures.
+        let other: Vec<f64> = noise(y.len(), 99).iter().map(|u| 0.6 * u).collect();
+        y.iter().zip(oscillator(&other, |_, _| 0.0)).map(|(y, e)| y + e).collect()
+    };
+    recording.records[0].response = Signal::new(RATE_HZ, vec![noisy]).unwrap();
+    let screening = screened(&recording);
+    assert!(screening.linear.errors[0].iter().all(|e| *e > 0.3), "{:?}", screening.linear);
+    assert!(!screening.linear.apart);
+    let free = screening.standings.iter().filter_map(|s| s.free.as_ref());
+    free.for_each(|free| assert!(free.ratio > 0.8, "{}", free.ratio));
+}
+
 #[test]
 fn of_many_rows_a_first_look_by_few_keeps_the_right_law() {
     let force = |y: f64, _: f64| 0.003 * y * y * y;
