@@ -37,9 +37,9 @@ const WORK: f64 = 8e8;
 const POWERS: usize = 30;
 
 impl Bench<'_> {
-    /// The free run of a bend behind a filter, beside the screen's linear part, or beside a finite impulse response at
-    /// the rate of the analysis or at the recording's own, whichever leaves least: modes that were placed on bent
-    /// responses are not those of the filters, and a bend has harmonics above the band.
+    /// The free run of a bend behind a filter, beside the screen's linear part where that is no long impulse response, or
+    /// beside a finite impulse response at the rate of the analysis or at the recording's own, whichever leaves least:
+    /// modes that were placed on bent responses are not those of the filters, and a bend has harmonics above the band.
     pub(super) fn bent(&self, arguments: &[Argument], standing: &Standing, front: Front) -> Option<FreeRun> {
         // A linear part that is a long impulse response is no better a start than the one below, and takes minutes.
         let affordable = self.base.setting().width() <= affordable(self.desk);

@@ -262,7 +262,7 @@ impl<'a> Desk<'a> {
     /// A linear part of modes for other responses, beside the lead of one for these.
     pub fn setting_of(&self, responses: &[Track], like: &Setting) -> Option<Setting> {
         let found = with_modes(&self.drives, responses, &self.segments, like.lags.lead)?;
-        Some(found.setting)
+        Some(Setting { apart: like.apart, ..found.setting })
     }
 
     /// The modes of a linear part moved to where nearly the same responses have them.

@@ -2,6 +2,7 @@
 
 use super::desk::Desk;
 use super::foremost::NOTHING;
+use super::law::Way;
 use super::pieces::MOST_ROWS;
 use super::place::{Argument, Place};
 use super::report::Standing;
@@ -11,12 +12,13 @@ use crate::diagnosis::effects::effect::Family;
 
 /// Rows of a first look.
 pub(super) const ROWS: usize = MOST_ROWS / 4;
-/// It is worth it where all rows are at least so many times as many.
+/// It is worth it where all rows are more than so many times as many.
 pub(super) const WORTH: usize = 3;
 /// A linear part takes so many rows for each of its columns to be known.
 const OF_A_COLUMN: usize = 15;
 /// Laws that leave no more than so many times what the best of their family leaves, and than what the best of all leaves,
-/// may be the foremost by all rows; so may the first of each family, and the first at each place.
+/// may be the foremost by all rows; so may the first of each family, and at each place the first and, beside bends behind
+/// filters, the first that is none.
 const OF_FAMILY: f64 = 1.25;
 const OF_ALL: f64 = 1.5;
 const FIRST: usize = 4;
@@ -95,11 +97,17 @@ fn chosen(found: &[(&Argument, Vec<Standing>)]) -> Chosen {
         standing.ratio <= among || (near && standing.ratio < NOTHING)
     };
     let of_place = |(argument, standings): &(&Argument, Vec<Standing>)| {
-        let first = standings.iter().map(|s| s.ratio).fold(f64::INFINITY, f64::min);
+        let least = |of: &dyn Fn(&&Standing) -> bool| {
+            standings.iter().filter(of).map(|s| s.ratio).fold(f64::INFINITY, f64::min)
+        };
+        let (first, unfiltered) = (least(&|_| true), least(&|s| s.law.way() == Way::Plain));
         AtPlace {
             place: argument.place,
             predicted: argument.predicted,
-            laws: standings.iter().map(|s| s.ratio <= first || worth(s)).collect(),
+            laws: standings
+                .iter()
+                .map(|s| s.ratio <= first || (s.law.way() == Way::Plain && s.ratio <= unfiltered) || worth(s))
+                .collect(),
         }
     };
     Chosen(found.iter().map(of_place).collect())

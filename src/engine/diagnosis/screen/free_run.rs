@@ -122,8 +122,9 @@ impl Bench<'_> {
     pub(super) fn free_run(&self, arguments: &[Argument], standing: &Standing) -> Option<(Aim, FreeRun)> {
         let aim = self.aim(arguments, standing)?;
         let feeds_back = aim.bare.feeds_back();
+        let by_modes = aim.parts[0].way == Way::Modal && !standing.predicted;
         let mut starts = vec![aim];
-        if feeds_back && self.base.setting().poles.is_some() {
+        if feeds_back && self.base.setting().poles.is_some() && !by_modes {
             // From the motion as it was measured, what the law has made of it included, by a way of its own into every
             // mode.
             let measured = Standing { predicted: false, ..standing.clone() };
@@ -134,8 +135,9 @@ impl Bench<'_> {
             if self.base.setting().apart && feeds_back {
                 // Of all bends that the modes were found beside the law is one.
                 let law = &start.signals[start.parts[0].signals.clone()];
-                let own = self.desk.setting_beside(law, self.base.setting());
-                best = self.better(best, start.clone(), own.as_ref());
+                if let Some(own) = self.desk.setting_beside(law, self.base.setting()) {
+                    best = self.better(best, start.clone(), Some(&own));
+                }
             }
             best = self.better(best, start, None);
         }

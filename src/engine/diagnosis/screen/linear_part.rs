@@ -206,7 +206,7 @@ pub(super) fn modes_beside(
 ) -> Option<WithModes> {
     let mut best: Option<(f64, Poles)> = None;
     for pairs in PAIRS_BESIDE {
-        let all = (drives.len() + forces.len()) * (2 * pairs + DIRECT);
+        let all = drives.len() * (2 * pairs + lead + DIRECT) + forces.len() * 2 * pairs;
         if all > MOST_OF_MODES && pairs > PAIRS_BESIDE[0] {
             break;
         }

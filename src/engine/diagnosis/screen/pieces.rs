@@ -3,6 +3,7 @@
 //! Each beginning is then a record of its own, so that neither what lies between is filtered nor laws are run over it.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use super::band::Band;
 use super::groups::{Grouping, Stretch};
@@ -24,7 +25,7 @@ pub(super) struct Pieces<'a> {
     /// Of the whole recording.
     pub band: Band,
     /// Most rows at any rate.
-    pub most: usize,
+    most: usize,
     /// Start of the first record and end of the last, s.
     pub programme: [f64; 2],
 }
@@ -32,59 +33,73 @@ pub(super) struct Pieces<'a> {
 impl<'a> Pieces<'a> {
     /// What is looked at of a recording by at `most` so many rows.
     pub fn of(recording: &'a Recording, grouping: &'a Grouping, band: Band, most: usize) -> Self {
-        let cut = cut(recording, &grouping.stretches, band.step, most);
-        let (recording_of, stretches) = match cut {
-            Some((records, stretches)) => {
-                let (drives, responses) = (recording.drives.clone(), recording.responses.clone());
-                (Cow::Owned(Recording { drives, responses, records }), Cow::Owned(stretches))
-            }
-            None => (Cow::Borrowed(recording), Cow::Borrowed(grouping.stretches.as_slice())),
+        let whole = Self {
+            recording: Cow::Borrowed(recording),
+            stretches: Cow::Borrowed(&grouping.stretches),
+            band,
+            most,
+            programme: programme(recording),
         };
-        Self { recording: recording_of, stretches, band, most, programme: programme(recording) }
+        whole.pieces().unwrap_or(whole)
+    }
+
+    /// The same by at `most` so many of these rows.
+    pub fn fewer(&'a self, most: usize) -> Self {
+        let same = Self {
+            recording: Cow::Borrowed(&*self.recording),
+            stretches: Cow::Borrowed(&*self.stretches),
+            most,
+            ..*self
+        };
+        same.pieces().unwrap_or(same)
     }
 
     /// Share of the rows of all stretches that are looked at.
     pub fn share(&self, step: usize) -> f64 {
-        share(&self.stretches, step, self.most)
+        let rows: usize = self.stretches.iter().map(|s| s.samples.len() / step).sum();
+        (self.most as f64 / rows.max(1) as f64).min(1.0)
     }
-}
 
-fn share(stretches: &[Stretch], step: usize, most: usize) -> f64 {
-    let rows: usize = stretches.iter().map(|s| s.samples.len() / step).sum();
-    (most as f64 / rows.max(1) as f64).min(1.0)
-}
-
-/// A record for the beginning of each stretch, with what the linear part remembers before it; `None` where little would
-/// be saved, or the pieces were short.
-fn cut(
-    recording: &Recording,
-    stretches: &[Stretch],
-    step: usize,
-    most: usize,
-) -> Option<(Vec<Record>, Vec<Stretch>)> {
-    let share = share(stretches, step, most);
-    let memory = MOST / recording.drives.len().max(1);
-    let mut whole = vec![0; recording.records.len()];
-    let pieces: Vec<(Record, Stretch)> = stretches
-        .iter()
-        .enumerate()
-        .map(|(at, stretch)| {
-            let record = &recording.records[stretch.record];
-            let n = record.drive.n_samples();
-            // Whole rows, so that pieces are thinned alike.
-            let from = (stretch.samples.start.min(n) / step).saturating_sub(memory) * step;
-            let kept = (stretch.samples.len() as f64 * share) as usize;
-            let to = (stretch.samples.start + kept).min(n);
-            whole[stretch.record] = whole[stretch.record].max(to);
-            let samples = stretch.samples.start.min(n) - from..to - from;
-            (record.piece(from..to), Stretch { record: at, samples, ..stretch.clone() })
+    /// A record for the beginning of each stretch, with what the linear part remembers before it; `None` where little
+    /// would be saved, or the pieces were short.
+    fn pieces(&self) -> Option<Self> {
+        let step = self.band.step;
+        let share = self.share(step);
+        let memory = MOST / self.recording.drives.len().max(1);
+        let mut whole = vec![0; self.recording.records.len()];
+        let ranges: Vec<Range<usize>> = self
+            .stretches
+            .iter()
+            .map(|stretch| {
+                let n = self.recording.records[stretch.record].drive.n_samples();
+                let start = stretch.samples.start.min(n);
+                // Whole rows, so that pieces are thinned alike.
+                let from = (start / step).saturating_sub(memory) * step;
+                let to = (start + (stretch.samples.len() as f64 * share) as usize).min(n);
+                whole[stretch.record] = whole[stretch.record].max(to);
+                from..to
+            })
+            .collect();
+        let total: usize = ranges.iter().map(Range::len).sum();
+        let shortest = ranges.iter().map(Range::len).min().unwrap_or(0);
+        let saves = (total as f64) < WORTH * whole.iter().sum::<usize>() as f64;
+        if !saves || shortest < MEMORIES * memory * step {
+            return None;
+        }
+        let of = |(at, (stretch, range)): (usize, (&Stretch, Range<usize>))| {
+            let samples = stretch.samples.start - range.start..range.len();
+            let record = self.recording.records[stretch.record].piece(range);
+            (record, Stretch { record: at, samples, ..stretch.clone() })
+        };
+        let (records, stretches): (Vec<Record>, Vec<Stretch>) =
+            self.stretches.iter().zip(ranges).enumerate().map(of).unzip();
+        let (drives, responses) = (self.recording.drives.clone(), self.recording.responses.clone());
+        Some(Self {
+            recording: Cow::Owned(Recording { drives, responses, records }),
+            stretches: Cow::Owned(stretches),
+            ..*self
         })
-        .collect();
-    let length = |piece: &(Record, Stretch)| piece.0.drive.n_samples();
-    let total: usize = pieces.iter().map(length).sum();
-    let shortest = pieces.iter().map(length).min().unwrap_or(0);
-    let saves = (total as f64) < WORTH * whole.iter().sum::<usize>() as f64;
-    (saves && shortest >= MEMORIES * memory * step).then(|| pieces.into_iter().unzip())
+    }
 }
 
 fn programme(recording: &Recording) -> [f64; 2] {
@@ -124,6 +139,13 @@ mod tests {
         }
         assert_eq!(pieces.programme, [0.0, 1200.0]);
         assert!((pieces.share(BAND.step) - 1.0).abs() < 1e-3, "all of them is looked at");
+        let fewer = pieces.fewer(9_000);
+        assert_eq!(fewer.programme, pieces.programme);
+        assert!(
+            (fewer.share(BAND.step) - 0.5).abs() < 1e-3,
+            "no longer than the memories, they are not cut again"
+        );
+        assert_eq!(*fewer.recording, *pieces.recording);
     }
 
     #[test]

@@ -70,33 +70,46 @@ pub fn screen(
     }
     let over = arguments::arguments(desk.recording, desk.limits, &desk.used);
     let bases = desk.bases();
-    let few = (desk.rows() > first_look::WORTH * first_look::ROWS)
-        .then(|| Pieces::of(recording, grouping, band, first_look::ROWS));
+    let few = (desk.rows() > first_look::WORTH * first_look::ROWS).then(|| pieces.fewer(first_look::ROWS));
     let few = few.as_ref().map(Desk::new);
     let over_few = few.as_ref().map(|few| arguments::arguments(few.recording, few.limits, &few.used));
     let look = few.as_ref().zip(over_few.as_ref()).map(|(desk, arguments)| FirstLook { desk, arguments });
     let strong = desk.strong(&bases, &over);
     let first = |p: Progress<'_>| watch(p.within(&(0.0..if strong.is_empty() { 1.0 } else { 0.5 })));
-    let screening = beside(&desk, &bases, grouping, &over, look.as_ref(), &first)?;
-    let Some(apart) = desk.base_beside_bends(&bases, &strong) else { return Ok(screening) };
+    let screening = beside(&desk, &bases, None, (grouping, &over), look.as_ref(), &first)?;
+    if strong.is_empty() {
+        return Ok(screening);
+    }
+    report(watch, "modes beside bends", 0.5)?;
+    let Some(apart) = desk.base_beside_bends(&bases, &strong) else {
+        report(watch, STAGE, 1.0)?;
+        return Ok(screening);
+    };
     let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
-    let anew = beside(&desk, &[apart], grouping, &over, look.as_ref(), &second)?;
+    // What laws leave counts against the linear part that predicts best.
+    let linear: Vec<HeldOut> =
+        screening.linear.errors.iter().map(|errors| HeldOut { errors: errors.clone() }).collect();
+    let anew = beside(&desk, &[apart], Some(&linear), (grouping, &over), look.as_ref(), &second)?;
     let left = left_by_free_runs(&anew);
     let explains = left < MOSTLY * mean_error(&anew.linear.errors);
     Ok(if explains && left < CLEARLY * left_by_free_runs(&screening) { anew } else { screening })
 }
 
-/// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost.
+/// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost. They count
+/// against what their linear part leaves, or what another does.
 fn beside(
     desk: &Desk<'_>,
     bases: &[Base<'_>],
-    grouping: &Grouping,
-    over: &[Argument],
+    linear: Option<&[HeldOut]>,
+    (grouping, over): (&Grouping, &[Argument]),
     look: Option<&FirstLook<'_>>,
     watch: Watch<'_>,
 ) -> Result<Screening, EngineError> {
     let ways: Vec<Ways> = bases.iter().map(|base| Ways::new(desk, base, over)).collect();
-    let benches = bases.iter().zip(&ways).map(|(base, ways)| ways.bench(desk, base));
+    let benches = bases.iter().zip(&ways).map(|(base, ways)| {
+        let own = ways.bench(desk, base);
+        Bench { linear: linear.unwrap_or(own.linear), ..own }
+    });
     let least = |s: &Screening| s.standings.iter().map(|s| s.error).fold(f64::INFINITY, f64::min);
     let mut best: Option<(Screening, Bench<'_>)> = None;
     for (at, bench) in benches.enumerate() {
@@ -355,10 +368,13 @@ impl Bench<'_> {
         let unbent = [self.unbent(other)];
         companions
             .iter()
-            .map(|(response, block, _)| {
+            .map(|(response, block, alone)| {
                 let further = self.block(other.place, Way::Plain, &unbent, *response);
                 let both = block.beside(&further, self.base.segments);
-                let errors = self.base.judge(&both, *response);
+                let mut errors = self.base.judge(&both, *response);
+                if self.base.setting().apart {
+                    errors.errors.iter_mut().zip(&alone.errors).for_each(|(e, alone)| *e = e.min(*alone));
+                }
                 (*response, both, errors)
             })
             .collect()
