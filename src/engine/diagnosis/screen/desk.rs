@@ -9,7 +9,7 @@ use super::groups::Stretch;
 use super::input::Recording;
 use super::judge::Base;
 use super::kernel::HeldSums;
-use super::linear_part::{LEAD, Setting, choose, longest, modes_beside, moved, with_modes};
+use super::linear_part::{LEAD, Setting, WithModes, choose, longest, modes_beside, moved, with_modes};
 use super::modes;
 use super::moments::{Lags, Moments};
 use super::motion::{Limits, Motion};
@@ -191,18 +191,15 @@ impl<'a> Desk<'a> {
         let all = Lags { lead: LEAD, span: memory + LEAD };
         let moments = Moments::of(&self.drives, &self.responses, &self.segments, all);
         let (error, setting) = choose(&moments, &self.segments, all);
-        let centred = || centred(&self.responses, &self.segments);
         let mut bases = Vec::new();
         let modes = with_modes(&self.drives, &self.responses, &self.segments, setting.lags.lead);
         let by_modes = modes.as_ref().map_or(f64::INFINITY, |m| m.error);
-        if let Some(m) = modes {
-            let regressors = Regressors::Columns(m.columns);
-            bases.extend(Base::new(&m.moments, &self.segments, centred(), regressors, m.setting));
-        }
+        bases.extend(modes.and_then(|modes| self.by_modes(modes)));
         if bases.is_empty() || error < by_modes - BETTER {
             let chosen: Vec<Moments> = moments.iter().map(|m| m.select(all, setting.lags)).collect();
             let lags = Regressors::Lags(Correlator::new(&self.drives, &self.segments, setting.lags));
-            bases.extend(Base::new(&chosen, &self.segments, centred(), lags, setting));
+            let centred = centred(&self.responses, &self.segments);
+            bases.extend(Base::new(&chosen, &self.segments, centred, lags, setting));
         }
         bases
     }
@@ -224,19 +221,22 @@ impl<'a> Desk<'a> {
     /// `None` where it cannot be had.
     pub fn base_beside_bends(&self, bases: &[Base<'_>], strong: &[&Argument]) -> Option<Base<'_>> {
         let forces: Vec<Track> = strong.iter().flat_map(|argument| self.bends(argument)).collect();
-        if forces.is_empty() {
-            return None;
-        }
-        let lead = bases.first()?.setting().lags.lead;
-        let m = modes_beside(&self.drives, &forces, &self.responses, &self.segments, lead)?;
+        self.by_modes(self.modes_beside(&forces, bases.first()?.setting())?)
+    }
+
+    fn by_modes(&self, modes: WithModes) -> Option<Base<'_>> {
         let centred = centred(&self.responses, &self.segments);
-        Base::new(&m.moments, &self.segments, centred, Regressors::Columns(m.columns), m.setting)
+        let regressors = Regressors::Columns(modes.columns);
+        Base::new(&modes.moments, &self.segments, centred, regressors, modes.setting)
+    }
+
+    fn modes_beside(&self, forces: &[Track], like: &Setting) -> Option<WithModes> {
+        modes_beside(&self.drives, forces, &self.responses, &self.segments, like.lags.lead)
     }
 
     /// A linear part of modes that are found beside forces, with the lead of another.
     pub fn setting_beside(&self, forces: &[Track], like: &Setting) -> Option<Setting> {
-        let found = modes_beside(&self.drives, forces, &self.responses, &self.segments, like.lags.lead)?;
-        Some(found.setting)
+        Some(self.modes_beside(forces, like)?.setting)
     }
 
     /// What springs, stops, friction and dampers would make of a motion, as far as a few shapes tell.

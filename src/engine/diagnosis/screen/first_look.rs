@@ -8,7 +8,6 @@ use super::place::{Argument, Place};
 use super::report::Standing;
 use super::run::{Bench, Ways};
 use crate::EngineError;
-use crate::diagnosis::effects::effect::Family;
 
 /// Rows of a first look.
 pub(super) const ROWS: usize = MOST_ROWS / 4;
@@ -81,20 +80,11 @@ fn chosen(found: &[(&Argument, Vec<Standing>)]) -> Chosen {
     let mut ranked: Vec<&Standing> = found.iter().flat_map(|(_, standings)| standings).collect();
     ranked.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
     let best = ranked.first().map_or(1.0, |s| s.ratio);
-    // The last of the first of each family, and its best.
-    let mut families: Vec<(Family, f64, f64, usize)> = Vec::new();
-    for standing in &ranked {
-        match families.iter_mut().find(|of| of.0 == standing.family) {
-            Some(of) if of.3 < FIRST => (of.2, of.3) = (standing.ratio, of.3 + 1),
-            Some(_) => {}
-            None => families.push((standing.family, standing.ratio, standing.ratio, 1)),
-        }
-    }
     let worth = |standing: &Standing| {
-        let of = families.iter().find(|of| of.0 == standing.family);
-        let (least, among) = of.map_or((1.0, 1.0), |of| (of.1, of.2));
-        let near = standing.ratio <= OF_FAMILY * least || standing.ratio <= OF_ALL * best;
-        standing.ratio <= among || (near && standing.ratio < NOTHING)
+        let of_family = ranked.iter().filter(|s| s.family == standing.family).map(|s| s.ratio);
+        let first: Vec<f64> = of_family.take(FIRST).collect();
+        let near = standing.ratio <= OF_FAMILY * first[0] || standing.ratio <= OF_ALL * best;
+        first.contains(&standing.ratio) || (near && standing.ratio < NOTHING)
     };
     let of_place = |(argument, standings): &(&Argument, Vec<Standing>)| {
         let least = |of: &dyn Fn(&&Standing) -> bool| {

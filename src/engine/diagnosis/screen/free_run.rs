@@ -357,23 +357,21 @@ impl Fit<'_, '_> {
         // Beside modes of its own a law that is let in by what was measured needs no second round, and one by what was
         // simulated with a strong law strays.
         let rounds = if self.base.setting().apart { 1 } else { ROUNDS };
-        for _ in 0..rounds {
+        for round in 1..=rounds {
             let entries = own.as_deref().unwrap_or(self.entries);
             let blocks = self.blocks(entries, &signals);
             let Some((forward, runs)) = self.run(entries, &blocks, &signals, None, &records) else { break };
             let error = self.error(&runs);
             let so_far = best.as_ref().map_or(f64::INFINITY, |b| b.error);
-            let over_a_motion = forward.is_over_a_motion();
-            let next: Vec<Track> = (0..forward.signals())
-                .map(|i| runs.iter().map(|run| run.signals[i].clone()).collect())
-                .collect();
-            let through = self.through(&forward);
+            let still = error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far;
+            let following = (round < rounds && forward.is_over_a_motion() && !still).then(|| {
+                let of_runs = |i: usize| runs.iter().map(|run| run.signals[i].clone()).collect();
+                ((0..forward.signals()).map(of_runs).collect(), self.through(&forward))
+            });
             if error < so_far {
                 best = Some(Round { error, forward, signals, entries: own });
             }
-            if !over_a_motion || error > (1.0 - STILL) * so_far && error < (1.0 + STILL) * so_far {
-                break;
-            }
+            let Some((next, through)) = following else { break };
             (signals, own) = (next, Some(through));
         }
         let Round { forward, signals, entries, .. } = best?;

@@ -71,6 +71,13 @@ pub(super) struct HeldOut {
     pub errors: Vec<f64>,
 }
 
+impl HeldOut {
+    /// Takes another's error where that is less.
+    pub fn lower_to(&mut self, other: &Self) {
+        self.errors.iter_mut().zip(&other.errors).for_each(|(own, other)| *own = own.min(*other));
+    }
+}
+
 impl<'a> Base<'a> {
     /// Factors the linear part without each group. `None` where it is singular to rounding.
     pub fn new(

@@ -38,7 +38,7 @@ const LOOKED: f64 = 0.6;
 /// Free runs beside modes that were found beside bends leave no more than this share of what others leave, where they
 /// count.
 const CLEARLY: f64 = 0.7;
-/// And no more than this share of what those modes leave alone.
+/// And no more than this share of what the linear part leaves.
 const MOSTLY: f64 = 0.5;
 /// Share of what the best law of the drive as it is leaves, below which a filter ahead of the bend has gained something.
 const FILTER_GAINS: f64 = 0.85;
@@ -352,7 +352,7 @@ impl Bench<'_> {
                 if self.base.setting().apart && place.is_of_structure() {
                     // By a way of its own into every mode a response predicts itself, whatever the law.
                     let apart = self.base.judge(&self.block(place, Way::Modal, unbent, response), response);
-                    errors.errors.iter_mut().zip(apart.errors).for_each(|(e, apart)| *e = e.min(apart));
+                    errors.lower_to(&apart);
                 }
                 (response, block, errors)
             })
@@ -373,7 +373,7 @@ impl Bench<'_> {
                 let both = block.beside(&further, self.base.segments);
                 let mut errors = self.base.judge(&both, *response);
                 if self.base.setting().apart {
-                    errors.errors.iter_mut().zip(&alone.errors).for_each(|(e, alone)| *e = e.min(*alone));
+                    errors.lower_to(alone);
                 }
                 (*response, both, errors)
             })
