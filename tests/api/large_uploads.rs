@@ -38,18 +38,20 @@ async fn measured(
     let program = Program::start(directory, &[]);
     let client = Client::new(program.base(), None).expect("a client");
     client.get("/v1/rigs").await.expect("a list");
-    let idle = program.count_peak();
+    program.count_peak();
+    let idle = program.memory("RssAnon");
     let sent = file.len() as u64;
     let run = client.upload(rig, query, media_type, file).await.expect("a run");
-    let peak = program.memory("VmHWM").saturating_sub(idle);
+    // Pages of the program's own file are no upload's: how many are resident hangs on what the kernel has at hand.
+    let peak = program.memory("VmHWM").saturating_sub(program.memory("RssFile")).saturating_sub(idle);
     let left = async || {
         for _ in 0..100 {
-            if program.memory("VmRSS") <= idle + 32 * MIB {
+            if program.memory("RssAnon") <= idle + 32 * MIB {
                 break;
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-        program.memory("VmRSS").saturating_sub(idle)
+        program.memory("RssAnon").saturating_sub(idle)
     };
     let left = left().await;
     println!(
