@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv, setting};
+use crate::support::{Program, bench, further, gain_weights, noise_csv, setting};
 
 /// Uploads and imports that the program has acknowledged.
 #[derive(Debug, Clone, Default)]
@@ -238,19 +238,12 @@ async fn one_fit_outlives_all_kills_of_the_service_and_makes_the_same_model() {
     let (mut program, mut running) = (program, 0);
     for kill in 1..=kills {
         let client = Client::new(program.base(), None).expect("a client");
-        let path = format!("/v1/jobs/{job}");
         // Beside other tests the trial may be slower than the fit once they have ended: a kill comes before its share of
         // the work is done.
         let share = kill as f64 / (kills + 1) as f64;
-        let at = Instant::now() + Duration::from_millis(random.random_range(50..2950));
-        while Instant::now() < at {
-            let found = client.get(&path).await.expect("the job");
-            if found["progress"].as_f64().expect("a share") > share {
-                break;
-            }
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-        let found = client.get(&path).await.expect("the job");
+        let delay = Duration::from_millis(random.random_range(50..2950));
+        let _ = tokio::time::timeout(delay, further(&client, &job, share)).await;
+        let found = client.get(&format!("/v1/jobs/{job}")).await.expect("the job");
         let state = found["state"].as_str().unwrap_or_default();
         assert!(["queued", "running"].contains(&state), "at kill {kill}: {found}");
         running += u64::from(state == "running");

@@ -11,7 +11,7 @@ use rigcast::client::Client;
 use serde_json::json;
 use tempfile::TempDir;
 
-use crate::support::{Program, bench, gain_weights, noise_csv, npy, setting};
+use crate::support::{Program, bench, further, gain_weights, noise_csv, npy, setting};
 
 /// Clients that ask for predictions, each as soon as it has its answer.
 const CLIENTS: usize = 4;
@@ -74,20 +74,6 @@ impl Seen {
             self.runs.lock().expect("whole").push(run["id"].as_str().expect("an id").to_owned());
         })
         .await;
-    }
-}
-
-/// Waits until the fit has come further than `progress`.
-async fn further(client: &Client, job: &str, progress: f64) -> f64 {
-    loop {
-        let found = client.get(&format!("/v1/jobs/{job}")).await.expect("the job");
-        assert_eq!(found["attempt"].as_u64().unwrap_or_default().max(1), 1, "a stop is no failure: {found}");
-        assert!(["queued", "running"].contains(&found["state"].as_str().unwrap_or_default()), "{found}");
-        let now = found["progress"].as_f64().unwrap_or_default();
-        if found["state"] == "running" && now > progress {
-            return now;
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }
 

@@ -3,6 +3,7 @@
 mod app;
 mod contract;
 mod fixtures;
+mod further;
 mod postgres;
 mod program;
 mod raw;
@@ -15,6 +16,7 @@ mod weather;
 pub use app::TestApp;
 pub use contract::{Contract, OPENAPI};
 pub use fixtures::*;
+pub use further::further;
 pub use postgres::Postgres;
 pub use program::{Program, lives, refused_start, rigcast, signal, try_signal};
 pub use raw::{exchange, read_all};
