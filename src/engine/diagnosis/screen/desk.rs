@@ -14,20 +14,14 @@ use super::modes;
 use super::moments::{Lags, Moments};
 use super::motion::{Limits, Motion};
 use super::pieces::Pieces;
-use super::place::{Argument, Place, Seen, limits};
+use super::place::{Argument, Seen, limits};
 use super::regressors::Regressors;
 use super::track::{Segment, Track, delayed, deviation, less};
-use crate::diagnosis::numerics::linear::rms;
 
 /// Logarithm of held-out errors by which a finite impulse response has to beat modes to be tried too.
 const BETTER: f64 = 0.02;
 /// A group's level counts at most so many times more or less than the mean.
 const MOST_WEIGHT: f64 = 30.0;
-
-/// Error of the linear part, relative to a response, from which on a law that causes it may have moved the modes, and
-/// responses over which it is sought.
-const STRONG: f64 = 0.3;
-const BENDS_OF: usize = 2;
 
 /// The recording at the rate of the analysis.
 pub(super) struct Desk<'a> {
@@ -129,6 +123,11 @@ impl<'a> Desk<'a> {
         self.recording.sample_rate_hz() / self.band.step as f64
     }
 
+    /// Groups that are held out in turn.
+    pub fn groups(&self) -> usize {
+        self.segments.iter().map(|s| s.group + 1).max().unwrap_or(0)
+    }
+
     /// Rows that are fitted and judged.
     pub fn rows(&self) -> usize {
         self.segments.iter().map(|s| s.rows.len()).sum()
@@ -204,24 +203,11 @@ impl<'a> Desk<'a> {
         bases
     }
 
-    /// Motions at the responses of which the linear part leaves so much that a law may have moved the modes, those of which
-    /// it leaves most first.
-    pub fn strong<'b>(&self, bases: &[Base<'_>], over: &'b [Argument]) -> Vec<&'b Argument> {
-        let error = |r: usize| bases.iter().map(|b| rms(&b.linear(r).errors)).fold(f64::INFINITY, f64::min);
-        let of = |a: &'b Argument| match a.place {
-            Place::Response(r) => Some((error(r), a)),
-            _ => None,
-        };
-        let mut strong: Vec<(f64, &Argument)> = over.iter().filter_map(of).filter(|s| s.0 > STRONG).collect();
-        strong.sort_by(|a, b| b.0.total_cmp(&a.0));
-        strong.into_iter().take(BENDS_OF).map(|(_, argument)| argument).collect()
-    }
-
-    /// A linear part whose modes are found beside bends of motions: a law that is strong has moved those of the others.
-    /// `None` where it cannot be had.
-    pub fn base_beside_bends(&self, bases: &[Base<'_>], strong: &[&Argument]) -> Option<Base<'_>> {
-        let forces: Vec<Track> = strong.iter().flat_map(|argument| self.bends(argument)).collect();
-        self.by_modes(self.modes_beside(&forces, bases.first()?.setting())?)
+    /// A linear part whose modes are found beside bends of motions, with the lead of another: a law that is strong has moved
+    /// those of the others. `None` where it cannot be had.
+    pub fn base_beside_bends(&self, like: &Setting, motions: &[Argument]) -> Option<Base<'_>> {
+        let forces: Vec<Track> = motions.iter().flat_map(|argument| self.bends(argument)).collect();
+        self.by_modes(self.modes_beside(&forces, like)?)
     }
 
     fn by_modes(&self, modes: WithModes) -> Option<Base<'_>> {
@@ -239,11 +225,12 @@ impl<'a> Desk<'a> {
         Some(self.modes_beside(forces, like)?.setting)
     }
 
-    /// What springs, stops, friction and dampers would make of a motion, as far as a few shapes tell.
+    /// What springs, stops, gaps, friction and dampers would make of a motion, as far as a few shapes tell.
     fn bends(&self, argument: &Argument) -> Vec<Track> {
         let scale = argument.scale;
-        let shapes: [fn(f64, f64) -> f64; 5] = [
+        let shapes: [fn(f64, f64) -> f64; 6] = [
             |d, _| d * d * d,
+            |d, _| d - d.clamp(-0.5, 0.5),
             |d, _| (d - 1.0).max(0.0),
             |d, _| (d + 1.0).min(0.0),
             |_, v| (5.0 * v).tanh(),

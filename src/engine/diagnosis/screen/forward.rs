@@ -517,7 +517,7 @@ impl Forward {
     /// law there. `None` of a law that remembers or that has two arguments.
     pub fn curve(&self, force: &AsDrive, points: usize) -> Option<(bool, Vec<f64>, Vec<f64>)> {
         let over_rate = match self.law {
-            Law::Cubic | Law::Quadratic | Law::Polynomial | Law::Kink { .. } => false,
+            Law::Cubic | Law::Quadratic | Law::Polynomial | Law::Kink { .. } | Law::Gap { .. } => false,
             Law::OneSided { .. } | Law::FreeStiffness => false,
             law if law.is_over_rate() => true,
             _ => return None,
@@ -577,7 +577,7 @@ impl Forward {
         let length = |name, value| Number { name, value, of: NumberOf::Argument };
         let rate = |name, value| Number { name, value, of: NumberOf::Rate };
         match self.law {
-            Law::Kink { at } => vec![length("kink", at * d)],
+            Law::Kink { at } | Law::Gap { at } => vec![length("kink", at * d)],
             Law::OneSided { at } => vec![length("kink", centre + at * d)],
             Law::Coulomb { smooth } => vec![rate("sliding_velocity", smooth * v)],
             Law::Stribeck { smooth, decay } => {

@@ -26,6 +26,11 @@ pub enum Law {
         /// Displacement of the kink.
         at: f64,
     },
+    /// `d - clip(d, +-at)`: the same, where no linear part takes what is missing.
+    Gap {
+        /// Displacement of the kink.
+        at: f64,
+    },
     /// `max(d - at, 0)`: another slope beyond `at` on one side.
     OneSided {
         /// Displacement of the kink, either sign.
@@ -187,6 +192,7 @@ impl Law {
             Self::Quadratic => out[0] = d * d,
             Self::Polynomial => out.copy_from_slice(&[d * d, d * d * d]),
             Self::Kink { at } => out[0] = d.clamp(-at, at),
+            Self::Gap { at } => out[0] = d - d.clamp(-at, at),
             Self::OneSided { at } => out[0] = (d - at).max(0.0),
             Self::FreeStiffness => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (d - at).max(0.0)),
             Self::Coulomb { smooth } => out[0] = (v / smooth).tanh(),
@@ -294,6 +300,7 @@ impl Law {
     fn scaled(self, factor: f64) -> Option<Self> {
         Some(match self {
             Self::Kink { at } => Self::Kink { at: at * factor },
+            Self::Gap { at } => Self::Gap { at: at * factor },
             Self::OneSided { at } => Self::OneSided { at: at * factor },
             Self::Coulomb { smooth } => Self::Coulomb { smooth: smooth * factor },
             Self::Stribeck { smooth, decay } => Self::Stribeck { smooth, decay: decay * factor },
@@ -308,6 +315,14 @@ impl Law {
         })
     }
 
+    /// The law as it is beside a linear part that takes nothing of its argument.
+    pub(super) fn apart(self) -> Self {
+        match self {
+            Self::Kink { at } => Self::Gap { at },
+            law => law,
+        }
+    }
+
     /// The law over an argument: a filter's output is counted in its own deviations there.
     pub(super) fn over(self, argument: &Argument) -> Self {
         let Self::Block { front, kinks } = self else { return self };
@@ -318,7 +333,7 @@ impl Law {
     /// Its numbers, in deviations.
     pub(super) fn values(self) -> Vec<f64> {
         match self {
-            Self::Kink { at } | Self::OneSided { at } => vec![at],
+            Self::Kink { at } | Self::Gap { at } | Self::OneSided { at } => vec![at],
             Self::OneSidedDamping { at } | Self::KinkedDamping { at } => vec![at],
             Self::Coulomb { smooth } => vec![smooth],
             Self::PowerDamping { exponent } => vec![exponent],
@@ -407,6 +422,7 @@ mod tests {
         let (d, v) = ([1.0, 3.0, -3.0], [0.0, 8.0, -2.0]);
         assert_eq!(signals(Law::Cubic, &d, &v, None), [[0.0, 1.0, -8.0]]);
         assert_eq!(signals(Law::Kink { at: 0.5 }, &d, &v, None), [[0.0, 0.5, -0.5]]);
+        assert_eq!(signals(Law::Gap { at: 0.5 }, &d, &v, None), [[0.0, 0.5, -1.5]]);
         assert_eq!(signals(Law::OneSided { at: -1.0 }, &d, &v, None), [[1.0, 2.0, 0.0]]);
         assert_eq!(signals(Law::QuadraticDamping, &d, &v, None), [[0.0, 4.0, -0.25]]);
         assert_eq!(

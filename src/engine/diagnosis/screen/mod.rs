@@ -50,6 +50,7 @@ mod memory;
 mod modes;
 mod moments;
 mod motion;
+mod moved;
 mod naming;
 mod past;
 mod period;

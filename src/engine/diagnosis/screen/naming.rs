@@ -42,9 +42,11 @@ pub(super) fn effect(
     if matches!(law, Law::Stribeck { .. }) && WITHOUT_JUMP.contains(&second) {
         return Effect::FreeDamping;
     }
-    let law = match law {
-        Law::Polynomial if second.abs() < LOPSIDED => Law::Quadratic,
-        law => law,
+    let (law, gain) = match law {
+        Law::Polynomial if second.abs() < LOPSIDED => (Law::Quadratic, gain),
+        // What resists outside a gap gives way inside it.
+        Law::Gap { at } => (Law::Kink { at }, -gain),
+        law => (law, gain),
     };
     let role = match place {
         Place::Response(_) | Place::Between(..) => Role::Structure,
@@ -69,7 +71,7 @@ fn of_force(law: Law, gain: f64) -> Effect {
         Law::Kink { at } if gain < 0.0 && at < STOP => Effect::Clearance,
         Law::Kink { .. } if gain < 0.0 => Effect::BumpStop,
         Law::OneSided { .. } => Effect::OneSidedStop,
-        Law::Kink { .. } | Law::FreeStiffness | Law::Sandwich => Effect::FreeStiffness,
+        Law::Kink { .. } | Law::Gap { .. } | Law::FreeStiffness | Law::Sandwich => Effect::FreeStiffness,
         Law::Coulomb { .. } => Effect::CoulombFriction,
         Law::Slider { limit } if limit < DRY => Effect::CoulombFriction,
         Law::Stribeck { .. } => Effect::StribeckFriction,
@@ -123,6 +125,8 @@ mod tests {
         assert_eq!(of(kink, Place::Drive(0), length, force, -0.4), Effect::Clearance);
         assert_eq!(of(kink, Place::Response(0), length, length, 0.4), Effect::Clearance);
         assert_eq!(of(kink, Place::Output(0), length, length, 0.4), Effect::SensorSaturation);
+        assert_eq!(of(kink.apart(), Place::Response(0), length, length, -0.4), Effect::Clearance);
+        assert_eq!(of(kink.apart(), Place::Response(0), length, length, 0.4), Effect::FreeStiffness);
         assert_eq!(of(slider, Place::Drive(0), length, force, 0.4), Effect::BoucWenHysteresis);
         assert_eq!(of(slider, Place::Drive(0), force, length, -0.9), Effect::Backlash);
         let stribeck = Law::Stribeck { smooth: 0.04, decay: 0.7 };

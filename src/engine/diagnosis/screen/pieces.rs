@@ -45,9 +45,15 @@ impl<'a> Pieces<'a> {
 
     /// The same by at `most` so many of these rows.
     pub fn fewer(&'a self, most: usize) -> Self {
+        self.at(self.band, most)
+    }
+
+    /// The same at the rate of another band, by at `most` so many rows there.
+    pub fn at(&'a self, band: Band, most: usize) -> Self {
         let same = Self {
             recording: Cow::Borrowed(&*self.recording),
             stretches: Cow::Borrowed(&*self.stretches),
+            band,
             most,
             ..*self
         };

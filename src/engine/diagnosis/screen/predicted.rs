@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::desk::Desk;
 use super::entry::Entry;
 use super::judge::{Base, Block};
-use super::law::Law;
+use super::law::{Law, Way};
 use super::motion::{Limits, Motion, beside, motion};
 use super::place::{Argument, Place, argument};
 use super::run::Bench;
@@ -125,13 +125,14 @@ impl Bench<'_> {
         ranked.into_iter().take(MOST_PREDICTED).map(|(_, at)| at).collect()
     }
 
-    /// From -1, where a law over a predicted motion resists it in every mode, to 1, where it gives way.
+    /// From -1, where a law that moves every mode by itself resists the motion in every one, to 1, where it gives way. `shared`
+    /// is its block where it is alike at all responses.
     pub(super) fn gain_of_modes(
         &self,
         law: Law,
         argument: &Argument,
         signals: &[Track],
-        block: &Block,
+        shared: Option<&Block>,
     ) -> f64 {
         let setting = self.base.setting();
         let Some(poles) = &setting.poles else { return 0.0 };
@@ -142,7 +143,8 @@ impl Bench<'_> {
             .map(|signal| {
                 let level = mean(signal);
                 let with = |of: fn(&Motion) -> &[f64]| -> f64 {
-                    let pairs = signal.iter().zip(&argument.motion).flat_map(|(s, m)| s.iter().zip(of(m)));
+                    let of = self.of_motion(argument, of);
+                    let pairs = signal.iter().zip(&of).flat_map(|(s, m)| s.iter().zip(m));
                     pairs.map(|(s, x)| (s - level) * x).sum()
                 };
                 if law.is_over_rate() {
@@ -154,7 +156,10 @@ impl Bench<'_> {
             .collect();
         let follows = |response: usize| -> f64 {
             let rates = self.desk.recording.responses[response].quantity.integrals();
-            let block = self.base.retargeted(block, response);
+            let block = match shared {
+                Some(block) => self.base.retargeted(block, response),
+                None => self.block(argument.place, Way::Modal, signals, response),
+            };
             let found = self.base.coefficients(&block, response, None, 1).columns;
             let mut of_all = vec![0.0; poles.states()];
             for (own, slope) in found.chunks_exact(width).zip(&slopes) {

@@ -17,8 +17,10 @@ use super::groups::Grouping;
 use super::input::Recording;
 use super::judge::{Base, Block, HeldOut};
 use super::law::{Law, Way};
+use super::linear_part::Setting;
 use super::modes::Poles;
 use super::motion::Motion;
+use super::moved;
 use super::naming;
 use super::pieces::{MOST_ROWS, Pieces};
 use super::place::{Argument, Place};
@@ -35,6 +37,10 @@ const STAGE: &str = "laws by transfer";
 pub(super) const SCREENED: f64 = 0.6;
 /// Share of a first look in what follows it.
 const LOOKED: f64 = 0.6;
+/// Share of the laws beside modes that are found alone.
+const ALONE: f64 = 0.7;
+/// Rows beside bends, at the rate of strong laws.
+const ROWS_BESIDE_BENDS: usize = first_look::WORTH * first_look::ROWS;
 /// Free runs beside modes that were found beside bends leave no more than this share of what others leave, where they
 /// count.
 const CLEARLY: f64 = 0.7;
@@ -64,7 +70,7 @@ pub fn screen(
     let band = Band::of(recording);
     let pieces = Pieces::of(recording, grouping, band, MOST_ROWS);
     let desk = Desk::new(&pieces);
-    let groups = desk.segments.iter().map(|s| s.group + 1).max().unwrap_or(0);
+    let groups = desk.groups();
     if groups < 2 {
         return Err(EngineError::TooShort { what: "groups of runs of the screen", needed: 2, found: groups });
     }
@@ -74,25 +80,61 @@ pub fn screen(
     let few = few.as_ref().map(Desk::new);
     let over_few = few.as_ref().map(|few| arguments::arguments(few.recording, few.limits, &few.used));
     let look = few.as_ref().zip(over_few.as_ref()).map(|(desk, arguments)| FirstLook { desk, arguments });
-    let strong = desk.strong(&bases, &over);
-    let first = |p: Progress<'_>| watch(p.within(&(0.0..if strong.is_empty() { 1.0 } else { 0.5 })));
+    let first = |p: Progress<'_>| watch(p.within(&(0.0..ALONE)));
     let screening = beside(&desk, &bases, None, (grouping, &over), look.as_ref(), &first)?;
-    if strong.is_empty() {
-        return Ok(screening);
+    let setting = bases[0].setting();
+    let beside_bends = beside_bends(&pieces, setting, grouping, &screening, watch)?;
+    report(watch, STAGE, 1.0)?;
+    Ok(match beside_bends {
+        Some(anew) => merged(anew, screening),
+        None => screening,
+    })
+}
+
+/// The laws at the places where one may have moved the modes, once more beside modes that are found beside bends there;
+/// `None` where there are none, or it explains no more.
+fn beside_bends(
+    pieces: &Pieces<'_>,
+    setting: &Setting,
+    grouping: &Grouping,
+    screening: &Screening,
+    watch: Watch<'_>,
+) -> Result<Option<Screening>, EngineError> {
+    let places = moved::places(screening);
+    if places.is_empty() {
+        return Ok(None);
     }
-    report(watch, "modes beside bends", 0.5)?;
-    let Some(apart) = desk.base_beside_bends(&bases, &strong) else {
-        report(watch, STAGE, 1.0)?;
-        return Ok(screening);
-    };
-    let second = |p: Progress<'_>| watch(p.within(&(0.5..1.0)));
+    report(watch, "modes beside bends", ALONE)?;
+    let band = pieces.band.finer(pieces.recording.sample_rate_hz());
+    let pieces = pieces.at(band, ROWS_BESIDE_BENDS);
+    let desk = Desk::new(&pieces);
+    let mut over = arguments::arguments(desk.recording, desk.limits, &desk.used);
+    over.retain(|argument| places.contains(&argument.place));
+    // Of fewer rows no group may be left out.
+    if desk.groups() != screening.groups || over.is_empty() {
+        return Ok(None);
+    }
+    let Some(apart) = desk.base_beside_bends(setting, &over) else { return Ok(None) };
+    let second = |p: Progress<'_>| watch(p.within(&(ALONE..1.0)));
     // What laws leave counts against the linear part that predicts best.
     let linear: Vec<HeldOut> =
         screening.linear.errors.iter().map(|errors| HeldOut { errors: errors.clone() }).collect();
-    let anew = beside(&desk, &[apart], Some(&linear), (grouping, &over), look.as_ref(), &second)?;
+    let anew = beside(&desk, &[apart], Some(&linear), (grouping, &over), None, &second)?;
     let left = left_by_free_runs(&anew);
     let explains = left < MOSTLY * mean_error(&anew.linear.errors);
-    Ok(if explains && left < CLEARLY * left_by_free_runs(&screening) { anew } else { screening })
+    Ok(Some(anew).filter(|_| explains && left < CLEARLY * left_by_free_runs(screening)))
+}
+
+/// Standings beside modes that were found beside bends, and those of other places and of two places beside the modes
+/// that were found alone.
+fn merged(mut anew: Screening, alone: Screening) -> Screening {
+    let again = |s: &Standing| s.other.is_none() && anew.standings.iter().any(|a| a.place == s.place);
+    let others: Vec<Standing> = alone.standings.into_iter().filter(|s| !again(s)).collect();
+    anew.standings.extend(others);
+    // By a way of its own into every mode a response predicts itself: what runs freely tells laws apart.
+    let left = |s: &Standing| left(s.free.as_ref());
+    anew.standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
+    anew
 }
 
 /// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost. They count
@@ -126,22 +168,17 @@ fn beside(
         sample: 0,
     })?;
     bench.run_free(over, &mut screening.standings, watch)?;
-    if screening.linear.apart {
-        // By a way of its own into every mode a response predicts itself: what runs freely tells laws apart.
-        let left = |s: &Standing| left(s.free.as_ref());
-        screening.standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
-    }
     Ok(screening)
 }
 
 /// What the best free run leaves of all responses and groups, relative to them: a geometric mean.
-fn left_by_free_runs(screening: &Screening) -> f64 {
+pub(super) fn left_by_free_runs(screening: &Screening) -> f64 {
     let free = screening.standings.iter().filter_map(|s| s.free.as_ref());
     free.map(|run| mean_error(&run.errors)).fold(mean_error(&screening.linear.errors), f64::min)
 }
 
 /// Geometric mean over responses and groups, `[response][group]`.
-fn mean_error(errors: &[Vec<f64>]) -> f64 {
+pub(super) fn mean_error(errors: &[Vec<f64>]) -> f64 {
     let moving: Vec<f64> = errors.iter().flatten().copied().filter(|e| *e > 0.0).collect();
     geometric_mean(&moving)
 }
@@ -214,7 +251,9 @@ impl Bench<'_> {
         for at in promising {
             standings.extend(self.over(self.predicted, at, chosen.as_ref()));
         }
-        for response in 0..self.entries.len() {
+        // Beside bends only laws that may have moved the modes are tried again.
+        let outputs = if self.base.setting().apart { 0 } else { self.entries.len() };
+        for response in 0..outputs {
             standings.extend(self.over_output(response));
         }
         standings.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
@@ -276,6 +315,9 @@ impl Bench<'_> {
             let band = self.desk.band;
             let blocks = Law::blocks(band.low_hz, band.high_hz, self.desk.recording.sample_rate_hz());
             laws.extend(blocks.into_iter().map(|law| (law, None)));
+        }
+        if self.base.setting().apart {
+            laws.iter_mut().for_each(|(law, _)| *law = law.apart());
         }
         laws
     }
@@ -451,8 +493,8 @@ impl Bench<'_> {
             Some(b) => {
                 let worst = b.ratios.iter().copied().fold(0.0, f64::max);
                 let direct = matches!(argument.place, Place::Drive(_) | Place::Output(_));
-                let gain = if let Some(block) = shared.as_ref().filter(|_| ratio < NOTHING) {
-                    self.gain_of_modes(law, argument, signals, block)
+                let gain = if way == Way::Modal && ratio < NOTHING {
+                    self.gain_of_modes(law, argument, signals, shared.as_ref())
                 } else {
                     self.base.relative_gain(&b.block, b.width, direct, b.response)
                 };
@@ -498,7 +540,7 @@ impl Bench<'_> {
         self.of_motion(argument, |m| &m.v)
     }
 
-    fn of_motion(&self, argument: &Argument, part: fn(&Motion) -> &[f64]) -> Track {
+    pub(super) fn of_motion(&self, argument: &Argument, part: fn(&Motion) -> &[f64]) -> Track {
         let of: Vec<Vec<f64>> = argument.motion.iter().map(|m| part(m).to_vec()).collect();
         if argument.predicted { of } else { self.desk.thinned(&of) }
     }

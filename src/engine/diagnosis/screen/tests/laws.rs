@@ -53,6 +53,23 @@ fn a_spring_that_has_moved_the_modes_is_named_beside_modes_that_are_found_beside
 }
 
 #[test]
+fn a_joint_that_stiffens_strongly_is_named_beside_modes_that_are_found_beside_its_bends() {
+    // Slow motion is most of a displacement: the linear part leaves little of it, however strong the joint is.
+    let runs = [0.5, 1.0, 1.6].iter().enumerate().map(|(i, level)| {
+        let u: Vec<f64> = noise(3000, 60 + i as u64).iter().map(|u| level * u).collect();
+        let motions = pair(&u, |d, _| 0.3 * d * d * d);
+        (vec![u], motions.to_vec())
+    });
+    let recording = recording(&[Quantity::Force], &[Quantity::Displacement; 2], runs.collect());
+    let screening = screened(&recording);
+    assert!(screening.linear.apart, "{:?}", screening.linear);
+    let first = screening.foremost()[0];
+    assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Between(1, 0)));
+    let free = first.free.as_ref().unwrap();
+    assert!(free.ratio < 0.15, "{} {}", free.ratio, free.worst);
+}
+
+#[test]
 fn a_linear_rig_in_much_noise_has_no_modes_beside_bends() {
     let mut recording = run(6000, 1.0, |_, _| 0.0);
     let noisy = {
