@@ -28,6 +28,8 @@ use crate::diagnosis::search::contest::{Outcome, contest};
 use crate::diagnosis::search::decide::Ranked;
 use crate::progress::{Progress, Watch, report};
 
+/// Share of the linear cores in the whole.
+const PREPARED: f64 = 0.1;
 /// Hypotheses in the report.
 const LISTED: usize = 8;
 
@@ -50,10 +52,9 @@ pub struct Diagnosis {
 /// [`Input::check`]'s; a baseline whose drives or responses do not move; runs too short for the
 /// core or for the split; [`EngineError::Cancelled`].
 pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineError> {
-    report(watch, "linear core", 0.0)?;
-    let prepared = prepare(input)?;
+    let prepared = prepare(input, &|p: Progress<'_>| watch(p.within(&(0.0..PREPARED))))?;
     let overview = Overview::new(input, &prepared);
-    report(watch, "where", 0.1)?;
+    report(watch, "where", PREPARED)?;
     let without = || overview.without_candidates(input);
     let again = |h: &Hypothesis, watch: Watch<'_>| fitted_again(input, h, watch);
     // A model that was fitted on the rig has taken in what is linear of the effect: a cause is what holds beside a

@@ -5,6 +5,14 @@ use crate::diagnosis::numerics::smooth::smooth;
 
 /// Samples in all on which the order and its poles are searched: more cost time and tell no more.
 const SEARCHED: usize = 60_000;
+/// Drives up to which they are. The columns of a fit grow with the drives, and its time with their square: of more drives
+/// there are so many fewer samples.
+const DRIVES: usize = 8;
+
+/// Samples for so many drives, of `most` for few.
+pub(in crate::diagnosis) fn samples_for(drives: usize, most: usize) -> usize {
+    most * DRIVES / drives.max(DRIVES)
+}
 
 /// A stretch at a lower rate.
 pub(super) struct Thinned {
@@ -17,12 +25,13 @@ pub(super) struct Thinned {
 /// taken out first; its edge stays well below half the lower rate.
 pub(super) fn thin(stretches: &[Stretch<'_>], band: [f64; 2]) -> Option<(Vec<Thinned>, usize)> {
     let total: usize = stretches.iter().map(|s| s.response.len()).sum();
-    if total <= SEARCHED {
+    let searched = samples_for(stretches.first().map_or(0, |s| s.drives.len()), SEARCHED);
+    if total <= searched {
         return None;
     }
-    let step = total.div_ceil(SEARCHED).min((0.2 / band[1]) as usize).max(1);
+    let step = total.div_ceil(searched).min((0.2 / band[1]) as usize).max(1);
     // What is too much even then is left out at each stretch's end.
-    let share = (SEARCHED * step) as f64 / total as f64;
+    let share = (searched * step) as f64 / total as f64;
     let thinned = stretches
         .iter()
         .map(|s| {
@@ -55,5 +64,16 @@ mod tests {
         for k in 100..1000 {
             assert!((found[k] - long[3 * k]).abs() < 1e-3, "sample {k}");
         }
+    }
+
+    #[test]
+    fn of_many_drives_fewer_samples_are_searched() {
+        assert_eq!([1, 8, 32].map(|drives| samples_for(drives, SEARCHED)), [60_000, 60_000, 15_000]);
+        let long: Vec<f64> = (0..SEARCHED).map(|k| (0.01 * k as f64).sin()).collect();
+        let of = |drives: usize| {
+            thin(&[Stretch { drives: vec![&long; drives], response: &long }], [0.0, 0.02])
+                .map(|(thinned, step)| (thinned[0].response.len(), step))
+        };
+        assert_eq!([of(8), of(16), of(32)], [None, Some((30_000, 2)), Some((15_000, 4))]);
     }
 }

@@ -1,6 +1,7 @@
 //! From a request to one problem per response.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
@@ -18,13 +19,17 @@ use crate::diagnosis::numerics::ar::Ar;
 use crate::diagnosis::numerics::linear::{dot, mean, rms, squares_about_mean};
 use crate::diagnosis::numerics::rows::Rows;
 use crate::diagnosis::numerics::smooth::smooth;
+use crate::progress::{Watch, report, unwatched};
 use crate::{EngineError, Signal};
 
-/// Samples of all baseline runs that the cores are fitted to, of each run the beginning: a core has some fifty numbers, and
-/// more samples take longer and tell them no better than the noise of the runs to explain lets anyone see.
+/// Samples of all baseline runs that the cores are fitted to (of many drives fewer), of each run the beginning: a core has
+/// some fifty numbers, and more samples take longer and tell them no better than the noise of the runs to explain lets
+/// anyone see.
 const CORE_SAMPLES: usize = 300_000;
 /// Least share of its average power that each drive has in them.
 const LEAST_MOVED: f64 = 0.5;
+/// The stage of a diagnosis.
+const STAGE: &str = "linear core";
 /// Samples that a run keeps at least.
 const SHORTEST: usize = 1000;
 
@@ -53,12 +58,13 @@ pub struct Prepared {
     pub baseline_noise: Vec<Ar>,
 }
 
-/// Cores, noise and stretches of every response.
+/// Cores, noise and stretches of every response. `watch` is told the share of the cores that are fitted.
 ///
 /// # Errors
-/// A request that does not hold together, drives that do not move, runs too short for the core.
-pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
-    above_noise(input, &Ar::white(1.0), |left, _| left.clone())
+/// A request that does not hold together, drives that do not move, runs too short for the core;
+/// [`EngineError::Cancelled`].
+pub fn prepare(input: &Input, watch: Watch<'_>) -> Result<Prepared, EngineError> {
+    above_noise(input, &Ar::white(1.0), |left, _| left.clone(), watch)
 }
 
 /// The same where nothing tells the noise: it is taken for white in what was measured, which the responses are the
@@ -69,10 +75,9 @@ pub fn prepare(input: &Input) -> Result<Prepared, EngineError> {
 /// Those of [`prepare`].
 pub fn prepare_down_to(share: f64, integrals: usize, input: &Input) -> Result<Prepared, EngineError> {
     let noise = Ar::integrated(1.0, integrals);
-    above_noise(input, &noise, |left, band| Ar {
-        variance: share * left.mean_power_over(&noise, band),
-        ..noise.clone()
-    })
+    let assumed =
+        |left: &Ar, band| Ar { variance: share * left.mean_power_over(&noise, band), ..noise.clone() };
+    above_noise(input, &noise, assumed, &unwatched)
 }
 
 /// The band of the drives of the baseline runs, cycles a sample.
@@ -90,7 +95,8 @@ fn drives(runs: &[Run]) -> Vec<Vec<&[f64]>> {
 /// core of the beginnings would know nothing of it.
 fn beginnings(runs: Vec<Vec<&[f64]>>) -> Vec<Vec<&[f64]>> {
     let whole: usize = runs.iter().map(|drives| drives[0].len()).sum();
-    let share = (CORE_SAMPLES as f64 / whole.max(1) as f64).min(1.0);
+    let most = core::samples_for(runs.first().map_or(0, Vec::len), CORE_SAMPLES);
+    let share = (most as f64 / whole.max(1) as f64).min(1.0);
     let kept: Vec<Vec<&[f64]>> = runs
         .iter()
         .map(|drives| {
@@ -112,6 +118,7 @@ fn above_noise(
     input: &Input,
     supposed: &Ar,
     assumed: impl Fn(&Ar, [f64; 2]) -> Ar,
+    watch: Watch<'_>,
 ) -> Result<Prepared, EngineError> {
     input.check()?;
     let baseline = beginnings(drives(&input.baseline));
@@ -126,10 +133,16 @@ fn above_noise(
             });
         }
     }
-    let fitted: Vec<CoreFit> = (0..input.responses.len())
+    let (done, responses) = (AtomicUsize::new(0), input.responses.len());
+    let fitted: Vec<CoreFit> = (0..responses)
         .into_par_iter()
-        .map(|r| fit_core(input, &baseline, r, band, supposed))
-        .collect::<Result<_, _>>()?;
+        .map(|r| {
+            report(watch, STAGE, done.load(Ordering::Relaxed) as f64 / responses as f64)?;
+            let found = fit_core(input, &baseline, r, band, supposed)?;
+            done.fetch_add(1, Ordering::Relaxed);
+            Ok(found)
+        })
+        .collect::<Result<_, EngineError>>()?;
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
     let sim_errs: Vec<Option<f64>> =

@@ -98,6 +98,7 @@ mod tests {
     use crate::diagnosis::numerics::linear::norm;
     use crate::diagnosis::tests::rig::{friction, none, request};
     use crate::diagnosis::{Input, Mode};
+    use crate::progress::unwatched;
 
     fn of(effect: Effect, law: Option<Law>) -> Candidate {
         let part = law.map_or_else(Part::linear_change, |law| Part::force(effect, vec![law], None));
@@ -112,7 +113,7 @@ mod tests {
     #[test]
     fn a_retune_costs_what_the_baseline_runs_would_show_of_it() {
         let input = request(friction, 0.01);
-        let prepared = prepare(&input).unwrap();
+        let prepared = prepare(&input, &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let candidate = of(Effect::CoulombFriction, Some(Law::Coulomb));
         let count = candidate.parameters(problem);
@@ -130,13 +131,13 @@ mod tests {
         let change = of(Effect::LinearChange, None);
         let p = vec![1e-3; change.parameters(problem)];
         assert_eq!(costs(problem, &change, &p), 0.0, "a linear change is free");
-        let in_situ = prepare(&Input { mode: Mode::InSitu, ..input }).unwrap();
+        let in_situ = prepare(&Input { mode: Mode::InSitu, ..input }, &unwatched).unwrap();
         assert!(in_situ.problems[0].tolerance.is_none(), "so is all in situ");
     }
 
     #[test]
     fn a_core_that_errs_is_corrected_within_its_tolerance() {
-        let mut prepared = prepare(&request(none, 0.01)).unwrap();
+        let mut prepared = prepare(&request(none, 0.01), &unwatched).unwrap();
         let problem = &mut prepared.problems[0];
         let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let p = vec![0.0; candidate.parameters(problem)];

@@ -371,6 +371,7 @@ mod tests {
     use crate::diagnosis::effects::candidate::{Candidate, Part};
     use crate::diagnosis::effects::law::Law;
     use crate::diagnosis::tests::rig::{hardening, request};
+    use crate::progress::unwatched;
 
     #[test]
     fn either_effect_counts_as_the_true_one_by_its_probability_but_not_where_the_other_holds_it() {
@@ -407,7 +408,7 @@ mod tests {
 
     #[test]
     fn a_run_with_more_gap_shows_it_better_and_takes_more_to_tell() {
-        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let prepared = prepare(&request(hardening, 0.01), &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let mut p = vec![0.0; candidate.parameters(problem)];
@@ -434,7 +435,7 @@ mod tests {
 
     #[test]
     fn a_sine_at_resonance_is_weakened_and_a_slow_one_is_not() {
-        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let prepared = prepare(&request(hardening, 0.01), &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let p = vec![0.0; candidate.parameters(problem)];

@@ -1,10 +1,13 @@
 //! Levenberg and Marquardt's least squares with difference quotients (Marquardt 1963).
 
-use super::linear::{dot, inverse_spd, solve_spd};
+use super::linear::{dot, from_columns, inverse_spd, solve_spd, transposed_times};
 
 /// A fit whose cost falls by more than this share in a round is not where it goes to: it gets so many times the rounds.
 const FALLS: f64 = 0.2;
 const LONGER: usize = 3;
+/// Columns from which on their products are one of matrices: one by one, each column comes from memory as often as there are
+/// others.
+const MANY: usize = 128;
 /// How far a parameter is moved for a difference quotient, in units of its scale.
 const STEP: f64 = 1e-3;
 
@@ -120,9 +123,17 @@ pub fn quotients(
 fn normal_equations(jacobian: &[Column], rows: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let n = jacobian.len();
     let mut normal = vec![vec![0.0; n]; n];
+    let products = (n > MANY).then(|| {
+        let values: Vec<&[f64]> = jacobian.iter().map(|column| column.values.as_slice()).collect();
+        let columns = from_columns(rows.len(), &values);
+        transposed_times(&columns, &columns)
+    });
     for i in 0..n {
         for j in 0..=i {
-            let sum = dot(&jacobian[i].values, &jacobian[j].values);
+            let sum = match &products {
+                Some(products) => products[(i, j)],
+                None => dot(&jacobian[i].values, &jacobian[j].values),
+            };
             normal[i][j] = sum;
             normal[j][i] = sum;
         }
@@ -190,5 +201,23 @@ mod tests {
         let rows = |p: &[f64]| Some((0..10).map(|k| p[0] * f64::from(k)).collect::<Vec<f64>>());
         let se = standard_errors(rows, &[2.0], &[1.0], 4.0);
         assert!((se[0] / (4.0 / 285.0_f64).sqrt() - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn products_of_many_columns_are_those_of_each_pair() {
+        let column = |c: usize| Column {
+            values: (0..300).map(|r| ((r * (c + 3)) as f64).sin()).collect(),
+            unit: f64::from(u8::from(c != 7)),
+        };
+        let columns: Vec<Column> = (0..MANY + 2).map(column).collect();
+        let rows: Vec<f64> = (0..300).map(|r| f64::from(r).cos()).collect();
+        let (normal, gradient) = normal_equations(&columns, &rows);
+        for (i, a) in columns.iter().enumerate() {
+            assert_eq!(gradient[i], dot(&a.values, &rows));
+            for (j, b) in columns.iter().enumerate() {
+                let expected = if i == j && i == 7 { 1.0 } else { dot(&a.values, &b.values) };
+                assert!((normal[i][j] - expected).abs() < 1e-10, "{i} {j}");
+            }
+        }
     }
 }

@@ -255,6 +255,7 @@ mod tests {
     use crate::diagnosis::data::prepare::prepare;
     use crate::diagnosis::effects::effect::Effect;
     use crate::diagnosis::tests::rig::{friction, request};
+    use crate::progress::unwatched;
 
     #[test]
     fn the_nearest_line_goes_through_points_on_one_and_is_level_where_nothing_moves() {
@@ -267,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_spring_pushes_and_what_arrives_a_quarter_turn_later_is_no_spring() {
-        let prepared = prepare(&request(friction, 0.01)).unwrap();
+        let prepared = prepare(&request(friction, 0.01), &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let candidate = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
         let work = |path: &[f64]| {
@@ -288,7 +289,7 @@ mod tests {
 
     #[test]
     fn a_sandwich_needs_a_block_of_its_own_before_its_middle() {
-        let prepared = prepare(&request(friction, 0.01)).unwrap();
+        let prepared = prepare(&request(friction, 0.01), &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let core = &problem.core;
         let candidate = Candidate::of(Part::sandwich(0), false);

@@ -218,6 +218,7 @@ mod tests {
     use super::*;
     use crate::diagnosis::data::prepare::prepare;
     use crate::diagnosis::tests::rig::{RATE, hardening, request};
+    use crate::progress::unwatched;
 
     #[test]
     fn what_remains_is_counted_above_the_noise() {
@@ -228,7 +229,7 @@ mod tests {
 
     #[test]
     fn repeats_share_their_blocks() {
-        let prepared = prepare(&request(hardening, 0.01)).unwrap();
+        let prepared = prepare(&request(hardening, 0.01), &unwatched).unwrap();
         let problem = &prepared.problems[0];
         let gaps: Vec<Vec<f64>> = problem.select.iter().map(|s| s.gap(0)).collect();
         let of = |range: std::ops::Range<usize>| blocks(&problem.select[range.clone()], &gaps[range], RATE);

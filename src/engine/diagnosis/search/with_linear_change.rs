@@ -68,7 +68,7 @@ mod tests {
     /// The first of the ranking, and how many were asked what they leave beside a linear change.
     fn first(force: Force) -> (Scored, usize) {
         let input = Input { catalogue: few(), ..request(force, 0.01) };
-        let prepared = prepare(&input).unwrap();
+        let prepared = prepare(&input, &unwatched).unwrap();
         let overview = Overview::new(&input, &prepared);
         let ranked = contest(&input, &input.catalogue, &prepared, &overview, &unwatched).unwrap().ranked;
         let asked = ranked.iter().filter(|r| r.scored.beside.is_some()).count();

@@ -7,6 +7,7 @@ use crate::diagnosis::effects::candidate::{Candidate, Part};
 use crate::diagnosis::effects::law::Law;
 use crate::diagnosis::effects::output_map::OutputMap;
 use crate::diagnosis::{Effect, Input};
+use crate::progress::unwatched;
 
 /// Drives that are another's own, so that nothing is shared.
 fn apart(stretch: &Stretch) -> Stretch {
@@ -17,8 +18,10 @@ fn apart(stretch: &Stretch) -> Stretch {
 
 #[test]
 fn repeats_share_their_free_runs_and_nothing_changes() {
-    let problem =
-        prepare(&Input { catalogue: few(), ..request(hardening, 0.01) }).unwrap().problems.remove(0);
+    let problem = prepare(&Input { catalogue: few(), ..request(hardening, 0.01) }, &unwatched)
+        .unwrap()
+        .problems
+        .remove(0);
     let repeats = first_equivalent(&problem.fit, false);
     assert_eq!(repeats, [0, 0, 2, 2]);
     assert_eq!(first_equivalent(&problem.fit, true), [0, 1, 2, 3], "recorded at different times");
@@ -47,6 +50,6 @@ fn stretches_of_other_drives_share_nothing() {
     let mut input = request(hardening, 0.01);
     input.runs.truncate(2);
     input.repeats.clear();
-    let problem = prepare(&input).unwrap().problems.remove(0);
+    let problem = prepare(&input, &unwatched).unwrap().problems.remove(0);
     assert_eq!(first_equivalent(&problem.fit, false), [0, 1]);
 }
