@@ -5,8 +5,8 @@ use crate::diagnosis::numerics::smooth::smooth;
 
 /// Samples in all on which the order and its poles are searched: more cost time and tell no more.
 const SEARCHED: usize = 60_000;
-/// Drives up to which they are. The columns of a fit grow with the drives, and its time with their square: of more drives
-/// there are so many fewer samples.
+/// Drives up to which so many are searched. The columns of a fit grow with the drives, and its time with their square: the
+/// more drives beyond these, the fewer samples, in proportion.
 const DRIVES: usize = 8;
 
 /// Samples for so many drives, of `most` for few.

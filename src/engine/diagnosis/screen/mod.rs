@@ -9,8 +9,9 @@
 //! same signal does unbent, let in the same way. So a law is believed as far as it carries over to data that it
 //! was not fitted to, and neither a linear part that is too poor nor a response that predicts itself counts for it.
 //!
-//! A strong law moves the modes of a linear part that is fitted without it. Where much is left, modes are found beside
-//! bends of the motions too, and laws are tried there once more, over what was measured alone.
+//! A strong law moves the modes of a linear part that is fitted without it. Where neither the linear part nor free runs
+//! are clear, modes are found beside bends of the motions at the places that laws point to, and the laws at these places
+//! are tried there once more, over what was measured alone (`moved.rs`).
 //!
 //! A law of the structure is tried once more over the motion that the linear part predicts at its place, where there
 //! is no noise, and there it moves every mode by factors of its own, as a force does that acts elsewhere than the

@@ -17,7 +17,8 @@ pub struct Screening {
     pub groups: usize,
     /// The linear part of all responses.
     pub linear: LinearPart,
-    /// Laws at their places, the smallest ratio first.
+    /// Laws at their places, the smallest ratio first; where modes were found beside bends, first what free runs leave least
+    /// of, those of other places beside the modes that were found alone.
     pub standings: Vec<Standing>,
 }
 
@@ -36,7 +37,8 @@ pub struct LinearPart {
     pub apart: bool,
     /// Ridge relative to the drives' power.
     pub ridge: f64,
-    /// Error in each group by the fit to all others, relative to the response, `[response][group]`.
+    /// Error in each group by the fit to all others, relative to the response, `[response][group]`; where modes were found
+    /// beside bends, that of the linear part alone, which predicts better.
     pub errors: Vec<Vec<f64>>,
 }
 
@@ -69,8 +71,8 @@ pub struct Standing {
     pub ratios: Vec<f64>,
     /// Held-out error of each group at the response that it helps most, relative to the response.
     pub errors: Vec<f64>,
-    /// Its gain relative to the linear part's of the same signal; of a predicted argument from -1, where it resists in
-    /// every mode, to 1.
+    /// Its gain relative to the linear part's of the same signal; where it moves every mode by itself, from -1, where it
+    /// resists in every one, to 1.
     pub gain: f64,
     /// How much of the law each group alone asks for, 1 being the fit to all; for the foremost of each family.
     pub gains: Vec<Option<f64>>,
