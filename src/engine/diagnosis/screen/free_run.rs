@@ -24,8 +24,8 @@ use crate::diagnosis::numerics::linear::rms;
 const ROUNDS: usize = 8;
 /// Relative gain of a round below which the next is not run.
 const STILL: f64 = 1e-3;
-/// A linear part that leaves more than this of a response is one that the law has disturbed.
-const DISTORTED: f64 = 0.03;
+/// A linear part that leaves more than this of a response is one that a law may have disturbed.
+pub(super) const DISTORTED: f64 = 0.03;
 /// How often its modes are found anew beside the law, and the relative gain that asks for another time.
 const RELOCATIONS: usize = 3;
 const GAINED: f64 = 0.05;

@@ -1,12 +1,11 @@
 //! Where a law may have moved the modes: the linear part then holds part of the law, and laws beside it run badly.
 
+use super::free_run::DISTORTED;
 use super::place::Place;
 use super::report::Screening;
 use super::run::{left_by_free_runs, mean_error};
 use crate::diagnosis::numerics::linear::rms;
 
-/// Error of the linear part, relative to a response, from which on a law may have moved its modes.
-const DISTORTED: f64 = 0.03;
 /// Share of that down to which free runs say what the law is.
 const UNCLEAR: f64 = 0.1;
 /// A law at a place that leaves no more than this of the linear part tells of something there.

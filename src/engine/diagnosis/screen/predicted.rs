@@ -138,20 +138,17 @@ impl Bench<'_> {
         let Some(poles) = &setting.poles else { return 0.0 };
         let width = 1 + poles.states();
         // How far each signal goes with the motion or its rate.
+        let (motion, scale) = if law.is_over_rate() {
+            (self.rate(argument), argument.scale.v)
+        } else {
+            (self.unbent(argument), argument.scale.d)
+        };
         let slopes: Vec<f64> = signals
             .iter()
             .map(|signal| {
                 let level = mean(signal);
-                let with = |of: fn(&Motion) -> &[f64]| -> f64 {
-                    let of = self.of_motion(argument, of);
-                    let pairs = signal.iter().zip(&of).flat_map(|(s, m)| s.iter().zip(m));
-                    pairs.map(|(s, x)| (s - level) * x).sum()
-                };
-                if law.is_over_rate() {
-                    with(|m| &m.v) / argument.scale.v
-                } else {
-                    with(|m| &m.d) / argument.scale.d
-                }
+                let pairs = signal.iter().zip(&motion).flat_map(|(s, m)| s.iter().zip(m));
+                pairs.map(|(s, x)| (s - level) * x).sum::<f64>() / scale
             })
             .collect();
         let follows = |response: usize| -> f64 {

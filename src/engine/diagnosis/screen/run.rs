@@ -108,10 +108,13 @@ fn beside_bends(
     let band = pieces.band.finer(pieces.recording.sample_rate_hz());
     let pieces = pieces.at(band, ROWS_BESIDE_BENDS);
     let desk = Desk::new(&pieces);
+    // Of fewer rows no group may be left out.
+    if desk.groups() != screening.groups {
+        return Ok(None);
+    }
     let mut over = arguments::arguments(desk.recording, desk.limits, &desk.used);
     over.retain(|argument| places.contains(&argument.place));
-    // Of fewer rows no group may be left out.
-    if desk.groups() != screening.groups || over.is_empty() {
+    if over.is_empty() {
         return Ok(None);
     }
     let Some(apart) = desk.base_beside_bends(setting, &over) else { return Ok(None) };
@@ -540,7 +543,7 @@ impl Bench<'_> {
         self.of_motion(argument, |m| &m.v)
     }
 
-    pub(super) fn of_motion(&self, argument: &Argument, part: fn(&Motion) -> &[f64]) -> Track {
+    fn of_motion(&self, argument: &Argument, part: fn(&Motion) -> &[f64]) -> Track {
         let of: Vec<Vec<f64>> = argument.motion.iter().map(|m| part(m).to_vec()).collect();
         if argument.predicted { of } else { self.desk.thinned(&of) }
     }
