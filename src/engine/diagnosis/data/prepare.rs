@@ -137,9 +137,9 @@ fn above_noise(
     let fitted: Vec<CoreFit> = (0..responses)
         .into_par_iter()
         .map(|r| {
-            report(watch, STAGE, done.load(Ordering::Relaxed) as f64 / responses as f64)?;
             let found = fit_core(input, &baseline, r, band, supposed)?;
-            done.fetch_add(1, Ordering::Relaxed);
+            let fitted = done.fetch_add(1, Ordering::Relaxed) + 1;
+            report(watch, STAGE, fitted as f64 / responses as f64)?;
             Ok(found)
         })
         .collect::<Result<_, EngineError>>()?;

@@ -130,8 +130,13 @@ pub(super) struct Thinner {
 
 impl Thinner {
     pub fn new(step: usize) -> Self {
-        let reach = 10 * step;
-        let cut = 0.405 / step as f64;
+        Self { step, ..Self::low_pass(step as f64) }
+    }
+
+    /// The low-pass filter alone, for a rate that is so many times lower.
+    pub fn low_pass(times: f64) -> Self {
+        let reach = (10.0 * times).ceil() as usize;
+        let cut = 0.405 / times;
         let mut half: Vec<f64> = (0..reach)
             .map(|k| {
                 let x = k as f64;
@@ -144,14 +149,16 @@ impl Thinner {
         let sum: f64 = half[0] + 2.0 * half[1..].iter().sum::<f64>();
         half.iter_mut().for_each(|h| *h /= sum);
         let filter = half[1..].iter().rev().chain(&half).copied().collect();
-        Self { step, filter }
+        Self { step: 1, filter }
     }
 
     /// `ceil(n / step)` samples, the first at the first.
     pub fn thin(&self, x: &[f64]) -> Vec<f64> {
-        if self.step == 1 {
-            return x.to_vec();
-        }
+        if self.step == 1 { x.to_vec() } else { self.filtered(x) }
+    }
+
+    /// The same through the filter, whatever the step.
+    pub fn filtered(&self, x: &[f64]) -> Vec<f64> {
         let (n, reach) = (x.len(), self.filter.len() / 2);
         let held = |i: isize| x[i.clamp(0, n as isize - 1) as usize];
         (0..n)
@@ -180,6 +187,10 @@ mod tests {
             assert!((x - (TAU * 0.25 * k as f64).sin()).abs() < 2e-3, "{k}: {x}");
         }
         let fast = thinner.thin(&wave(0.17));
+        let alone = Thinner::low_pass(5.0);
+        let kept = alone.filtered(&wave(0.05));
+        assert!(slow.iter().zip(kept.iter().step_by(5)).all(|(thinned, kept)| thinned == kept));
+        assert!(alone.filtered(&wave(0.17))[100..3900].iter().all(|x| x.abs() < 2e-3));
         assert!(fast[20..760].iter().all(|x| x.abs() < 2e-3));
         assert_eq!(Thinner::new(1).thin(&wave(0.4)), wave(0.4));
     }

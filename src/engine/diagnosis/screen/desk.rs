@@ -31,6 +31,8 @@ pub(super) struct Desk<'a> {
     /// Limits of what is integrated and differentiated.
     pub limits: Limits,
     pub thinner: Thinner,
+    /// What free runs leave is judged behind this filter: that of a desk of fewer samples whose errors count beside.
+    pub judged: Option<Thinner>,
     /// Samples of each record that are looked at, at the recording's own rate.
     pub used: Vec<usize>,
     pub segments: Vec<Segment>,
@@ -54,6 +56,13 @@ impl<'a> Desk<'a> {
     pub fn unthinned(&self) -> Option<Self> {
         let band = Band { step: 1, ..self.band };
         (self.band.step > 1).then(|| Self::in_band(self.pieces, band))
+    }
+
+    /// The same where what is left counts beside errors of a desk of fewer samples, whose `step` is given.
+    pub fn judged_as(pieces: &'a Pieces<'a>, step: usize) -> Self {
+        let desk = Self::new(pieces);
+        let times = step as f64 / desk.band.step as f64;
+        Self { judged: (times > 1.0).then(|| Thinner::low_pass(times)), ..desk }
     }
 
     fn in_band(pieces: &'a Pieces<'a>, band: Band) -> Self {
@@ -106,6 +115,7 @@ impl<'a> Desk<'a> {
             band,
             limits,
             thinner,
+            judged: None,
             used,
             segments,
             drives,
@@ -203,11 +213,11 @@ impl<'a> Desk<'a> {
         bases
     }
 
-    /// A linear part whose modes are found beside bends of motions, with the lead of another: a law that is strong has moved
-    /// those of the others. `None` where it cannot be had.
-    pub fn base_beside_bends(&self, like: &Setting, motions: &[Argument]) -> Option<Base<'_>> {
+    /// A linear part with a lead whose modes are found beside bends of motions: a law that is strong has moved those of the
+    /// others. `None` where it cannot be had.
+    pub fn base_beside_bends(&self, lead: usize, motions: &[Argument]) -> Option<Base<'_>> {
         let forces: Vec<Track> = motions.iter().flat_map(|argument| self.bends(argument)).collect();
-        self.by_modes(self.modes_beside(&forces, like)?)
+        self.by_modes(self.modes_beside(&forces, lead)?)
     }
 
     fn by_modes(&self, modes: WithModes) -> Option<Base<'_>> {
@@ -216,13 +226,13 @@ impl<'a> Desk<'a> {
         Base::new(&modes.moments, &self.segments, centred, regressors, modes.setting)
     }
 
-    fn modes_beside(&self, forces: &[Track], like: &Setting) -> Option<WithModes> {
-        modes_beside(&self.drives, forces, &self.responses, &self.segments, like.lags.lead)
+    fn modes_beside(&self, forces: &[Track], lead: usize) -> Option<WithModes> {
+        modes_beside(&self.drives, forces, &self.responses, &self.segments, lead)
     }
 
     /// A linear part of modes that are found beside forces, with the lead of another.
     pub fn setting_beside(&self, forces: &[Track], like: &Setting) -> Option<Setting> {
-        Some(self.modes_beside(forces, like)?.setting)
+        Some(self.modes_beside(forces, like.lags.lead)?.setting)
     }
 
     /// What springs, stops, gaps, friction and dampers would make of a motion, as far as a few shapes tell.

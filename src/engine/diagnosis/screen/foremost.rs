@@ -12,10 +12,13 @@ use crate::EngineError;
 use crate::progress::{Watch, report};
 
 /// A family is run freely where it leaves no more than so many times what the best leaves, and less than this of
-/// the linear part's error; at most so many are.
+/// the linear part's error; at most so many are. Beside modes that were found beside bends a regression tells too little to
+/// leave out what leaves more than the linear part.
 const BEHIND: f64 = 2.0;
 pub(super) const NOTHING: f64 = 0.97;
 const CONFIRMED: usize = 6;
+/// The same of effects, beside modes that were found beside bends.
+const CONFIRMED_APART: usize = 12;
 /// Places at which a family is run freely at most, and how much more than the best law may be left at others.
 const PLACES: usize = 3;
 const ELSEWHERE: f64 = 1.3;
@@ -63,8 +66,10 @@ impl Bench<'_> {
     ) -> Result<(), EngineError> {
         let best = standings.first().map_or(1.0, |s| s.ratio);
         let of_families = contenders(standings);
-        let near = |of: &&Vec<usize>| standings[of[0]].ratio < (BEHIND * best).min(NOTHING);
-        let chosen: Vec<usize> = of_families.iter().filter(near).take(CONFIRMED).flatten().copied().collect();
+        let apart = self.base.setting().apart;
+        let (least, most) = if apart { (f64::INFINITY, CONFIRMED_APART) } else { (NOTHING, CONFIRMED) };
+        let near = |of: &&Vec<usize>| standings[of[0]].ratio < (BEHIND * best).min(least);
+        let chosen: Vec<usize> = of_families.iter().filter(near).take(most).flatten().copied().collect();
         let found: Vec<(usize, Option<(Aim, FreeRun)>)> = chosen
             .into_par_iter()
             .map(|at| {
@@ -107,13 +112,13 @@ impl Bench<'_> {
     }
 }
 
-/// Of each family the foremost standing, then those of other places of the structure that do nearly as well as the best
-/// of all.
+/// Of each family the foremost standing (of each effect beside modes that were found beside bends), then those of other
+/// places of the structure that do nearly as well as the best of all.
 fn contenders(standings: &[Standing]) -> Vec<Vec<usize>> {
     let best = standings.first().map_or(1.0, |s| s.ratio);
     let mut of_families: Vec<Vec<usize>> = Vec::new();
     for (at, standing) in standings.iter().enumerate() {
-        match of_families.iter_mut().find(|of| standings[of[0]].family == standing.family) {
+        match of_families.iter_mut().find(|of| standing.is_after(&standings[of[0]])) {
             None => of_families.push(vec![at]),
             Some(of) => {
                 let seen = of.iter().any(|&other| standings[other].place == standing.place);

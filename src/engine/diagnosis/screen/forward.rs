@@ -518,7 +518,7 @@ impl Forward {
     pub fn curve(&self, force: &AsDrive, points: usize) -> Option<(bool, Vec<f64>, Vec<f64>)> {
         let over_rate = match self.law {
             Law::Cubic | Law::Quadratic | Law::Polynomial | Law::Kink { .. } | Law::Gap { .. } => false,
-            Law::OneSided { .. } | Law::FreeStiffness => false,
+            Law::OneSided { .. } | Law::OneSidedBelow { .. } | Law::FreeStiffness => false,
             law if law.is_over_rate() => true,
             _ => return None,
         };
@@ -578,7 +578,7 @@ impl Forward {
         let rate = |name, value| Number { name, value, of: NumberOf::Rate };
         match self.law {
             Law::Kink { at } | Law::Gap { at } => vec![length("kink", at * d)],
-            Law::OneSided { at } => vec![length("kink", centre + at * d)],
+            Law::OneSided { at } | Law::OneSidedBelow { at } => vec![length("kink", centre + at * d)],
             Law::Coulomb { smooth } => vec![rate("sliding_velocity", smooth * v)],
             Law::Stribeck { smooth, decay } => {
                 vec![rate("sliding_velocity", smooth * v), rate("stribeck_velocity", decay * v)]
@@ -588,7 +588,8 @@ impl Forward {
                 length("yield_displacement", limit * d),
                 Number { name: "unloading", value: unloading, of: NumberOf::Ratio },
             ],
-            Law::OneSidedDamping { at } | Law::KinkedDamping { at } => vec![rate("kink", at * v)],
+            Law::OneSidedDamping { at } | Law::OneSidedDampingBelow { at } => vec![rate("kink", at * v)],
+            Law::KinkedDamping { at } | Law::DampingBeyond { at } => vec![rate("kink", at * v)],
             Law::PowerDamping { exponent } => {
                 vec![Number { name: "exponent", value: exponent, of: NumberOf::Ratio }]
             }

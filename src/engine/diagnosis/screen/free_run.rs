@@ -550,10 +550,13 @@ impl Fit<'_, '_> {
         let (mut left, mut all) = (0.0, 0.0);
         for segment in segments {
             let Some(run) = run(segment.record) else { continue };
-            let y = delayed(&self.measured[output][segment.record], segment, 0);
-            let made = delayed(&run.outputs[output], segment, 0);
-            left += y.iter().zip(&made).map(|(y, m)| (y - m).powi(2)).sum::<f64>();
-            all += y.iter().map(|y| y * y).sum::<f64>();
+            let squares = |signal: &[f64]| -> f64 {
+                let judged = self.bench.desk.judged.as_ref().map(|filter| filter.filtered(signal));
+                delayed(judged.as_deref().unwrap_or(signal), segment, 0).iter().map(|y| y * y).sum()
+            };
+            let (y, made) = (&self.measured[output][segment.record], &run.outputs[output]);
+            left += squares(&y.iter().zip(made).map(|(y, made)| y - made).collect::<Vec<f64>>());
+            all += squares(y);
         }
         if all > 0.0 { left / all } else { 0.0 }
     }

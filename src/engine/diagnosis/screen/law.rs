@@ -36,6 +36,11 @@ pub enum Law {
         /// Displacement of the kink, either sign.
         at: f64,
     },
+    /// `min(d - at, 0)`: the same as beyond a place on one side, where no linear part takes what is missing.
+    OneSidedBelow {
+        /// Displacement of the kink.
+        at: f64,
+    },
     /// Kinks at five places, each with a slope of its own.
     FreeStiffness,
     /// `tanh(v / smooth)`.
@@ -80,6 +85,16 @@ pub enum Law {
     },
     /// `clip(v, +-at)`: damping that gives way beyond a velocity.
     KinkedDamping {
+        /// Velocity of the kink.
+        at: f64,
+    },
+    /// `min(v - at, 0)`: the same as beyond a velocity on one side, where no linear part takes what is missing.
+    OneSidedDampingBelow {
+        /// Velocity of the kink.
+        at: f64,
+    },
+    /// `v - clip(v, +-at)`: the same as damping that gives way, where no linear part takes what is missing.
+    DampingBeyond {
         /// Velocity of the kink.
         at: f64,
     },
@@ -194,6 +209,7 @@ impl Law {
             Self::Kink { at } => out[0] = d.clamp(-at, at),
             Self::Gap { at } => out[0] = d - d.clamp(-at, at),
             Self::OneSided { at } => out[0] = (d - at).max(0.0),
+            Self::OneSidedBelow { at } => out[0] = (d - at).min(0.0),
             Self::FreeStiffness => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (d - at).max(0.0)),
             Self::Coulomb { smooth } => out[0] = (v / smooth).tanh(),
             Self::Stribeck { smooth, decay } => {
@@ -211,7 +227,9 @@ impl Law {
             Self::QuadraticDamping => out[0] = v * v.abs(),
             Self::PowerDamping { exponent } => out[0] = v.signum() * v.abs().powf(exponent),
             Self::OneSidedDamping { at } => out[0] = (v - at).max(0.0),
+            Self::OneSidedDampingBelow { at } => out[0] = (v - at).min(0.0),
             Self::KinkedDamping { at } => out[0] = v.clamp(-at, at),
+            Self::DampingBeyond { at } => out[0] = v - v.clamp(-at, at),
             Self::FreeDamping => out.iter_mut().zip(KINKS).for_each(|(out, at)| *out = (v - at).max(0.0)),
             Self::RateLimit { limit } => out[0] = memory.follow(d, limit),
             Self::ValveFlow => out.copy_from_slice(&[d.abs() * x, d * x * x]),
@@ -269,7 +287,9 @@ impl Law {
                 | Self::QuadraticDamping
                 | Self::PowerDamping { .. }
                 | Self::OneSidedDamping { .. }
+                | Self::OneSidedDampingBelow { .. }
                 | Self::KinkedDamping { .. }
+                | Self::DampingBeyond { .. }
                 | Self::FreeDamping
         )
     }
@@ -302,6 +322,7 @@ impl Law {
             Self::Kink { at } => Self::Kink { at: at * factor },
             Self::Gap { at } => Self::Gap { at: at * factor },
             Self::OneSided { at } => Self::OneSided { at: at * factor },
+            Self::OneSidedBelow { at } => Self::OneSidedBelow { at: at * factor },
             Self::Coulomb { smooth } => Self::Coulomb { smooth: smooth * factor },
             Self::Stribeck { smooth, decay } => Self::Stribeck { smooth, decay: decay * factor },
             Self::Slider { limit } => Self::Slider { limit: limit * factor },
@@ -309,16 +330,21 @@ impl Law {
                 Self::PowerDamping { exponent: (exponent * factor).clamp(LEAST_POWER, MOST_POWER) }
             }
             Self::OneSidedDamping { at } => Self::OneSidedDamping { at: at * factor },
+            Self::OneSidedDampingBelow { at } => Self::OneSidedDampingBelow { at: at * factor },
             Self::KinkedDamping { at } => Self::KinkedDamping { at: at * factor },
+            Self::DampingBeyond { at } => Self::DampingBeyond { at: at * factor },
             Self::RateLimit { limit } => Self::RateLimit { limit: limit * factor },
             _ => return None,
         })
     }
 
-    /// The law as it is beside a linear part that takes nothing of its argument.
+    /// The law as it is beside a linear part that takes nothing of its argument: nothing at rest, and all beyond a kink.
     pub(super) fn apart(self) -> Self {
         match self {
             Self::Kink { at } => Self::Gap { at },
+            Self::OneSided { at } if at < 0.0 => Self::OneSidedBelow { at },
+            Self::OneSidedDamping { at } if at < 0.0 => Self::OneSidedDampingBelow { at },
+            Self::KinkedDamping { at } => Self::DampingBeyond { at },
             law => law,
         }
     }
@@ -333,8 +359,11 @@ impl Law {
     /// Its numbers, in deviations.
     pub(super) fn values(self) -> Vec<f64> {
         match self {
-            Self::Kink { at } | Self::Gap { at } | Self::OneSided { at } => vec![at],
-            Self::OneSidedDamping { at } | Self::KinkedDamping { at } => vec![at],
+            Self::Kink { at } | Self::Gap { at } | Self::OneSided { at } | Self::OneSidedBelow { at } => {
+                vec![at]
+            }
+            Self::OneSidedDamping { at } | Self::OneSidedDampingBelow { at } => vec![at],
+            Self::KinkedDamping { at } | Self::DampingBeyond { at } => vec![at],
             Self::Coulomb { smooth } => vec![smooth],
             Self::PowerDamping { exponent } => vec![exponent],
             Self::Stribeck { smooth, decay } => vec![smooth, decay],

@@ -44,8 +44,11 @@ pub(super) fn effect(
     }
     let (law, gain) = match law {
         Law::Polynomial if second.abs() < LOPSIDED => (Law::Quadratic, gain),
-        // What resists outside a gap gives way inside it.
+        // What resists beyond a kink gives way before it.
         Law::Gap { at } => (Law::Kink { at }, -gain),
+        Law::OneSidedBelow { at } => (Law::OneSided { at }, -gain),
+        Law::OneSidedDampingBelow { at } => (Law::OneSidedDamping { at }, -gain),
+        Law::DampingBeyond { at } => (Law::KinkedDamping { at }, -gain),
         law => (law, gain),
     };
     let role = match place {
@@ -70,7 +73,7 @@ fn of_force(law: Law, gain: f64) -> Effect {
         Law::Quadratic => Effect::QuadraticStiffness,
         Law::Kink { at } if gain < 0.0 && at < STOP => Effect::Clearance,
         Law::Kink { .. } if gain < 0.0 => Effect::BumpStop,
-        Law::OneSided { .. } => Effect::OneSidedStop,
+        Law::OneSided { .. } | Law::OneSidedBelow { .. } => Effect::OneSidedStop,
         Law::Kink { .. } | Law::Gap { .. } | Law::FreeStiffness | Law::Sandwich => Effect::FreeStiffness,
         Law::Coulomb { .. } => Effect::CoulombFriction,
         Law::Slider { limit } if limit < DRY => Effect::CoulombFriction,
@@ -78,7 +81,10 @@ fn of_force(law: Law, gain: f64) -> Effect {
         Law::Slider { .. } | Law::BoucWen { .. } => Effect::BoucWenHysteresis,
         Law::FreeHysteresis => Effect::FreeHysteresis,
         Law::QuadraticDamping | Law::PowerDamping { .. } => Effect::QuadraticDamping,
-        Law::OneSidedDamping { .. } | Law::KinkedDamping { .. } | Law::FreeDamping => Effect::FreeDamping,
+        Law::OneSidedDamping { .. } | Law::OneSidedDampingBelow { .. } | Law::FreeDamping => {
+            Effect::FreeDamping
+        }
+        Law::KinkedDamping { .. } | Law::DampingBeyond { .. } => Effect::FreeDamping,
         Law::RateLimit { .. } => Effect::RateLimit,
         Law::ValveFlow => Effect::ValveFlow,
         Law::CrossAxisKinematic => Effect::CrossAxisKinematic,

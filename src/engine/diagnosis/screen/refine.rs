@@ -21,17 +21,17 @@ const FINER_FILTERS: [f64; 2] = [1.4, 1.15];
 const PASSES: usize = 4;
 
 impl Bench<'_> {
-    /// Moves the numbers of each family's foremost law that has one between the grid's.
+    /// Moves the numbers of each family's foremost law that has one between the grid's; beside modes that were found beside
+    /// bends those of each effect's.
     pub(super) fn refine(&self, arguments: &[Argument], standings: &mut [Standing]) {
-        let mut seen = Vec::new();
         let mut foremost: Vec<usize> = Vec::new();
         for (at, standing) in standings.iter().enumerate() {
             let bend = standing.law.way() == Way::Behind;
             if bend && standing.ratio > WORTH_A_SEARCH {
                 continue;
             }
-            if !standing.law.values().is_empty() && !seen.contains(&standing.family) {
-                seen.push(standing.family);
+            let seen = foremost.iter().any(|&before| standing.is_after(&standings[before]));
+            if !standing.law.values().is_empty() && !seen {
                 foremost.push(at);
             }
         }

@@ -33,12 +33,9 @@ pub struct LinearPart {
     pub memory_s: f64,
     /// How far they reach ahead of the present, s; 0 where that helps nothing.
     pub lead_s: f64,
-    /// Whether its modes were found beside bends of the motions, since a strong law had moved those of the others.
-    pub apart: bool,
     /// Ridge relative to the drives' power.
     pub ridge: f64,
-    /// Error in each group by the fit to all others, relative to the response, `[response][group]`; where modes were found
-    /// beside bends, that of the linear part alone, which predicts better.
+    /// Error in each group by the fit to all others, relative to the response, `[response][group]`.
     pub errors: Vec<Vec<f64>>,
 }
 
@@ -54,6 +51,9 @@ pub struct Standing {
     /// Whether its argument is what the linear part makes of the drives, without noise, and its signals move every mode
     /// by factors of their own; else the argument is what was measured.
     pub predicted: bool,
+    /// Whether it stands beside modes that were found beside bends of the motions, since a strong law had moved those of the
+    /// linear part.
+    pub apart: bool,
     /// Its name in the catalogue.
     pub effect: Effect,
     /// Its family.
@@ -81,6 +81,11 @@ pub struct Standing {
 }
 
 impl Screening {
+    /// Whether some laws stand beside modes that were found beside bends.
+    pub(in crate::diagnosis) fn has_apart(&self) -> bool {
+        self.standings.iter().any(|s| s.apart)
+    }
+
     /// The first standing of each family, best first.
     pub fn foremost(&self) -> Vec<&Standing> {
         let mut first: Vec<&Standing> = Vec::new();
@@ -94,6 +99,12 @@ impl Screening {
 }
 
 impl Standing {
+    /// Whether of this and a standing that comes before it one is enough: of a family the foremost, and beside modes that
+    /// were found beside bends, where regressions tell laws apart badly and free runs well, of each effect.
+    pub(super) fn is_after(&self, other: &Self) -> bool {
+        self.family == other.family && (!self.apart || self.effect == other.effect)
+    }
+
     /// Deviation over the groups of what each alone asks for, relative to its mean; `None` where it is not known.
     pub fn spread(&self) -> Option<f64> {
         let gains: Vec<f64> = self.gains.iter().copied().flatten().collect();

@@ -106,8 +106,9 @@ fn beside_bends(
     }
     report(watch, "modes beside bends", ALONE)?;
     let band = pieces.band.finer(pieces.recording.sample_rate_hz());
+    let coarse = pieces.band.step;
     let pieces = pieces.at(band, ROWS_BESIDE_BENDS);
-    let desk = Desk::new(&pieces);
+    let desk = Desk::judged_as(&pieces, coarse);
     // Of fewer rows no group may be left out.
     if desk.groups() != screening.groups {
         return Ok(None);
@@ -117,7 +118,9 @@ fn beside_bends(
     if over.is_empty() {
         return Ok(None);
     }
-    let Some(apart) = desk.base_beside_bends(setting, &over) else { return Ok(None) };
+    // The lead is a time.
+    let lead = (setting.lags.lead * coarse).div_ceil(desk.band.step);
+    let Some(apart) = desk.base_beside_bends(lead, &over) else { return Ok(None) };
     let second = |p: Progress<'_>| watch(p.within(&(ALONE..1.0)));
     // What laws leave counts against the linear part that predicts best.
     let linear: Vec<HeldOut> =
@@ -128,16 +131,15 @@ fn beside_bends(
     Ok(Some(anew).filter(|_| explains && left < CLEARLY * left_by_free_runs(screening)))
 }
 
-/// Standings beside modes that were found beside bends, and those of other places and of two places beside the modes
-/// that were found alone.
-fn merged(mut anew: Screening, alone: Screening) -> Screening {
-    let again = |s: &Standing| s.other.is_none() && anew.standings.iter().any(|a| a.place == s.place);
-    let others: Vec<Standing> = alone.standings.into_iter().filter(|s| !again(s)).collect();
-    anew.standings.extend(others);
+/// Standings beside modes that were found beside bends, and those of other places beside the modes that were found alone.
+fn merged(anew: Screening, alone: Screening) -> Screening {
+    let again = |s: &Standing| anew.standings.iter().any(|a| a.place == s.place && a.other == s.other);
+    let mut standings: Vec<Standing> = alone.standings.into_iter().filter(|s| !again(s)).collect();
+    standings.extend(anew.standings);
     // By a way of its own into every mode a response predicts itself: what runs freely tells laws apart.
     let left = |s: &Standing| left(s.free.as_ref());
-    anew.standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
-    anew
+    standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
+    Screening { standings, ..alone }
 }
 
 /// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost. They count
@@ -274,7 +276,6 @@ impl Bench<'_> {
                 modes: setting.poles.as_ref().map(Poles::states),
                 memory_s: setting.memory(longest) as f64 / rate,
                 lead_s: setting.lags.lead as f64 / rate,
-                apart: setting.apart,
                 ridge: setting.ridge,
                 errors: self.linear.iter().map(|l| l.errors.clone()).collect(),
             },
@@ -519,6 +520,7 @@ impl Bench<'_> {
             place,
             other,
             predicted: argument.predicted,
+            apart: self.base.setting().apart,
             effect,
             family,
             ratio,

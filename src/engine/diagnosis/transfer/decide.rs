@@ -153,9 +153,9 @@ fn of_any(ranked: &[Ranked<'_>]) -> f64 {
     ranked.iter().map(|r| r.probability).sum()
 }
 
-/// Effects of a family whose laws leave nearly the same.
-fn alike(screening: &Screening, family: Family) -> Vec<Effect> {
-    let of_family = || screening.standings.iter().filter(|s| s.family == family);
+/// Effects of a law's family that leave nearly the same, beside the same linear part.
+fn alike(screening: &Screening, law: &Standing) -> Vec<Effect> {
+    let of_family = || screening.standings.iter().filter(|s| s.family == law.family && s.apart == law.apart);
     let least = of_family().map(|s| s.ratio).fold(1.0, f64::min);
     of_family().filter(|s| s.ratio < ALIKE * least).map(|s| s.effect).collect()
 }
@@ -231,7 +231,7 @@ fn named(
     }
     let kind = if everywhere { VerdictKind::Identified } else { VerdictKind::Partial };
     let effect = own.map_or(standing.effect, |own| own.effect);
-    let set = std::iter::once(effect).chain(alike(screening, family)).collect();
+    let set = std::iter::once(effect).chain(alike(screening, standing)).collect();
     let blamed = blamed(kind, best.probability, set, because);
     Verdict { effect: Some(effect), family: Some(family), ..blamed }
 }
