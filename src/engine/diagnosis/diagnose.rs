@@ -12,6 +12,7 @@ use super::transfer::{Found, by_transfer};
 use super::verdict::judge;
 use super::views::Views;
 use crate::EngineError;
+use crate::diagnosis::data::concerned::concerned;
 use crate::diagnosis::data::locate;
 use crate::diagnosis::data::means::drift;
 use crate::diagnosis::data::overview::{Overview, gaps};
@@ -44,6 +45,15 @@ pub struct Diagnosis {
     pub augmented: Vec<Augmented>,
 }
 
+impl Diagnosis {
+    /// A diagnosis of some responses of a rig as one of all `count` of them; `kept` says which they were.
+    fn among(mut self, kept: &[usize], count: usize) -> Self {
+        self.report.warnings.push(format!("responses_left_out: {}", count - kept.len()));
+        self.augmented = self.augmented.into_iter().map(|found| found.among(kept, count)).collect();
+        self
+    }
+}
+
 /// Says where sim and rig disagree, which effect causes it and how far simulating it helps.
 ///
 /// Deterministic for an input, whatever the number of threads.
@@ -52,8 +62,25 @@ pub struct Diagnosis {
 /// [`Input::check`]'s; a baseline whose drives or responses do not move; runs too short for the
 /// core or for the split; [`EngineError::Cancelled`].
 pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineError> {
-    let prepared = prepare(input, &|p: Progress<'_>| watch(p.within(&(0.0..PREPARED))))?;
-    let overview = Overview::new(input, &prepared);
+    input.check()?;
+    let (kept, count) = (concerned(input), input.responses.len());
+    let few = kept.len() < count;
+    let half = if few { 0.5 * PREPARED } else { 0.0 };
+    if few {
+        let of_few = input.of_responses(&kept);
+        let prepared = prepare(&of_few, &|p: Progress<'_>| watch(p.within(&(0.0..half))))?;
+        // Without repeats that are alike transfer between runs is asked, of all responses.
+        if prepared.from_repeats {
+            return Ok(explained(&of_few, &prepared, watch)?.among(&kept, count));
+        }
+    }
+    let prepared = prepare(input, &|p: Progress<'_>| watch(p.within(&(half..PREPARED))))?;
+    explained(input, &prepared, watch)
+}
+
+/// The diagnosis of a request that is made ready.
+fn explained(input: &Input, prepared: &Prepared, watch: Watch<'_>) -> Result<Diagnosis, EngineError> {
+    let overview = Overview::new(input, prepared);
     report(watch, "where", PREPARED)?;
     let without = || overview.without_candidates(input);
     let again = |h: &Hypothesis, watch: Watch<'_>| fitted_again(input, h, watch);
@@ -61,22 +88,22 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     // linear part of its own on runs that it was not fitted to. Repeats tell what is noise.
     if input.mode == Mode::InSitu {
         if let Some(verdict) = prepared.from_repeats.then(without).flatten() {
-            return finish(input, &prepared, &overview, verdict, None, watch);
+            return finish(input, prepared, &overview, verdict, None, watch);
         }
-        let mut drifts = drifting(input, &prepared, &overview, watch)?;
+        let mut drifts = drifting(input, prepared, &overview, watch)?;
         if let Some(Drifting { verdict, outcome, .. }) = drifts.take_if(|d| d.left < input.material_gap) {
-            return finish(input, &prepared, &overview, verdict, Some(outcome), watch);
+            return finish(input, prepared, &overview, verdict, Some(outcome), watch);
         }
         let half = if prepared.from_repeats { 0.5 } else { 0.0 };
         let first = |p: Progress<'_>| watch(p.within(&(0.0..half)));
         let second = |p: Progress<'_>| watch(p.within(&(half..1.0)));
         let mut by_repeats = None;
         if prepared.from_repeats {
-            let outcome = contest(input, &input.catalogue, &prepared, &overview, &first)?;
-            let verdict = judge(input, &prepared, &overview, &outcome);
+            let outcome = contest(input, &input.catalogue, prepared, &overview, &first)?;
+            let verdict = judge(input, prepared, &overview, &outcome);
             // Whatever transfer says, that stands.
             if verdict.kind == VerdictKind::Identified {
-                return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
+                return finish(input, prepared, &overview, verdict, Some(outcome), &second);
             }
             by_repeats = Some((verdict, outcome));
         }
@@ -85,32 +112,32 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
             let fitted = outcome.ranked.first().map_or(1.0, |best| best.scored.remaining);
             let carried = found.hypotheses.first().map_or(1.0, |(best, _)| best.remaining_share);
             if let Some(verdict) = verdict.beside(&found.verdict, [fitted, carried]) {
-                return finish(input, &prepared, &overview, verdict, Some(outcome), &second);
+                return finish(input, prepared, &overview, verdict, Some(outcome), &second);
             }
         }
         if !found.verdict.kind.blames()
             && let Some(Drifting { verdict, outcome, .. }) = drifts
         {
-            return finish(input, &prepared, &overview, verdict, Some(outcome), watch);
+            return finish(input, prepared, &overview, verdict, Some(outcome), watch);
         }
-        return from_transfer(input, &prepared, &overview, found, watch);
+        return from_transfer(input, prepared, &overview, found, watch);
     }
     let (verdict, outcome) = match without() {
         Some(verdict) => (verdict, None),
         None => {
-            let outcome = contest(input, &input.catalogue, &prepared, &overview, watch)?;
-            (judge(input, &prepared, &overview, &outcome), Some(outcome))
+            let outcome = contest(input, &input.catalogue, prepared, &overview, watch)?;
+            (judge(input, prepared, &overview, &outcome), Some(outcome))
         }
     };
     let unexplained = matches!(verdict.kind, VerdictKind::NoMaterialGap | VerdictKind::NoneOfCatalogue);
     if !prepared.from_repeats && unexplained && overview.whole() >= input.material_gap {
         let found = by_transfer(input, &overview, &again, watch)?;
         if verdict.kind == VerdictKind::NoMaterialGap || found.verdict.kind.blames() {
-            return from_transfer(input, &prepared, &overview, found, watch);
+            return from_transfer(input, prepared, &overview, found, watch);
         }
     }
-    let verdict = verdict.of_a_sim_that_errs(input, &prepared).of_a_sim_that_lacked_more(input, &prepared);
-    finish(input, &prepared, &overview, verdict, outcome, watch)
+    let verdict = verdict.of_a_sim_that_errs(input, prepared).of_a_sim_that_lacked_more(input, prepared);
+    finish(input, prepared, &overview, verdict, outcome, watch)
 }
 
 /// An offset that drifts.

@@ -139,6 +139,33 @@ impl Input {
         Ok(())
     }
 
+    /// The same of some responses, in the order of `kept`.
+    pub(super) fn of_responses(&self, kept: &[usize]) -> Self {
+        let of_runs = |runs: &[Run]| -> Vec<Run> {
+            let some = |signal: &Option<Signal>| signal.as_ref().map(|signal| signal.select(kept));
+            let of = |run: &Run| Run {
+                name: run.name.clone(),
+                drive: run.drive.clone(),
+                response: run.response.select(kept),
+                simulated: some(&run.simulated),
+                added: some(&run.added),
+                started_s: run.started_s,
+            };
+            runs.iter().map(of).collect()
+        };
+        Self {
+            drives: self.drives.clone(),
+            responses: kept.iter().map(|&r| self.responses[r].clone()).collect(),
+            baseline: of_runs(&self.baseline),
+            runs: of_runs(&self.runs),
+            roles: self.roles.clone(),
+            repeats: self.repeats.clone(),
+            catalogue: self.catalogue.clone(),
+            drive_limit: self.drive_limit.clone(),
+            ..*self
+        }
+    }
+
     /// Whether the sim was fitted to any of the runs to explain: what it leaves of those says nothing of others.
     pub(super) fn explains_its_own_runs(&self) -> bool {
         self.runs.iter().any(|run| self.baseline.iter().any(|own| own.name == run.name))

@@ -226,6 +226,7 @@ pub fn warning(warning: &str) -> String {
         "rig_changed" => "The runs that the model was fitted to show another rig than the runs that are asked about: no law explains both. They were left out. Fit the model again, or ask in external mode if they are of before a change.".into(),
         "acts_seldom" => "The gap occurs only in the runs that effects are fitted to, or only in those that they are chosen on: its cause acts only a few times. All of these runs were therefore used for both, and the verdict is at most a partial one. Longer runs, or runs at a higher level, would show more.".into(),
         "core_stands_for_sim" => format!("At “{about}” the FRF says something else than the linear core of the baseline runs, which stands for the FRF while effects are sought and the gap is located: an FRF errs a little by its estimate, and that is no effect. In situ, what an effect closes is counted from the FRF itself; in external mode from the core."),
+        "responses_left_out" => format!("The responses at which the model errs no more than on the baseline runs, or least more of many, were left out: {about}. The report is about the others."),
         "repeat_drive_differs" => format!("“{about}” was named as a repeat, but its drive differs from the first run's. It was used as a run of its own."),
         _ if about.is_empty() => code.replace('_', " "),
         _ => format!("{}: {about}", code.replace('_', " ")),
@@ -249,6 +250,7 @@ mod tests {
         assert!(warning("acts_seldom").contains("Longer runs"));
         assert!(warning("rig_changed").contains("external mode"));
         assert!(warning("core_stands_for_sim: x").contains("At “x” the FRF"));
+        assert!(warning("responses_left_out: 24").contains("were left out: 24."));
         assert!(warning("repeat_drive_differs: run 7").contains("“run 7” was named"));
         assert_eq!(warning("some_new_thing: here"), "some new thing: here");
     }

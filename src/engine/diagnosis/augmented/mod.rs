@@ -13,7 +13,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::core::Core;
-use crate::diagnosis::effects::candidate::{Candidate, Part};
+use crate::diagnosis::effects::candidate::{Candidate, Other, Part};
 use crate::diagnosis::effects::effect::Effect;
 use crate::diagnosis::effects::kernel::Clock;
 use crate::diagnosis::effects::plant::{Course, Plant};
@@ -79,6 +79,29 @@ impl Augmented {
     /// A law that was found by transfer between runs.
     pub(super) fn of_transfer(added: Added, on_effects: bool) -> Self {
         Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects, further: Vec::new() }
+    }
+
+    /// An effect that was found on some responses of a rig, as one of all `count` of them; `kept` says which they were. It
+    /// cannot be one that was found by transfer.
+    pub(super) fn among(mut self, kept: &[usize], count: usize) -> Self {
+        debug_assert!(self.added.is_none(), "a law of all responses");
+        let spread = |of_kept: &[f64], else_is: f64| {
+            let mut all = vec![else_is; count];
+            kept.iter().zip(of_kept).for_each(|(&r, value)| all[r] = *value);
+            all
+        };
+        for Member { plant, candidate, .. } in &mut self.members {
+            plant.response = kept[plant.response];
+            plant.other_scale = spread(&plant.other_scale, 1.0);
+            plant.other_mean = spread(&plant.other_mean, 0.0);
+            for part in &mut candidate.parts {
+                if let Some(Other::Response(response)) = &mut part.other {
+                    *response = kept[*response];
+                }
+            }
+        }
+        self.further = self.further.into_iter().map(|next| next.among(kept, count)).collect();
+        self
     }
 
     /// Takes out the taps of a law that was found by transfer; empty of any other. What is left is small text.

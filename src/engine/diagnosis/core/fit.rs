@@ -64,11 +64,14 @@ pub(in crate::diagnosis) fn fit(
 ) -> Result<CoreFit, EngineError> {
     let drives = stretches[0].drives.len();
     let centred = Centred::new(stretches, supposed);
-    let rows: usize = centred.part(0.0, 1.0, band, supposed).iter().map(|s| s.rows.len()).sum();
-    let affordable = rows / (4 * (drives + 1));
-    if affordable < 2 {
+    let rows = |of: &Centred<'_>, band| -> usize {
+        of.part(0.0, 1.0, band, supposed).iter().map(|s| s.rows.len()).sum()
+    };
+    let affordable = |rows: usize| rows / (4 * (drives + 1));
+    let all = rows(&centred, band);
+    if affordable(all) < 2 {
         let samples: usize = stretches.iter().map(|s| s.response.len()).sum();
-        let needed = (samples * 8 * (drives + 1)).div_ceil(rows.max(1));
+        let needed = (samples * 8 * (drives + 1)).div_ceil(all.max(1));
         return Err(EngineError::TooShort {
             what: "baseline runs, for the linear core",
             needed,
@@ -76,15 +79,15 @@ pub(in crate::diagnosis) fn fit(
         });
     }
     let (fitted, noise) = match thin(stretches, band) {
-        None => centred.choose(band, affordable, linear),
+        None => centred.choose(band, affordable(all), linear),
         Some((thinned, step)) => {
             let few = thinned.iter().map(|t| Stretch {
                 drives: t.drives.iter().map(Vec::as_slice).collect(),
                 response: &t.response,
             });
             let slow = band.map(|f| f * step as f64);
-            let (found, _) =
-                Centred::new(&few.collect::<Vec<_>>(), supposed).choose(slow, affordable, linear);
+            let few = Centred::new(&few.collect::<Vec<_>>(), supposed);
+            let (found, _) = few.choose(slow, affordable(rows(&few, slow)).max(2), linear);
             centred.fit_at(&found.modes.faster(step), band)
         }
     };

@@ -1,5 +1,6 @@
 //! The runs of a request, prepared: one problem a response, its noise, and where the gap lies.
 
+pub mod concerned;
 pub mod disturbance;
 pub mod locate;
 pub mod means;

@@ -5,6 +5,7 @@ mod axes;
 mod bad_input;
 mod bench;
 mod leaks;
+pub(crate) mod many;
 mod measured;
 pub(crate) mod recorded;
 mod repeats;

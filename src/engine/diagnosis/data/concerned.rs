@@ -1,0 +1,124 @@
+//! Which responses of a rig of many a diagnosis is about.
+//!
+//! A response costs a linear core, candidates of its own, and a path for every effect elsewhere: the time of a diagnosis
+//! grows with the square of their number. A cause shows where the sim errs by more than it did before the change.
+
+use crate::diagnosis::input::{Input, Mode, Run};
+use crate::diagnosis::numerics::linear::squares_about_mean;
+
+/// Responses that are all looked at, whatever they show.
+const MANY: usize = 8;
+/// Responses that are looked at where none shows anything.
+const FEWEST: usize = 2;
+/// Share of `material_gap` by which a sim errs more than before where that is nothing.
+const NOTHING: f64 = 0.25;
+/// Share of a run that the sim's own start may colour.
+const SETTLING: f64 = 0.2;
+
+/// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
+/// it did on the baseline runs, and all others of their axes. All of a rig of few, and where the sim has seen the effect or
+/// no repeats tell the noise.
+pub fn concerned(input: &Input) -> Vec<usize> {
+    let all: Vec<usize> = (0..input.responses.len()).collect();
+    if all.len() <= MANY || input.mode == Mode::InSitu || input.repeats.is_empty() {
+        return all;
+    }
+    let Some(grown) = all.iter().map(|&r| grown(input, r)).collect::<Option<Vec<f64>>>() else { return all };
+    let mut foremost = all.clone();
+    foremost.sort_by(|&a, &b| grown[b].total_cmp(&grown[a]));
+    let shows = |&&r: &&usize| grown[r] > (NOTHING * input.material_gap).powi(2);
+    let count = foremost.iter().take(MANY).filter(shows).count().max(FEWEST);
+    foremost.truncate(count);
+    let axis = |r: usize| input.responses[r].axis.as_ref();
+    let beside = |r: usize| foremost.iter().any(|&f| axis(r).is_some() && axis(r) == axis(f));
+    all.into_iter().filter(|&r| foremost.contains(&r) || beside(r)).collect()
+}
+
+/// Power of what the sim leaves of a response beyond the noise, relative to the response, less the same on the baseline
+/// runs; or what the noise alone has grown by, where that is more. `None` where the sim does not say.
+fn grown(input: &Input, response: usize) -> Option<f64> {
+    let noise = noise(input, response)?;
+    let now = Left::of(&input.runs, response)?;
+    let before = Left::of(&input.baseline, response)?;
+    let beyond = |left: &Left| (left.error - noise).max(0.0) / left.size;
+    Some((beyond(&now) - beyond(&before)).max((noise - before.error) / now.size))
+}
+
+/// What the sim leaves of a response.
+struct Left {
+    /// Mean square.
+    error: f64,
+    /// Variance of the response.
+    size: f64,
+}
+
+impl Left {
+    fn of(runs: &[Run], response: usize) -> Option<Self> {
+        let (mut error, mut size, mut count) = (0.0, 0.0, 0);
+        for run in runs {
+            let y = settled(run.response.channel(response));
+            let sim = settled(run.simulated.as_ref()?.channel(response));
+            error += y.iter().zip(sim).map(|(y, sim)| (y - sim) * (y - sim)).sum::<f64>();
+            size += squares_about_mean(y);
+            count += y.len();
+        }
+        let mean = |sum: f64| sum / count.max(1) as f64;
+        (size > 0.0).then(|| Self { error: mean(error), size: mean(size) })
+    }
+}
+
+/// Mean square of a response's noise, by what repeats differ in; `None` without any.
+fn noise(input: &Input, response: usize) -> Option<f64> {
+    let (mut squares, mut count) = (0.0, 0);
+    for pair in input.repeats.iter().flat_map(|group| group.windows(2)) {
+        let [a, b] = [pair[0], pair[1]].map(|run| settled(input.runs[run].response.channel(response)));
+        squares += a.iter().zip(b).map(|(a, b)| 0.5 * (a - b) * (a - b)).sum::<f64>();
+        count += a.len().min(b.len());
+    }
+    (count > 0).then(|| squares / count as f64)
+}
+
+fn settled(signal: &[f64]) -> &[f64] {
+    &signal[(SETTLING * signal.len() as f64) as usize..]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Signal;
+    use crate::diagnosis::tests::many;
+
+    #[test]
+    fn of_many_responses_those_are_looked_at_where_the_sim_errs_more_than_before() {
+        let input = many::request(12, 3, 0.05);
+        assert_eq!(concerned(&input), [2, 3, 4], "the axis that changed and its neighbours");
+        let quiet = many::request(12, 3, 0.0);
+        assert_eq!(concerned(&quiet).len(), FEWEST);
+        let few = many::request(MANY, 3, 0.05);
+        assert_eq!(concerned(&few).len(), MANY);
+        let in_situ = Input { mode: Mode::InSitu, ..input.clone() };
+        assert_eq!(concerned(&in_situ).len(), 12);
+        let alone = Input { repeats: Vec::new(), ..input };
+        assert_eq!(concerned(&alone).len(), 12);
+    }
+
+    #[test]
+    fn what_the_sim_has_always_erred_by_is_no_change_and_more_noise_is_one() {
+        let mut input = many::request(12, 3, 0.05);
+        let bent = |signal: &Signal, by: &dyn Fn(usize, f64) -> f64| {
+            let of = |x: &Vec<f64>| x.iter().enumerate().map(|(k, x)| x + by(k, *x)).collect();
+            let mut channels = signal.channels().to_vec();
+            channels[9] = of(&channels[9]);
+            Signal::new(signal.sample_rate_hz(), channels).unwrap()
+        };
+        for run in input.baseline.iter_mut().chain(&mut input.runs) {
+            run.simulated = run.simulated.as_ref().map(|sim| bent(sim, &|_, x| 0.1 * x));
+        }
+        assert_eq!(concerned(&input), [2, 3, 4]);
+        for (n, run) in input.runs.iter_mut().enumerate() {
+            let hiss = |k: usize, _: f64| 0.2 * (7.3 * k as f64 * (n as f64 + 1.7)).sin();
+            run.response = bent(&run.response, &hiss);
+        }
+        assert_eq!(concerned(&input), [2, 3, 4, 9]);
+    }
+}
