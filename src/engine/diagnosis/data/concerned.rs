@@ -16,32 +16,47 @@ const NOTHING: f64 = 0.25;
 const SETTLING: f64 = 0.2;
 
 /// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
-/// it did on the baseline runs, and all others of their axes. All of a rig of few, and where the sim has seen the effect or
-/// no repeats tell the noise.
+/// it did on the baseline runs, and all others of their axes; also those at which it erred materially then, since its errors
+/// tell nothing of a change. All of a rig of few, and where the sim has seen the effect or no repeats tell the noise.
 pub fn concerned(input: &Input) -> Vec<usize> {
     let all: Vec<usize> = (0..input.responses.len()).collect();
     if all.len() <= MANY || input.mode == Mode::InSitu || input.repeats.is_empty() {
         return all;
     }
-    let Some(grown) = all.iter().map(|&r| grown(input, r)).collect::<Option<Vec<f64>>>() else { return all };
-    let mut foremost = all.clone();
-    foremost.sort_by(|&a, &b| grown[b].total_cmp(&grown[a]));
-    let shows = |&&r: &&usize| grown[r] > (NOTHING * input.material_gap).powi(2);
+    let Some(errs) = all.iter().map(|&r| Errs::of(input, r)).collect::<Option<Vec<Errs>>>() else {
+        return all;
+    };
+    let material = input.material_gap * input.material_gap;
+    let (mut foremost, untold): (Vec<usize>, Vec<usize>) =
+        all.iter().partition(|&&r| errs[r].before < material);
+    foremost.sort_by(|&a, &b| errs[b].grown.total_cmp(&errs[a].grown));
+    let shows = |&&r: &&usize| errs[r].grown > NOTHING * NOTHING * material;
     let count = foremost.iter().take(MANY).filter(shows).count().max(FEWEST);
     foremost.truncate(count);
+    foremost.extend(untold);
     let axis = |r: usize| input.responses[r].axis.as_ref();
     let beside = |r: usize| foremost.iter().any(|&f| axis(r).is_some() && axis(r) == axis(f));
     all.into_iter().filter(|&r| foremost.contains(&r) || beside(r)).collect()
 }
 
-/// Power of what the sim leaves of a response beyond the noise, relative to the response, less the same on the baseline
-/// runs; or what the noise alone has grown by, where that is more. `None` where the sim does not say.
-fn grown(input: &Input, response: usize) -> Option<f64> {
-    let noise = noise(input, response)?;
-    let now = Left::of(&input.runs, response)?;
-    let before = Left::of(&input.baseline, response)?;
-    let beyond = |left: &Left| (left.error - noise).max(0.0) / left.size;
-    Some((beyond(&now) - beyond(&before)).max((noise - before.error) / now.size))
+/// How a sim errs at a response, relative to it, by power.
+struct Errs {
+    /// Beyond the noise, on the baseline runs.
+    before: f64,
+    /// What the same has grown by on the runs to explain; or what the noise has, where that is more.
+    grown: f64,
+}
+
+impl Errs {
+    /// `None` where the sim does not say.
+    fn of(input: &Input, response: usize) -> Option<Self> {
+        let noise = noise(input, response)?;
+        let now = Left::of(&input.runs, response)?;
+        let was = Left::of(&input.baseline, response)?;
+        let beyond = |left: &Left| (left.error - noise).max(0.0) / left.size;
+        let before = beyond(&was);
+        Some(Self { before, grown: (beyond(&now) - before).max((noise - was.error) / now.size) })
+    }
 }
 
 /// What the sim leaves of a response.
@@ -112,9 +127,18 @@ mod tests {
             Signal::new(signal.sample_rate_hz(), channels).unwrap()
         };
         for run in input.baseline.iter_mut().chain(&mut input.runs) {
-            run.simulated = run.simulated.as_ref().map(|sim| bent(sim, &|_, x| 0.1 * x));
+            run.simulated = run.simulated.as_ref().map(|sim| bent(sim, &|_, x| 0.01 * x));
         }
         assert_eq!(concerned(&input), [2, 3, 4]);
+        let mut errs = input.clone();
+        for run in errs.baseline.iter_mut().chain(&mut errs.runs) {
+            run.simulated = run.simulated.as_ref().map(|sim| bent(sim, &|_, x| 0.1 * x));
+        }
+        assert_eq!(
+            concerned(&errs),
+            [2, 3, 4, 9],
+            "what errs by more than matters tells nothing of a change"
+        );
         for (n, run) in input.runs.iter_mut().enumerate() {
             let hiss = |k: usize, _: f64| 0.2 * (7.3 * k as f64 * (n as f64 + 1.7)).sin();
             run.response = bent(&run.response, &hiss);
