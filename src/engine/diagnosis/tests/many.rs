@@ -19,8 +19,8 @@ fn respond(drives: &[Vec<f64>], at: usize, cubic: f64) -> Vec<Vec<f64>> {
     let stiffness = |axis: usize| 700.0 + 1500.0 * axis as f64 / count as f64;
     let (mut x, mut v): (Vec<f64>, Vec<f64>) = (vec![0.0; count], vec![0.0; count]);
     let mut out = vec![Vec::new(); count];
-    let h = 1.0 / (RATE * STEPS as f64);
-    for k in 0..drives[0].len() {
+    let (h, samples) = (1.0 / (RATE * STEPS as f64), drives[0].len());
+    for k in 0..samples {
         out.iter_mut().zip(&x).for_each(|(out, x)| out.push(*x));
         for _ in 0..STEPS {
             let force = |a: usize| -> f64 {

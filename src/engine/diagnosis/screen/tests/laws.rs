@@ -70,6 +70,32 @@ fn a_joint_that_stiffens_strongly_is_named_beside_modes_that_are_found_beside_it
 }
 
 #[test]
+fn a_stop_in_a_joint_is_named_whichever_side_it_is_on() {
+    // Turned over, drive and motion are the same rig with the stop on the other side.
+    let of = |side: f64| {
+        let runs = [0.5, 1.0, 1.6].iter().enumerate().map(|(i, level)| {
+            let u: Vec<f64> = noise(3000, 60 + i as u64).iter().map(|u| side * level * u).collect();
+            let motions = pair(&u, |d, _| 3.0 * side * (side * d - 0.5).max(0.0));
+            (vec![u], motions.to_vec())
+        });
+        screened(&recording(&[Quantity::Force], &[Quantity::Displacement; 2], runs.collect()))
+    };
+    let left = [1.0, -1.0].map(|side| {
+        let screening = of(side);
+        let first = screening.foremost()[0];
+        let told = (first.law, first.ratio, first.gain);
+        assert_eq!(
+            (first.effect, first.place),
+            (Effect::OneSidedStop, Place::Between(1, 0)),
+            "{side}: {told:?}"
+        );
+        assert!(first.apart, "{side}: {told:?}");
+        first.free.as_ref().unwrap().ratio
+    });
+    assert!(left.iter().all(|left| *left < 0.4) && (left[0] / left[1] - 1.0).abs() < 0.3, "{left:?}");
+}
+
+#[test]
 fn a_linear_rig_in_much_noise_has_no_modes_beside_bends() {
     let mut recording = run(6000, 1.0, |_, _| 0.0);
     let noisy = {
