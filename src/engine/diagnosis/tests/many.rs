@@ -19,15 +19,16 @@ fn respond(drives: &[Vec<f64>], at: usize, cubic: f64) -> Vec<Vec<f64>> {
     let stiffness = |axis: usize| 700.0 + 1500.0 * axis as f64 / count as f64;
     let (mut x, mut v): (Vec<f64>, Vec<f64>) = (vec![0.0; count], vec![0.0; count]);
     let mut out = vec![Vec::new(); count];
-    let (h, samples) = (1.0 / (RATE * STEPS as f64), drives[0].len());
-    for k in 0..samples {
+    let h = 1.0 / (RATE * STEPS as f64);
+    for k in 0..drives[0].len() {
+        let u: Vec<f64> = drives.iter().map(|drive| drive[k]).collect();
         out.iter_mut().zip(&x).for_each(|(out, x)| out.push(*x));
         for _ in 0..STEPS {
             let force = |a: usize| -> f64 {
                 let bent = if a == at { cubic * x[a] * x[a] * x[a] } else { 0.0 };
                 let beside = [a.checked_sub(1), Some(a + 1).filter(|n| *n < count)];
                 let pull: f64 = beside.into_iter().flatten().map(|n| COUPLING * (x[n] - x[a])).sum();
-                stiffness(a) * (drives[a][k] - x[a] - bent) - 8.0 * v[a] + pull
+                stiffness(a) * (u[a] - x[a] - bent) - 8.0 * v[a] + pull
             };
             // Velocity first, then displacement with it (semi-implicit Euler): stable, and the same for rig and sim.
             let forces: Vec<f64> = (0..count).map(force).collect();
