@@ -140,7 +140,8 @@ fn level(input: &Input, run: usize) -> f64 {
     input.runs[run].drive.channels().iter().map(|d| rms(d)).sum()
 }
 
-fn same_drive(input: &Input, a: usize, b: usize) -> bool {
+/// Whether two runs have one drive.
+pub(super) fn same_drive(input: &Input, a: usize, b: usize) -> bool {
     let (a, b) = (&input.runs[a].drive, &input.runs[b].drive);
     a.n_samples() == b.n_samples()
         && a.channels().iter().zip(b.channels()).all(|(a, b)| {
