@@ -31,6 +31,8 @@ use crate::progress::{Progress, Watch, report};
 
 /// Share of the linear cores in the whole.
 const PREPARED: f64 = 0.1;
+/// Share of a diagnosis of some responses in that of all, which seldom follows.
+const OF_FEW: f64 = 0.7;
 /// Hypotheses in the report.
 const LISTED: usize = 8;
 
@@ -63,19 +65,39 @@ impl Diagnosis {
 /// core or for the split; [`EngineError::Cancelled`].
 pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineError> {
     input.check()?;
-    let (kept, count) = (concerned(input), input.responses.len());
-    let few = kept.len() < count;
-    let half = if few { 0.5 * PREPARED } else { 0.0 };
-    if few {
-        let of_few = input.of_responses(&kept);
-        let prepared = prepare(&of_few, &|p: Progress<'_>| watch(p.within(&(0.0..half))))?;
-        // Without repeats that are alike transfer between runs is asked, of all responses.
-        if prepared.from_repeats {
-            return Ok(explained(&of_few, &prepared, watch)?.among(&kept, count));
+    let kept = concerned(input);
+    let mut begun = 0.0;
+    if kept.len() < input.responses.len() {
+        if let Some(found) = among(input, &kept, &|p: Progress<'_>| watch(p.within(&(0.0..OF_FEW))))? {
+            return Ok(found);
         }
+        begun = OF_FEW;
     }
-    let prepared = prepare(input, &|p: Progress<'_>| watch(p.within(&(half..PREPARED))))?;
-    explained(input, &prepared, watch)
+    let all = |p: Progress<'_>| watch(p.within(&(begun..1.0)));
+    let prepared = prepare(input, &|p: Progress<'_>| all(p.within(&(0.0..PREPARED))))?;
+    explained(input, &prepared, &all)
+}
+
+/// The diagnosis at some responses, where it is an answer: without repeats that are alike transfer between runs is asked, of
+/// all responses, and a cause that is not found may act by the motion of one that was left out.
+fn among(input: &Input, kept: &[usize], watch: Watch<'_>) -> Result<Option<Diagnosis>, EngineError> {
+    let of_few = input.of_responses(kept);
+    let named = |error: EngineError| match error {
+        EngineError::DeadChannel { what, channel } if what.starts_with("response") => {
+            EngineError::DeadChannel { what, channel: kept[channel] }
+        }
+        other => other,
+    };
+    let prepared = prepare(&of_few, &|p: Progress<'_>| watch(p.within(&(0.0..PREPARED)))).map_err(named)?;
+    if !prepared.from_repeats {
+        return Ok(None);
+    }
+    let found = explained(&of_few, &prepared, watch)?;
+    let answers = match found.report.verdict.kind {
+        VerdictKind::Identified | VerdictKind::NoMaterialGap => true,
+        kind => kind == VerdictKind::NoiseOrUnmeasuredDisturbance,
+    };
+    Ok(answers.then(|| found.among(kept, input.responses.len())))
 }
 
 /// The diagnosis of a request that is made ready.

@@ -3,6 +3,7 @@
 //! A response costs a linear core, candidates of its own, and a path for every effect elsewhere: the time of a diagnosis
 //! grows with the square of their number. A cause shows where the sim errs by more than it did before the change.
 
+use super::split::same_drive;
 use crate::diagnosis::input::{Input, Mode, Run};
 use crate::diagnosis::numerics::linear::squares_about_mean;
 
@@ -12,12 +13,14 @@ const MANY: usize = 8;
 const FEWEST: usize = 2;
 /// Share of `material_gap` by which a sim errs more than before where that is nothing.
 const NOTHING: f64 = 0.25;
+/// Share of `material_gap` from which on an error on the baseline runs may hide a change.
+const UNTOLD: f64 = 0.5;
 /// Share of a run that the sim's own start may colour.
 const SETTLING: f64 = 0.2;
 
 /// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
-/// it did on the baseline runs, and all others of their axes; also those at which it erred materially then, since its errors
-/// tell nothing of a change. All of a rig of few, and where the sim has seen the effect or no repeats tell the noise.
+/// it did on the baseline runs, and all others of their axes; also those at which it erred then by half of what matters, since
+/// its errors tell little of a change. All of a rig of few, and where the sim has seen the effect or no repeats tell the noise.
 pub fn concerned(input: &Input) -> Vec<usize> {
     let all: Vec<usize> = (0..input.responses.len()).collect();
     if all.len() <= MANY || input.mode == Mode::InSitu || input.repeats.is_empty() {
@@ -28,7 +31,7 @@ pub fn concerned(input: &Input) -> Vec<usize> {
     };
     let material = input.material_gap * input.material_gap;
     let (mut foremost, untold): (Vec<usize>, Vec<usize>) =
-        all.iter().partition(|&&r| errs[r].before < material);
+        all.iter().partition(|&&r| errs[r].before < UNTOLD * UNTOLD * material);
     foremost.sort_by(|&a, &b| errs[b].grown.total_cmp(&errs[a].grown));
     let shows = |&&r: &&usize| errs[r].grown > NOTHING * NOTHING * material;
     let count = foremost.iter().take(MANY).filter(shows).count().max(FEWEST);
@@ -82,13 +85,17 @@ impl Left {
     }
 }
 
-/// Mean square of a response's noise, by what repeats differ in; `None` without any.
+/// Mean square of a response's noise, by what repeats differ in, a drift of its offset left aside; `None` without any.
 fn noise(input: &Input, response: usize) -> Option<f64> {
     let (mut squares, mut count) = (0.0, 0);
     for pair in input.repeats.iter().flat_map(|group| group.windows(2)) {
+        if !same_drive(input, pair[0], pair[1]) {
+            continue;
+        }
         let [a, b] = [pair[0], pair[1]].map(|run| settled(input.runs[run].response.channel(response)));
-        squares += a.iter().zip(b).map(|(a, b)| 0.5 * (a - b) * (a - b)).sum::<f64>();
-        count += a.len().min(b.len());
+        let difference: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+        squares += 0.5 * squares_about_mean(&difference);
+        count += difference.len();
     }
     (count > 0).then(|| squares / count as f64)
 }
@@ -134,11 +141,7 @@ mod tests {
         for run in errs.baseline.iter_mut().chain(&mut errs.runs) {
             run.simulated = run.simulated.as_ref().map(|sim| bent(sim, &|_, x| 0.1 * x));
         }
-        assert_eq!(
-            concerned(&errs),
-            [2, 3, 4, 9],
-            "what errs by more than matters tells nothing of a change"
-        );
+        assert_eq!(concerned(&errs), [2, 3, 4, 9], "what has always erred tells nothing of a change");
         for (n, run) in input.runs.iter_mut().enumerate() {
             let hiss = |k: usize, _: f64| 0.2 * (7.3 * k as f64 * (n as f64 + 1.7)).sin();
             run.response = bent(&run.response, &hiss);

@@ -1,7 +1,6 @@
 //! From a request to one problem per response.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -133,13 +132,15 @@ fn above_noise(
             });
         }
     }
-    let (done, responses) = (AtomicUsize::new(0), input.responses.len());
+    let (done, responses) = (Mutex::new(0), input.responses.len());
     let fitted: Vec<CoreFit> = (0..responses)
         .into_par_iter()
         .map(|r| {
             let found = fit_core(input, &baseline, r, band, supposed)?;
-            let fitted = done.fetch_add(1, Ordering::Relaxed) + 1;
-            report(watch, STAGE, fitted as f64 / responses as f64)?;
+            // Held while it is told, so that what is told never falls.
+            let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+            *done += 1;
+            report(watch, STAGE, f64::from(*done) / responses as f64)?;
             Ok(found)
         })
         .collect::<Result<_, EngineError>>()?;

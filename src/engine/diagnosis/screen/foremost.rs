@@ -14,7 +14,7 @@ use crate::progress::{Watch, report};
 /// A family is run freely where it leaves no more than so many times what the best leaves, and less than this of
 /// the linear part's error; at most so many are. Beside modes that were found beside bends a regression tells too little to
 /// leave out what leaves more than the linear part.
-const BEHIND: f64 = 2.0;
+pub(super) const BEHIND: f64 = 2.0;
 pub(super) const NOTHING: f64 = 0.97;
 const CONFIRMED: usize = 6;
 /// The same of effects, beside modes that were found beside bends.

@@ -338,7 +338,7 @@ impl Law {
         })
     }
 
-    /// The law as it is beside a linear part that takes nothing of its argument: nothing at rest, and all beyond a kink.
+    /// The law as it is beside a linear part that takes nothing of its argument: one of a kink is nothing before it.
     pub(super) fn apart(self) -> Self {
         match self {
             Self::Kink { at } => Self::Gap { at },

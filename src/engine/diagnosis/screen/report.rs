@@ -17,6 +17,9 @@ pub struct Screening {
     pub groups: usize,
     /// The linear part of all responses.
     pub linear: LinearPart,
+    /// Whether some laws were tried beside modes that were found beside bends of the motions, since a strong law had moved
+    /// those of the linear part.
+    pub apart: bool,
     /// Laws at their places, the smallest ratio first; where modes were found beside bends, first what free runs leave least
     /// of, those of other places beside the modes that were found alone.
     pub standings: Vec<Standing>,
@@ -51,8 +54,7 @@ pub struct Standing {
     /// Whether its argument is what the linear part makes of the drives, without noise, and its signals move every mode
     /// by factors of their own; else the argument is what was measured.
     pub predicted: bool,
-    /// Whether it stands beside modes that were found beside bends of the motions, since a strong law had moved those of the
-    /// linear part.
+    /// Whether it stands beside modes that were found beside bends.
     pub apart: bool,
     /// Its name in the catalogue.
     pub effect: Effect,
@@ -81,11 +83,6 @@ pub struct Standing {
 }
 
 impl Screening {
-    /// Whether some laws stand beside modes that were found beside bends.
-    pub(in crate::diagnosis) fn has_apart(&self) -> bool {
-        self.standings.iter().any(|s| s.apart)
-    }
-
     /// The first standing of each family, best first.
     pub fn foremost(&self) -> Vec<&Standing> {
         let mut first: Vec<&Standing> = Vec::new();

@@ -11,7 +11,7 @@ use super::candidates;
 use super::desk::Desk;
 use super::entry::Entry;
 use super::first_look::{self, Chosen, FirstLook};
-use super::foremost::NOTHING;
+use super::foremost::{BEHIND, NOTHING};
 use super::free_run::left;
 use super::groups::Grouping;
 use super::input::Recording;
@@ -139,7 +139,7 @@ fn merged(anew: Screening, alone: Screening) -> Screening {
     // By a way of its own into every mode a response predicts itself: what runs freely tells laws apart.
     let left = |s: &Standing| left(s.free.as_ref());
     standings.sort_by(|a, b| left(a).total_cmp(&left(b)).then(a.ratio.total_cmp(&b.ratio)));
-    Screening { standings, ..alone }
+    Screening { standings, apart: true, ..alone }
 }
 
 /// All laws beside the linear part beside which some law leaves least, and the free runs of the foremost. They count
@@ -271,6 +271,7 @@ impl Bench<'_> {
         Ok(Screening {
             transfer: grouping.transfer,
             groups: self.base.n_groups(),
+            apart: setting.apart,
             linear: LinearPart {
                 sample_rate_hz: rate,
                 modes: setting.poles.as_ref().map(Poles::states),
@@ -497,7 +498,8 @@ impl Bench<'_> {
             Some(b) => {
                 let worst = b.ratios.iter().copied().fold(0.0, f64::max);
                 let direct = matches!(argument.place, Place::Drive(_) | Place::Output(_));
-                let gain = if way == Way::Modal && ratio < NOTHING {
+                let worth = if self.base.setting().apart { BEHIND } else { NOTHING };
+                let gain = if way == Way::Modal && ratio < worth {
                     self.gain_of_modes(law, argument, signals, shared.as_ref())
                 } else {
                     self.base.relative_gain(&b.block, b.width, direct, b.response)

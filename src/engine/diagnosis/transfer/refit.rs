@@ -95,7 +95,7 @@ pub fn refits(
     let known = recording.records.iter().any(|r| r.added.is_some());
     // A fit begins with the linear part of the signals as they are. Where a strong law has moved its modes, a fit may end
     // anywhere.
-    if screening.transfer == Transfer::OneDrive || known || screening.has_apart() {
+    if screening.transfer == Transfer::OneDrive || known || screening.apart {
         return Ok(Refits::default());
     }
     let tasks = tasks(recording, screening, catalogue);
@@ -326,7 +326,7 @@ mod tests {
         let recording = runs(stiffening).recording;
         let grouping = group(&recording, &[]);
         let mut screening = screen(&recording, &grouping, &unwatched).unwrap();
-        screening.standings[0].apart = true;
+        screening.apart = true;
         let found = refits(&recording, &grouping, &screening, &Effect::ALL, &unwatched).unwrap();
         assert_eq!(found, Refits::default());
     }

@@ -45,7 +45,7 @@ fn of_a_strong_spring() -> Recording {
 #[test]
 fn a_spring_that_has_moved_the_modes_is_named_beside_modes_that_are_found_beside_it() {
     let screening = screened(&of_a_strong_spring());
-    assert!(screening.has_apart() && screening.linear.errors[0].iter().all(|e| *e > 0.4), "{screening:?}");
+    assert!(screening.apart && screening.linear.errors[0].iter().all(|e| *e > 0.4), "{screening:?}");
     let first = screening.foremost()[0];
     assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Response(0)));
     let free = first.free.as_ref().unwrap();
@@ -62,7 +62,7 @@ fn a_joint_that_stiffens_strongly_is_named_beside_modes_that_are_found_beside_it
     });
     let recording = recording(&[Quantity::Force], &[Quantity::Displacement; 2], runs.collect());
     let screening = screened(&recording);
-    assert!(screening.has_apart(), "{:?}", screening.linear);
+    assert!(screening.apart, "{:?}", screening.linear);
     let first = screening.foremost()[0];
     assert_eq!((first.effect, first.place), (Effect::CubicStiffness, Place::Between(1, 0)));
     let free = first.free.as_ref().unwrap();
@@ -107,7 +107,7 @@ fn a_linear_rig_in_much_noise_has_no_modes_beside_bends() {
     recording.records[0].response = Signal::new(RATE_HZ, vec![noisy]).unwrap();
     let screening = screened(&recording);
     assert!(screening.linear.errors[0].iter().all(|e| *e > 0.3), "{:?}", screening.linear);
-    assert!(!screening.has_apart());
+    assert!(!screening.apart);
     assert!(screening.standings.iter().all(|s| s.free.as_ref().is_none_or(|free| free.ratio > 0.8)));
 }
 
