@@ -33,6 +33,8 @@ use crate::progress::{Progress, Watch, report};
 const PREPARED: f64 = 0.1;
 /// Share of a diagnosis of some responses in that of all, which seldom follows.
 const OF_FEW: f64 = 0.7;
+/// Share of the gap that a cause leaves at most where no other responses are asked.
+const ANSWERED: f64 = 0.1;
 /// Hypotheses in the report.
 const LISTED: usize = 8;
 
@@ -93,9 +95,11 @@ fn among(input: &Input, kept: &[usize], watch: Watch<'_>) -> Result<Option<Diagn
         return Ok(None);
     }
     let found = explained(&of_few, &prepared, watch)?;
+    let closes = found.report.hypotheses.first().is_some_and(|best| best.remaining_share < ANSWERED);
     let answers = match found.report.verdict.kind {
-        VerdictKind::Identified | VerdictKind::NoMaterialGap => true,
-        kind => kind == VerdictKind::NoiseOrUnmeasuredDisturbance,
+        VerdictKind::NoMaterialGap | VerdictKind::NoiseOrUnmeasuredDisturbance => true,
+        VerdictKind::Identified | VerdictKind::Partial => closes,
+        _ => false,
     };
     Ok(answers.then(|| found.among(kept, input.responses.len())))
 }
