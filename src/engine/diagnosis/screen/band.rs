@@ -119,22 +119,16 @@ fn beyond<'a>(lines: impl Iterator<Item = &'a f64>, outside: f64) -> Option<usiz
     })
 }
 
-/// Every `step`-th sample after a low-pass filter (a windowed sinc of linear phase, its stop band at half of
-/// the new rate, 60 dB); beyond its ends the signal is held.
+/// A low-pass filter (a windowed sinc of linear phase, 60 dB); beyond its ends a signal is held.
 #[derive(Debug, Clone)]
-pub(super) struct Thinner {
-    step: usize,
+pub(super) struct LowPass {
     /// The symmetric filter.
     filter: Vec<f64>,
 }
 
-impl Thinner {
-    pub fn new(step: usize) -> Self {
-        Self { step, ..Self::low_pass(step as f64) }
-    }
-
-    /// The low-pass filter alone, for a rate that is so many times lower.
-    pub fn low_pass(times: f64) -> Self {
+impl LowPass {
+    /// For a rate that is so many times lower: the stop band begins at half of that.
+    pub fn new(times: f64) -> Self {
         let reach = (10.0 * times).ceil() as usize;
         let cut = 0.405 / times;
         let mut half: Vec<f64> = (0..reach)
@@ -148,21 +142,14 @@ impl Thinner {
             .collect();
         let sum: f64 = half[0] + 2.0 * half[1..].iter().sum::<f64>();
         half.iter_mut().for_each(|h| *h /= sum);
-        let filter = half[1..].iter().rev().chain(&half).copied().collect();
-        Self { step: 1, filter }
+        Self { filter: half[1..].iter().rev().chain(&half).copied().collect() }
     }
 
-    /// `ceil(n / step)` samples, the first at the first.
-    pub fn thin(&self, x: &[f64]) -> Vec<f64> {
-        if self.step == 1 { x.to_vec() } else { self.filtered(x) }
-    }
-
-    /// The same through the filter, whatever the step.
-    pub fn filtered(&self, x: &[f64]) -> Vec<f64> {
+    /// Some samples of a signal behind the filter.
+    pub fn at(&self, x: &[f64], samples: impl Iterator<Item = usize>) -> Vec<f64> {
         let (n, reach) = (x.len(), self.filter.len() / 2);
         let held = |i: isize| x[i.clamp(0, n as isize - 1) as usize];
-        (0..n)
-            .step_by(self.step)
+        samples
             .map(|at| {
                 if at >= reach && at + reach < n {
                     return dot(&self.filter, &x[at - reach..=at + reach]);
@@ -171,6 +158,24 @@ impl Thinner {
                 self.filter.iter().zip(from..).map(|(h, i)| h * held(i)).sum()
             })
             .collect()
+    }
+}
+
+/// Every `step`-th sample behind a low-pass filter.
+#[derive(Debug, Clone)]
+pub(super) struct Thinner {
+    step: usize,
+    low_pass: LowPass,
+}
+
+impl Thinner {
+    pub fn new(step: usize) -> Self {
+        Self { step, low_pass: LowPass::new(step as f64) }
+    }
+
+    /// `ceil(n / step)` samples, the first at the first.
+    pub fn thin(&self, x: &[f64]) -> Vec<f64> {
+        if self.step == 1 { x.to_vec() } else { self.low_pass.at(x, (0..x.len()).step_by(self.step)) }
     }
 }
 
@@ -187,10 +192,10 @@ mod tests {
             assert!((x - (TAU * 0.25 * k as f64).sin()).abs() < 2e-3, "{k}: {x}");
         }
         let fast = thinner.thin(&wave(0.17));
-        let alone = Thinner::low_pass(5.0);
-        let kept = alone.filtered(&wave(0.05));
+        let alone = |f: f64| LowPass::new(5.0).at(&wave(f), 0..4000);
+        let kept = alone(0.05);
         assert!(slow.iter().zip(kept.iter().step_by(5)).all(|(thinned, kept)| thinned == kept));
-        assert!(alone.filtered(&wave(0.17))[100..3900].iter().all(|x| x.abs() < 2e-3));
+        assert!(alone(0.17)[100..3900].iter().all(|x| x.abs() < 2e-3));
         assert!(fast[20..760].iter().all(|x| x.abs() < 2e-3));
         assert_eq!(Thinner::new(1).thin(&wave(0.4)), wave(0.4));
     }

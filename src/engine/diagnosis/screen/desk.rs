@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::band::{Band, Thinner};
+use super::band::{Band, LowPass, Thinner};
 use super::correlate::Correlator;
 use super::groups::Stretch;
 use super::input::Recording;
@@ -32,7 +32,7 @@ pub(super) struct Desk<'a> {
     pub limits: Limits,
     pub thinner: Thinner,
     /// What free runs leave is judged behind this filter: that of a desk of fewer samples whose errors count beside.
-    pub judged: Option<Thinner>,
+    pub judged: Option<LowPass>,
     /// Samples of each record that are looked at, at the recording's own rate.
     pub used: Vec<usize>,
     pub segments: Vec<Segment>,
@@ -62,7 +62,7 @@ impl<'a> Desk<'a> {
     pub fn judged_as(pieces: &'a Pieces<'a>, step: usize) -> Self {
         let desk = Self::new(pieces);
         let times = step as f64 / desk.band.step as f64;
-        Self { judged: (times > 1.0).then(|| Thinner::low_pass(times)), ..desk }
+        Self { judged: (times > 1.0).then(|| LowPass::new(times)), ..desk }
     }
 
     fn in_band(pieces: &'a Pieces<'a>, band: Band) -> Self {

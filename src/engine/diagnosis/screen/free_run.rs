@@ -17,7 +17,7 @@ use super::linear_part::Setting;
 use super::place::{Argument, Place, Seen};
 use super::report::Standing;
 use super::run::{Bench, geometric_mean};
-use super::track::{Segment, Track, delayed, less, mean};
+use super::track::{Segment, Track, centre, delayed, less, mean};
 use crate::diagnosis::numerics::linear::rms;
 
 /// Rounds of simulation and fit.
@@ -551,8 +551,15 @@ impl Fit<'_, '_> {
         for segment in segments {
             let Some(run) = run(segment.record) else { continue };
             let squares = |signal: &[f64]| -> f64 {
-                let judged = self.bench.desk.judged.as_ref().map(|filter| filter.filtered(signal));
-                delayed(judged.as_deref().unwrap_or(signal), segment, 0).iter().map(|y| y * y).sum()
+                let rows = match &self.bench.desk.judged {
+                    Some(filter) => {
+                        let mut rows = filter.at(signal, segment.rows.clone());
+                        centre(&mut rows, segment);
+                        rows
+                    }
+                    None => delayed(signal, segment, 0),
+                };
+                rows.iter().map(|y| y * y).sum()
             };
             let (y, made) = (&self.measured[output][segment.record], &run.outputs[output]);
             left += squares(&y.iter().zip(made).map(|(y, made)| y - made).collect::<Vec<f64>>());

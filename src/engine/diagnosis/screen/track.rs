@@ -29,9 +29,14 @@ pub(super) fn delayed(samples: &[f64], segment: &Segment, lag: isize) -> Vec<f64
     } else {
         rows.map(|t| samples[t.clamp(0, last) as usize]).collect()
     };
-    let mean = out.iter().sum::<f64>() / out.len().max(1) as f64;
-    out.iter_mut().for_each(|x| *x = (*x - mean) * segment.weight);
+    centre(&mut out, segment);
     out
+}
+
+/// Centres rows of a segment and weights them.
+pub(super) fn centre(rows: &mut [f64], segment: &Segment) {
+    let mean = rows.iter().sum::<f64>() / rows.len().max(1) as f64;
+    rows.iter_mut().for_each(|x| *x = (*x - mean) * segment.weight);
 }
 
 /// Mean over all samples.
