@@ -12,7 +12,7 @@ use super::transfer::{Found, by_transfer};
 use super::verdict::judge;
 use super::views::Views;
 use crate::EngineError;
-use crate::diagnosis::data::concerned::concerned;
+use crate::diagnosis::data::concerned::{concerned, too_many};
 use crate::diagnosis::data::locate;
 use crate::diagnosis::data::means::drift;
 use crate::diagnosis::data::overview::{Overview, gaps};
@@ -101,7 +101,7 @@ fn among(input: &Input, kept: &[usize], watch: Watch<'_>) -> Result<Option<Diagn
         VerdictKind::Identified | VerdictKind::Partial => closes,
         _ => false,
     };
-    Ok(answers.then(|| found.among(kept, input.responses.len())))
+    Ok((answers || too_many(input)).then(|| found.among(kept, input.responses.len())))
 }
 
 /// The diagnosis of a request that is made ready.

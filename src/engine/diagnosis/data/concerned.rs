@@ -9,6 +9,8 @@ use crate::diagnosis::numerics::linear::squares_about_mean;
 
 /// Responses that are all looked at, whatever they show.
 const MANY: usize = 8;
+/// Responses that are never all looked at where it is known how the sim erred before: the time would be hours.
+const TOO_MANY: usize = 16;
 /// Responses that are looked at where none shows anything.
 const FEWEST: usize = 2;
 /// Share of `material_gap` by which a sim errs more than before where that is nothing.
@@ -20,7 +22,8 @@ const SETTLING: f64 = 0.2;
 
 /// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
 /// it did on the baseline runs, and all others of their axes; also those at which it erred then by half of what matters, since
-/// its errors tell little of a change. All of a rig of few, and where the sim has seen the effect or no repeats tell the noise.
+/// its errors tell little of a change. Of [too many](too_many) those that erred then must be among the foremost as well. All of
+/// a rig of few, and where the sim has seen the effect or no repeats tell the noise.
 pub fn concerned(input: &Input) -> Vec<usize> {
     let all: Vec<usize> = (0..input.responses.len()).collect();
     if all.len() <= MANY || input.mode == Mode::InSitu || input.repeats.is_empty() {
@@ -30,16 +33,24 @@ pub fn concerned(input: &Input) -> Vec<usize> {
         return all;
     };
     let material = input.material_gap * input.material_gap;
-    let (mut foremost, untold): (Vec<usize>, Vec<usize>) =
-        all.iter().partition(|&&r| errs[r].before < UNTOLD * UNTOLD * material);
+    let erred = |&r: &usize| errs[r].before >= UNTOLD * UNTOLD * material;
+    let tells = |r: &&usize| too_many(input) || !erred(r);
+    let (mut foremost, untold): (Vec<usize>, Vec<usize>) = all.iter().partition(tells);
     foremost.sort_by(|&a, &b| errs[b].grown.total_cmp(&errs[a].grown));
     let shows = |&&r: &&usize| errs[r].grown > NOTHING * NOTHING * material;
-    let count = foremost.iter().take(MANY).filter(shows).count().max(FEWEST);
+    // Of those whose errors tell little the foremost may be any.
+    let fewest = if foremost.iter().take(MANY).any(erred) { MANY } else { FEWEST };
+    let count = foremost.iter().take(MANY).filter(shows).count().max(fewest);
     foremost.truncate(count);
     foremost.extend(untold);
     let axis = |r: usize| input.responses[r].axis.as_ref();
     let beside = |r: usize| foremost.iter().any(|&f| axis(r).is_some() && axis(r) == axis(f));
     all.into_iter().filter(|&r| foremost.contains(&r) || beside(r)).collect()
+}
+
+/// Whether a rig has so many responses that what the foremost of them tell has to do.
+pub fn too_many(input: &Input) -> bool {
+    input.responses.len() > TOO_MANY
 }
 
 /// How a sim errs at a response, relative to it, by power.
@@ -122,6 +133,24 @@ mod tests {
         assert_eq!(concerned(&in_situ).len(), 12);
         let alone = Input { repeats: Vec::new(), ..input };
         assert_eq!(concerned(&alone).len(), 12);
+    }
+
+    #[test]
+    fn of_too_many_responses_only_the_foremost_are_looked_at_even_where_the_sim_has_always_erred() {
+        let mut input = many::request(TOO_MANY + 1, 3, 0.05);
+        assert_eq!(concerned(&input), [2, 3, 4]);
+        for run in input.baseline.iter_mut().chain(&mut input.runs) {
+            let simulated = run.simulated.as_ref().unwrap();
+            let errs = |(r, x): (usize, &Vec<f64>)| -> Vec<f64> {
+                let by = if r < 12 { 1.1 } else { 1.0 };
+                x.iter().map(|x| by * x).collect()
+            };
+            let channels = simulated.channels().iter().enumerate().map(errs).collect();
+            run.simulated = Some(Signal::new(simulated.sample_rate_hz(), channels).unwrap());
+        }
+        let found = concerned(&input);
+        assert_eq!(found.len(), MANY, "{found:?}");
+        assert!([2, 3, 4].iter().all(|r| found.contains(r)), "{found:?}");
     }
 
     #[test]

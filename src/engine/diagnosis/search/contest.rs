@@ -31,6 +31,13 @@ const FIRST: usize = 8;
 const BEHIND: f64 = 6.0;
 /// and the least, in noise floors squared, that this is counted from.
 const NEAR: f64 = 0.3;
+/// Drives up to which all that come near are fitted with a linear part that gives way. With more it has some thirteen columns
+/// for each of them:
+const DRIVES: usize = 8;
+/// so many of a response are fitted so then,
+const GIVING_WAY: usize = 8;
+/// where the best leaves less than this share of its gap: a core errs by little.
+const CORE_SHARE: f64 = 0.25;
 
 /// The contest's outcome.
 pub struct Outcome<'p> {
@@ -84,13 +91,19 @@ pub fn contest<'p>(
         .collect::<Result<_, EngineError>>()?;
     let mut fitted: Vec<(usize, Fitted)> = fitted.into_iter().flatten().collect();
     exchange(prepared, &mut fitted);
-    let mut fitted = further(prepared, fitted, |problem, f, _| {
+    let mut fitted = further(prepared, fitted, usize::MAX, |problem, f, _| {
         report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
         Ok(finish(problem, f, Effort { rounds: 40 }))
     })?;
     // Where only one of them got on.
     exchange(prepared, &mut fitted);
-    let fitted = further(prepared, fitted, |problem, f, least| Ok(tolerant(problem, f, least)))?;
+    let many = input.drives.len() > DRIVES;
+    let most = if many { GIVING_WAY } else { usize::MAX };
+    let fitted = further(prepared, fitted, most, |problem, f, least| {
+        report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
+        let near = || least - 1.0 < CORE_SHARE * (problem.chi2_none(&problem.fit) - 1.0);
+        Ok(if !many || near() { tolerant(problem, f, least) } else { f })
+    })?;
     let scored: Vec<Option<Scored>> = fitted
         .into_par_iter()
         .map(|(r, fitted)| score(r, &prepared.problems[r], fitted, overview.chi2_select[r], rate))
@@ -121,20 +134,25 @@ pub fn contest<'p>(
     Ok(Outcome { ranked, regressions, chi2_none: baseline.chi2, rows: baseline.rows })
 }
 
-/// Fits what comes near the best of its response further, by what that best leaves.
+/// Fits what comes near the best of its response further, by what that best leaves, and of each response so many at most.
 fn further(
     prepared: &Prepared,
     fitted: Vec<(usize, Fitted)>,
+    most: usize,
     fit: impl Fn(&Problem, Fitted, f64) -> Result<Fitted, EngineError> + Sync,
 ) -> Result<Vec<(usize, Fitted)>, EngineError> {
-    let least = |r: usize| {
-        let own = fitted.iter().filter(|f| f.0 == r);
-        own.map(|f| f.1.chi2_fit).fold(f64::INFINITY, f64::min)
+    let of_response = |r: usize| -> Vec<f64> {
+        let mut left: Vec<f64> = fitted.iter().filter(|f| f.0 == r).map(|f| f.1.chi2_fit).collect();
+        left.sort_by(f64::total_cmp);
+        left
     };
-    let least: Vec<f64> = (0..prepared.problems.len()).map(least).collect();
-    let near = |r: usize, f: &Fitted| f.chi2_fit - 1.0 < BEHIND * (least[r] - 1.0).max(NEAR);
+    let left: Vec<Vec<f64>> = (0..prepared.problems.len()).map(of_response).collect();
+    let near = |r: usize, f: &Fitted| {
+        f.chi2_fit - 1.0 < BEHIND * (left[r][0] - 1.0).max(NEAR)
+            && left[r].get(most).is_none_or(|next| f.chi2_fit < *next)
+    };
     fitted
         .into_par_iter()
-        .map(|(r, f)| Ok((r, if near(r, &f) { fit(&prepared.problems[r], f, least[r])? } else { f })))
+        .map(|(r, f)| Ok((r, if near(r, &f) { fit(&prepared.problems[r], f, left[r][0])? } else { f })))
         .collect()
 }

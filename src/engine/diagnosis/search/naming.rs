@@ -235,6 +235,27 @@ pub fn alias_preferred(problem: &Problem, fitted: &Fitted, predictions: &[Vec<f6
     (3 * inside > 2 * all) == (part.forces[0] == Law::Clearance)
 }
 
+/// Whether a map of a drive that comes in any size bends it by more than all of it, its straight part left aside. No
+/// actuator does so: what the drive moves next to nothing of in a straight way answers to its square by another path, as
+/// through the motion of an axis that nobody measures.
+pub fn more_than_its_drive(problem: &Problem, fitted: &Fitted) -> bool {
+    let part = &fitted.candidate.parts[0];
+    let Some(map @ (InputMap::Polynomial | InputMap::Free(_))) = &part.input else { return false };
+    if problem.retunes_freely(&fitted.candidate) {
+        return false;
+    }
+    let p = &fitted.p[..map.parameters()];
+    let (mut drive, mut bend, mut both) = (0.0, 0.0, 0.0);
+    for stretch in &problem.select {
+        let u = problem.drive(stretch, part.drive);
+        let (change, u) = (stretch.scored(map.change(p, &u)), stretch.scored(u));
+        drive += dot(&u, &u);
+        bend += dot(&change, &change);
+        both += dot(&u, &change);
+    }
+    bend - both * both / drive.max(f64::MIN_POSITIVE) > drive
+}
+
 /// Power of the lines of a signal below a quarter of the sample rate, and the length that they are of.
 fn power_lines(x: &[f64]) -> (usize, Vec<f64>) {
     let n = fast_len(x.len());
@@ -285,6 +306,24 @@ mod tests {
         assert!(work(here) > 0.9 && !not_collocated(problem, &candidate, work(here)), "{}", work(here));
         assert!(not_collocated(problem, &candidate, work(&turned)), "{}", work(&turned));
         assert_eq!(work(&vec![0.0; here.len()]), 1.0, "what does nothing is no worse for it");
+    }
+
+    #[test]
+    fn an_actuator_bends_a_drive_by_less_than_all_of_it() {
+        let prepared = prepare(&request(friction, 0.01), &unwatched).unwrap();
+        let problem = &prepared.problems[0];
+        let candidate = Candidate::of(Part::input(Effect::DrivePolynomial, 0, InputMap::Polynomial), false);
+        let more = |candidate: &Candidate, p: &[f64]| {
+            let scale = vec![1.0; p.len()];
+            let fitted = Fitted { candidate: candidate.clone(), p: p.to_vec(), scale, chi2_fit: 1.0 };
+            more_than_its_drive(problem, &fitted)
+        };
+        assert!(!more(&candidate, &[0.4, -0.5]));
+        assert!(more(&candidate, &[20.0, 0.0]) && more(&candidate, &[0.0, -40.0]));
+        let law = Candidate::of(Part::force(Effect::CubicStiffness, vec![Law::Cubic], None), false);
+        assert!(!more(&law, &[20.0; 9]), "a law of the response is of any size");
+        let gain = Candidate::of(Part::input(Effect::Gain, 0, InputMap::Gain), false);
+        assert!(!more(&gain, &[20.0]), "a straight one is a gain");
     }
 
     #[test]

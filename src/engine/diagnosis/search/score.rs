@@ -7,7 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::naming::{
-    alias_preferred, line_in_disguise, not_collocated, open_sandwich, passivity, straightened,
+    alias_preferred, line_in_disguise, more_than_its_drive, not_collocated, open_sandwich, passivity,
+    straightened,
 };
 use super::propagation::Propagation;
 use crate::diagnosis::data::problem::{Problem, Stretch, scored_rows};
@@ -47,8 +48,8 @@ pub struct Scored {
     pub beside: Option<f64>,
     /// Squared rows per block of the select stretches.
     pub blocks: Vec<f64>,
-    /// A free shape that does as well straightened, a stop or a gap that is a line, or a sandwich with
-    /// nothing before its middle.
+    /// A free shape that does as well straightened, a stop or a gap that is a line, a sandwich with
+    /// nothing before its middle, or a bend that exceeds its drive.
     pub overflexible: bool,
     /// How far its force works as one at the response's own place does, -1 to 1.
     pub passivity: f64,
@@ -101,7 +102,8 @@ pub fn score(
     let straight = straightened(problem, &fitted).map(|chi2| remaining(chi2, chi2_none));
     let overflexible = straight.is_some_and(|straight| straight - left < EQUAL)
         || open_sandwich(problem, &fitted.candidate, &fitted.p)
-        || line_in_disguise(problem, &fitted, &predictions, chi2);
+        || line_in_disguise(problem, &fitted, &predictions, chi2)
+        || more_than_its_drive(problem, &fitted);
     let passivity = passivity(problem, &fitted, &predictions);
     let not_collocated = not_collocated(problem, &fitted.candidate, passivity);
     let fit_rows = scored_rows(&problem.fit);
