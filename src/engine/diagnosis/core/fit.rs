@@ -29,6 +29,8 @@ const ROUNDS: usize = 8;
 /// Price of a parameter in squared noise floors over a whole stretch: a spurious mode may choose
 /// among all lines, but what is missed grows with the drive.
 const CHARGE: f64 = 4.0;
+/// Drives up to which the models of all orders are refined.
+const REFINED: usize = 8;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
 /// Share of a stretch that its unknown past may colour.
@@ -154,7 +156,7 @@ impl<'a> Centred<'a> {
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
-                let linear = fitted(&all, order, band);
+                let linear = self.searched(&all, order, band);
                 (all.iter().map(|s| s.error(&linear)).sum::<f64>(), self.noise(&linear))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
@@ -166,7 +168,7 @@ impl<'a> Centred<'a> {
             .par_iter()
             .filter(|&&order| order <= affordable)
             .map(|&order| {
-                let model = fitted(&early, order, band);
+                let model = self.searched(&early, order, band);
                 let of = |parts: &[Part<'_>]| parts.iter().map(|s| s.error(&model)).sum::<f64>();
                 let (left, share) =
                     if linear { (of(&early) + of(&held_out), 1.0) } else { (of(&held_out), HELD_OUT) };
@@ -189,6 +191,12 @@ impl<'a> Centred<'a> {
         };
         let noise = self.noise(&linear);
         (linear, noise)
+    }
+
+    /// A model of an order that is tried. With many drives it is not refined: that takes most of the time, and orders differ by
+    /// more than it gains.
+    fn searched(&self, parts: &[Part<'_>], order: usize, band: [f64; 2]) -> Linear {
+        if self.drive_mean.len() > REFINED { settled(parts, order, band) } else { fitted(parts, order, band) }
     }
 
     /// The best model that has about these poles, and the noise that it leaves.
@@ -277,12 +285,15 @@ impl Linear {
 
 /// A model of at most this order: relocated, freed of endless modes, refined.
 fn fitted(parts: &[Part<'_>], order: usize, band: [f64; 2]) -> Linear {
-    let mut linear = relocate(parts, order, band);
-    if let Some(modes) = lasting(parts, &linear.modes) {
-        let target = rows(parts, |part| vec![part.response.to_vec()]).remove(0);
-        linear = paths(parts, &modes, &target);
-    }
-    refine(parts, linear)
+    refine(parts, settled(parts, order, band))
+}
+
+/// The same before it is refined.
+fn settled(parts: &[Part<'_>], order: usize, band: [f64; 2]) -> Linear {
+    let linear = relocate(parts, order, band);
+    let Some(modes) = lasting(parts, &linear.modes) else { return linear };
+    let target = rows(parts, |part| vec![part.response.to_vec()]).remove(0);
+    paths(parts, &modes, &target)
 }
 
 /// The modes without those that ring for longer than they were watched, which are noise with a name;

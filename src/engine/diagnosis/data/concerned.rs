@@ -13,6 +13,8 @@ const MANY: usize = 8;
 const TOO_MANY: usize = 16;
 /// Responses that are looked at where none shows anything.
 const FEWEST: usize = 2;
+/// Responses that share an axis at most; more share a direction.
+const ON_AXIS: usize = 4;
 /// Share of `material_gap` by which a sim errs more than before where that is nothing.
 const NOTHING: f64 = 0.25;
 /// Share of `material_gap` from which on an error on the baseline runs may hide a change.
@@ -21,7 +23,7 @@ const UNTOLD: f64 = 0.5;
 const SETTLING: f64 = 0.2;
 
 /// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
-/// it did on the baseline runs, and all others of their axes; also those at which it erred then by half of what matters, since
+/// it did on the baseline runs, and the others of their axes; also those at which it erred then by half of what matters, since
 /// its errors tell little of a change. Of [too many](too_many) those that erred then must be among the foremost as well. All of
 /// a rig of few, and where the sim has seen the effect or no repeats tell the noise.
 pub fn concerned(input: &Input) -> Vec<usize> {
@@ -43,9 +45,14 @@ pub fn concerned(input: &Input) -> Vec<usize> {
     let count = foremost.iter().take(MANY).filter(shows).count().max(fewest);
     foremost.truncate(count);
     foremost.extend(untold);
-    let axis = |r: usize| input.responses[r].axis.as_ref();
+    // The displacement of an axis may be that of its foremost sensor; a direction of many sensors is no one axis.
+    let axis = |r: usize| input.responses[r].axis.as_ref().filter(|of| on_axis(input, of) <= ON_AXIS);
     let beside = |r: usize| foremost.iter().any(|&f| axis(r).is_some() && axis(r) == axis(f));
     all.into_iter().filter(|&r| foremost.contains(&r) || beside(r)).collect()
+}
+
+fn on_axis(input: &Input, axis: &str) -> usize {
+    input.responses.iter().filter(|response| response.axis.as_deref() == Some(axis)).count()
 }
 
 /// Whether a rig has so many responses that what the foremost of them tell has to do.
