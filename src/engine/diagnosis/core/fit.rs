@@ -14,7 +14,7 @@ use realfft::num_complex::Complex64;
 use super::Core;
 use super::modes::Modes;
 use super::refine::refine;
-use super::thin::thin;
+use super::thin::{FEW_DRIVES, thin};
 use crate::EngineError;
 use crate::diagnosis::numerics::ar::Ar;
 use crate::diagnosis::numerics::linear::{dot, eigenvalues, least_squares, mean};
@@ -29,8 +29,6 @@ const ROUNDS: usize = 8;
 /// Price of a parameter in squared noise floors over a whole stretch: a spurious mode may choose
 /// among all lines, but what is missed grows with the drive.
 const CHARGE: f64 = 4.0;
-/// Drives up to which the models of all orders are refined.
-const REFINED: usize = 8;
 /// Share of each stretch that is held out while the order is chosen.
 const HELD_OUT: f64 = 0.3;
 /// Share of a stretch that its unknown past may colour.
@@ -196,7 +194,11 @@ impl<'a> Centred<'a> {
     /// A model of an order that is tried. With many drives it is not refined: that takes most of the time, and orders differ by
     /// more than it gains.
     fn searched(&self, parts: &[Part<'_>], order: usize, band: [f64; 2]) -> Linear {
-        if self.drive_mean.len() > REFINED { settled(parts, order, band) } else { fitted(parts, order, band) }
+        if self.drive_mean.len() > FEW_DRIVES {
+            settled(parts, order, band)
+        } else {
+            fitted(parts, order, band)
+        }
     }
 
     /// The best model that has about these poles, and the noise that it leaves.

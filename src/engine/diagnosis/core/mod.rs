@@ -17,7 +17,7 @@ use modes::{Modes, natural};
 
 pub(super) use band::drive_band;
 pub(super) use fit::{CoreFit, Stretch, fit};
-pub(super) use thin::samples_for;
+pub(super) use thin::{FEW_DRIVES, samples_for};
 
 /// A stable linear model of one response.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -5,13 +5,12 @@ use crate::diagnosis::numerics::smooth::smooth;
 
 /// Samples in all on which the order and its poles are searched: more cost time and tell no more.
 const SEARCHED: usize = 60_000;
-/// Drives up to which so many are searched. The columns of a fit grow with the drives, and its time with their square: the
-/// more drives beyond these, the fewer samples, in proportion.
-const DRIVES: usize = 8;
+/// Drives beyond which work is spared. The columns of a fit grow with the drives, and its time with their square.
+pub(in crate::diagnosis) const FEW_DRIVES: usize = 8;
 
-/// Samples for so many drives, of `most` for few.
+/// Samples for so many drives, of `most` for [few](FEW_DRIVES): the more beyond these, the fewer, in proportion.
 pub(in crate::diagnosis) fn samples_for(drives: usize, most: usize) -> usize {
-    most * DRIVES / drives.max(DRIVES)
+    most * FEW_DRIVES / drives.max(FEW_DRIVES)
 }
 
 /// A stretch at a lower rate.

@@ -177,10 +177,15 @@ fn above_noise(
     {
         pieces = in_quarters(input, &groups, roles);
     }
-    let mut problems = Vec::new();
-    for (r, (fit, noise)) in fitted.iter().zip(&noises).enumerate() {
-        problems.push(cut.problem(&pieces, &fit.core, r, noise)?);
-    }
+    let problem = |(r, (fit, noise)): (usize, (&CoreFit, &Noise))| cut.problem(&pieces, &fit.core, r, noise);
+    let mut problems: Vec<Problem> = fitted
+        .par_iter()
+        .zip(&noises)
+        .enumerate()
+        .map(problem)
+        .collect::<Vec<Result<_, EngineError>>>()
+        .into_iter()
+        .collect::<Result<_, _>>()?;
     let pooled = pool(&mut problems);
     if pooled {
         warnings.push("acts_seldom".into());

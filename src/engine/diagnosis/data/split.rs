@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::diagnosis::core::samples_for;
 use crate::diagnosis::input::{Input, Role};
 use crate::diagnosis::numerics::linear::rms;
 
@@ -10,7 +11,7 @@ const SAME_DRIVE: f64 = 1e-3;
 /// From this many different drives on, whole runs get roles; below, each run is cut in time.
 const ENOUGH_GROUPS: usize = 8;
 
-/// Most samples, of all pieces together, that are fitted to; half as many are chosen on and tested on.
+/// Most samples, of all pieces together, that are fitted to, of a rig of few drives; half as many are chosen on and tested on.
 /// More would cost minutes and change no verdict.
 const FITTED: usize = 120_000;
 
@@ -71,7 +72,7 @@ pub fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, roles[run]));
             }
         }
-        trim(&mut pieces);
+        trim(input, &mut pieces);
         return Split { pieces, warnings, cut: None };
     }
     if groups.len() >= ENOUGH_GROUPS {
@@ -84,7 +85,7 @@ pub fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, cycle[place % cycle.len()]));
             }
         }
-        trim(&mut pieces);
+        trim(input, &mut pieces);
         return Split { pieces, warnings, cut: None };
     }
     Split { pieces: in_quarters(input, &groups, USUAL), warnings, cut: Some(groups) }
@@ -104,7 +105,7 @@ pub fn in_quarters(input: &Input, groups: &[Vec<usize>], roles: [Role; QUARTERS]
             }
         }
     }
-    trim(&mut pieces);
+    trim(input, &mut pieces);
     pieces
 }
 
@@ -119,8 +120,9 @@ pub fn quarter(input: &Input, groups: &[Vec<usize>], which: usize) -> Vec<Piece>
 
 /// Cuts the end off pieces of a role that has too many samples; what is kept starts where it did, so
 /// that repeats stay repeats.
-fn trim(pieces: &mut [Piece]) {
-    for (role, most) in [(Role::Fit, FITTED), (Role::Select, FITTED / 2), (Role::Test, FITTED / 2)] {
+fn trim(input: &Input, pieces: &mut [Piece]) {
+    let fitted = samples_for(input.drives.len(), FITTED);
+    for (role, most) in [(Role::Fit, fitted), (Role::Select, fitted / 2), (Role::Test, fitted / 2)] {
         let mut of_role: Vec<&mut Piece> = pieces.iter_mut().filter(|p| p.role == role).collect();
         let total: usize = of_role.iter().map(|p| p.to - p.from).sum();
         if total > most {

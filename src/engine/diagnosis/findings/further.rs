@@ -6,6 +6,7 @@ use super::held_out::Place;
 use super::hypothesis::{Explanation, Held};
 use super::second::{CLOSES, Two, told};
 use crate::EngineError;
+use crate::diagnosis::core::FEW_DRIVES;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::{Problem, Stretch};
@@ -20,6 +21,9 @@ use crate::progress::{Progress, Watch};
 
 /// Effects that are simulated together at most.
 const MOST: usize = 4;
+/// Share of the gap that a law closes at least where others are sought beside it on a rig of more than a few drives, where the
+/// candidates of one response are hundreds: so many of which none closes more leave half of the gap, and are no answer.
+const BEGINS: f64 = 0.5 / MOST as f64;
 
 /// What further effects explain beside a first one that leaves a gap at other responses than its own. The first is the
 /// likeliest of `ranked`. Where none is `named`, and these are no answer, it is then the law that closes most alone: what
@@ -34,6 +38,13 @@ pub fn further(
     (ranked, named): (&[Ranked], bool),
     watch: Watch<'_>,
 ) -> Result<Option<Two>, EngineError> {
+    let closes = ranked
+        .iter()
+        .filter(|ranked| may_be_named(&ranked.scored))
+        .map(|ranked| 1.0 - ranked.scored.remaining);
+    if input.drives.len() > FEW_DRIVES && closes.fold(0.0, f64::max) < BEGINS {
+        return Ok(None);
+    }
     let sought = Sought { input, prepared, overview, watch };
     let of_likeliest = sought.beside(ranked, 0)?;
     let laws = ranked.iter().enumerate().filter(|(_, ranked)| may_be_named(&ranked.scored));

@@ -11,6 +11,7 @@ use super::propagation::BaselineScore;
 use super::score::{Scored, score};
 use super::with_linear_change::remaining_with_linear_change;
 use crate::EngineError;
+use crate::diagnosis::core::FEW_DRIVES;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::Problem;
@@ -31,10 +32,8 @@ const FIRST: usize = 8;
 const BEHIND: f64 = 6.0;
 /// and the least, in noise floors squared, that this is counted from.
 const NEAR: f64 = 0.3;
-/// Drives up to which all that come near are fitted with a linear part that gives way. With more it has some thirteen columns
-/// for each of them:
-const DRIVES: usize = 8;
-/// so many of a response are fitted so then,
+/// Of more than a few drives, for each of which a linear part that gives way has some thirteen columns: so many of a response
+/// are fitted with one,
 const GIVING_WAY: usize = 8;
 /// where the best leaves less than this share of its gap: a core errs by little.
 const CORE_SHARE: f64 = 0.25;
@@ -97,12 +96,14 @@ pub fn contest<'p>(
     })?;
     // Where only one of them got on.
     exchange(prepared, &mut fitted);
-    let many = input.drives.len() > DRIVES;
+    let many = input.drives.len() > FEW_DRIVES;
     let most = if many { GIVING_WAY } else { usize::MAX };
+    let gap = |p: &Problem| if many { p.chi2_none(&p.fit) - 1.0 } else { f64::INFINITY };
+    let gaps: Vec<f64> = prepared.problems.iter().map(gap).collect();
     let fitted = further(prepared, fitted, most, |problem, f, least| {
         report(watch, &f.candidate.parts[0].effect.name(), 0.6)?;
-        let near = || least - 1.0 < CORE_SHARE * (problem.chi2_none(&problem.fit) - 1.0);
-        Ok(if !many || near() { tolerant(problem, f, least) } else { f })
+        let near = least - 1.0 < CORE_SHARE * gaps[problem.response];
+        Ok(if near { tolerant(problem, f, least) } else { f })
     })?;
     let scored: Vec<Option<Scored>> = fitted
         .into_par_iter()
