@@ -80,8 +80,9 @@ pub fn diagnose(input: &Input, watch: Watch<'_>) -> Result<Diagnosis, EngineErro
     explained(input, &prepared, &all)
 }
 
-/// The diagnosis at some responses, where it is an answer: without repeats that are alike transfer between runs is asked, of
-/// all responses, and a cause that is not found may act by the motion of one that was left out.
+/// The diagnosis at some responses, where it is an answer, or where all are [too many](too_many): without repeats that are
+/// alike transfer between runs is asked, of all responses, and a cause that is not found may act by the motion of one that was
+/// left out.
 fn among(input: &Input, kept: &[usize], watch: Watch<'_>) -> Result<Option<Diagnosis>, EngineError> {
     let of_few = input.of_responses(kept);
     let named = |error: EngineError| match error {
@@ -91,7 +92,7 @@ fn among(input: &Input, kept: &[usize], watch: Watch<'_>) -> Result<Option<Diagn
         other => other,
     };
     let prepared = prepare(&of_few, &|p: Progress<'_>| watch(p.within(&(0.0..PREPARED)))).map_err(named)?;
-    if !prepared.from_repeats {
+    if !prepared.from_repeats && !too_many(input) {
         return Ok(None);
     }
     let found = explained(&of_few, &prepared, watch)?;
@@ -162,7 +163,8 @@ fn explained(input: &Input, prepared: &Prepared, watch: Watch<'_>) -> Result<Dia
             return from_transfer(input, prepared, &overview, found, watch);
         }
     }
-    let verdict = verdict.of_a_sim_that_errs(input, prepared).of_a_sim_that_lacked_more(input, prepared);
+    let verdict =
+        verdict.of_a_sim_that_errs(input, prepared, &overview).of_a_sim_that_lacked_more(input, prepared);
     finish(input, prepared, &overview, verdict, outcome, watch)
 }
 

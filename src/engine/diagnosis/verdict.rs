@@ -1,7 +1,7 @@
 //! From the contest's outcome to the stated verdict.
 
 use super::input::{Input, Mode};
-use super::report::{Hypothesis, Verdict, VerdictKind};
+use super::report::{HeldOut, Hypothesis, Verdict, VerdictKind};
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::effects::effect::{Effect, Tier};
@@ -19,6 +19,10 @@ const LACKED_MORE: f64 = 0.5;
 const SETTLED: f64 = 0.1;
 /// What an identified effect closes at least on the test runs.
 const CLOSES: f64 = 0.95;
+/// How sure it is at least that none of the catalogue is the cause where what was chosen is blamed no more.
+const NOTHING_CARRIED: f64 = 0.5;
+/// Share of the gap, by power, that a model's own error makes up where nothing else is blamed for it.
+const OWN: f64 = 0.5;
 
 impl Verdict {
     /// Where nothing of the catalogue alone is the answer, or several effects together say that the first is another:
@@ -81,22 +85,60 @@ impl Verdict {
         Some(self)
     }
 
-    /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
-    pub(super) fn of_a_sim_that_errs(mut self, input: &Input, prepared: &Prepared) -> Self {
-        let worst = prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)));
-        let Some((r, errs)) = worst.max_by(|a, b| a.1.total_cmp(&b.1)) else { return self };
-        self.because.push(format!(
-            "the model itself errs by {:.1} % of {} on the baseline runs, where a linear part fitted to them does not: \
-             that part stands for it here",
-            100.0 * errs,
-            input.responses[r].name
-        ));
-        if self.kind == VerdictKind::NoMaterialGap && errs >= input.material_gap {
-            self.kind = VerdictKind::NoneOfCatalogue;
-            self.in_words = MODEL_ERRS.into();
-            self.because.push("nothing beyond that error is left: fit the model again".into());
+    /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs. The same where
+    /// such a sim bends with the rig and stays, and most of what it leaves is what it erred by before.
+    pub(super) fn of_a_sim_that_errs(
+        mut self,
+        input: &Input,
+        prepared: &Prepared,
+        overview: &Overview,
+    ) -> Self {
+        let errs = prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)));
+        let (stood_for, stays): (Vec<_>, Vec<_>) = errs.partition(|(r, _)| prepared.stands[*r]);
+        let worst = |errs: Vec<(usize, f64)>| errs.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
+        let said = |r: usize, errs: f64, hence: &str| {
+            let name = &input.responses[r].name;
+            format!("the model itself errs by {:.1} % of {name} on the baseline runs{hence}", 100.0 * errs)
+        };
+        let errs_alone =
+            |this: Self| Self { kind: VerdictKind::NoneOfCatalogue, in_words: MODEL_ERRS.into(), ..this };
+        let nothing = self.kind == VerdictKind::NoMaterialGap;
+        if let Some((r, errs)) = worst(stood_for) {
+            let hence = ", where a linear part fitted to them does not: that part stands for it here";
+            self.because.push(said(r, errs, hence));
+            if nothing && errs >= input.material_gap {
+                self.because.push("nothing beyond that error is left: fit the model again".into());
+                self = errs_alone(self);
+            }
+        }
+        let of_most = |&(r, _): &(usize, f64)| r == overview.worst();
+        if let Some((r, errs)) = stays.iter().copied().find(of_most).or(worst(stays)) {
+            let hence = "; it follows these runs far better than their linear part, so it stays, and what it leaves of them holds \
+                         that error";
+            self.because.push(said(r, errs, hence));
+            let gap = overview.systematic(r);
+            if nothing && gap >= input.material_gap {
+                self.because.push("nothing beyond that error is left: fit the model again".into());
+                self = errs_alone(self);
+            } else if of_most(&(r, errs)) && errs * errs > OWN * gap * gap {
+                let because = "that error is most of it: fit the model again".to_owned();
+                if self.kind.blames() {
+                    self = errs_alone(self.withdrawn(because));
+                } else if self.kind == VerdictKind::NoneOfCatalogue {
+                    self.because.push(because);
+                    self = errs_alone(self);
+                }
+            }
         }
         self
+    }
+
+    /// The same with nothing blamed.
+    fn withdrawn(mut self, because: String) -> Self {
+        self.because.push(because);
+        let probability = (1.0 - self.probability).max(NOTHING_CARRIED);
+        let kind = VerdictKind::NoneOfCatalogue;
+        Self { kind, effect: None, family: None, axis: None, at: None, probability, ..self }
     }
 
     /// Where a linear sim and the linear part of the baseline part ways on the runs and nothing explains what is left:
@@ -133,15 +175,20 @@ impl Verdict {
     }
 
     /// What was chosen on the select runs is only part of the answer if the test runs hold a good deal
-    /// that it does not close: a rare effect may be missing from the others.
+    /// that it does not close: a rare effect may be missing from the others. It is none if it closes nothing of them.
     pub(super) fn on_test(mut self, chosen: Option<&Hypothesis>) -> Self {
-        let names = |h: &&Hypothesis| self.kind == VerdictKind::Identified && self.effect == Some(h.effect);
-        if let Some(chosen) = chosen.filter(names).map(|h| &h.held_out)
-            && chosen.closure < CLOSES
-            && chosen.chi2_after > NOISE_LEFT
-        {
+        let meant = |h: &&Hypothesis| self.kind.blames() && self.equivalence_set.first() == Some(&h.effect);
+        let Some(chosen) = chosen.filter(meant) else { return self };
+        let HeldOut { closure, chi2_after, .. } = chosen.held_out;
+        if chi2_after <= NOISE_LEFT {
+            return self;
+        }
+        if closure <= 0.0 {
+            return self.withdrawn(format!("on the test runs {} closes nothing", chosen.effect.name()));
+        }
+        if closure < CLOSES && self.kind == VerdictKind::Identified {
             self.kind = VerdictKind::Partial;
-            self.because.push(format!("on the test runs it closes only {:.0} %", 100.0 * chosen.closure));
+            self.because.push(format!("on the test runs it closes only {:.0} %", 100.0 * closure));
         }
         self
     }
@@ -258,6 +305,16 @@ mod tests {
         let found = verdict.clone().on_test(Some(&first));
         assert_eq!((found.kind, found.effect), (VerdictKind::Partial, verdict.effect));
         assert!(found.because[0].contains("47 %"), "{:?}", found.because);
+        first.held_out.closure = -0.1;
+        let withdrawn = verdict.clone().on_test(Some(&first));
+        assert_eq!(
+            (withdrawn.kind, withdrawn.effect, withdrawn.at.clone()),
+            (VerdictKind::NoneOfCatalogue, None, None)
+        );
+        assert!(
+            withdrawn.probability < 1.0 && withdrawn.because[0].contains("closes nothing"),
+            "{withdrawn:?}"
+        );
         first.held_out.chi2_after = 1.1;
         assert_eq!(verdict.clone().on_test(Some(&first)), verdict, "nothing is left above the noise");
     }

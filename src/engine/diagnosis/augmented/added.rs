@@ -21,6 +21,13 @@ pub struct Added {
 }
 
 impl Added {
+    /// A law on some responses of a rig as one on all `count` of them; `kept` says which they were.
+    pub fn among(self, kept: &[usize], count: usize) -> Self {
+        let mut alone = vec![false; count];
+        kept.iter().zip(&self.alone).for_each(|(&r, is)| alone[r] = *is);
+        Self { response: kept[self.response], forward: self.forward.among(kept, count), alone, ..self }
+    }
+
     /// The sim's responses with the law; `None` where the free run diverges. `before` is what effects that were adopted
     /// earlier add, of a law that was found beside them.
     pub fn predict(

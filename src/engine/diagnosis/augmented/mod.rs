@@ -81,10 +81,9 @@ impl Augmented {
         Self { added: Some(Box::new(added)), members: Vec::new(), time: 1.0, on_effects, further: Vec::new() }
     }
 
-    /// An effect that was found on some responses of a rig, as one of all `count` of them; `kept` says which they were. It
-    /// cannot be one that was found by transfer.
+    /// An effect that was found on some responses of a rig, as one of all `count` of them; `kept` says which they were.
     pub(super) fn among(mut self, kept: &[usize], count: usize) -> Self {
-        debug_assert!(self.added.is_none(), "a law of all responses");
+        self.added = self.added.map(|added| Box::new(added.among(kept, count)));
         let spread = |of_kept: &[f64], else_is: f64| {
             let mut all = vec![else_is; count];
             kept.iter().zip(of_kept).for_each(|(&r, value)| all[r] = *value);

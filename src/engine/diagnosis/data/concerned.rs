@@ -3,13 +3,14 @@
 //! A response costs a linear core, candidates of its own, and a path for every effect elsewhere: the time of a diagnosis
 //! grows with the square of their number. A cause shows where the sim errs by more than it did before the change.
 
+use super::settled::{self, settled};
 use super::split::same_drive;
 use crate::diagnosis::input::{Input, Mode, Run};
 use crate::diagnosis::numerics::linear::squares_about_mean;
 
 /// Responses that are all looked at, whatever they show.
 const MANY: usize = 8;
-/// Responses that are never all looked at where it is known how the sim erred before: the time would be hours.
+/// Responses that are never all looked at: the time would be hours.
 const TOO_MANY: usize = 16;
 /// Responses that are looked at where none shows anything.
 const FEWEST: usize = 2;
@@ -19,16 +20,17 @@ const ON_AXIS: usize = 4;
 const NOTHING: f64 = 0.25;
 /// Share of `material_gap` from which on an error on the baseline runs may hide a change.
 const UNTOLD: f64 = 0.5;
-/// Share of a run that the sim's own start may colour.
-const SETTLING: f64 = 0.2;
 
 /// Indices of the responses that a diagnosis is about, in their order: of many those at which the sim errs most beyond what
 /// it did on the baseline runs, and the others of their axes; also those at which it erred then by half of what matters, since
-/// its errors tell little of a change. Of [too many](too_many) those that erred then must be among the foremost as well. All of
-/// a rig of few, and where the sim has seen the effect or no repeats tell the noise.
+/// its errors tell little of a change. All of a rig of few, and where the sim has seen the effect or no repeats tell the noise.
+///
+/// Of [too many](too_many) those that erred before must be among the foremost as well, and these are sought in every mode: a
+/// sim that has seen the effect errs where it could not take it in, and without repeats all that it errs by counts.
 pub fn concerned(input: &Input) -> Vec<usize> {
     let all: Vec<usize> = (0..input.responses.len()).collect();
-    if all.len() <= MANY || input.mode == Mode::InSitu || input.repeats.is_empty() {
+    let by_transfer = input.mode == Mode::InSitu || input.repeats.is_empty();
+    if all.len() <= MANY || by_transfer && !too_many(input) {
         return all;
     }
     let Some(errs) = all.iter().map(|&r| Errs::of(input, r)).collect::<Option<Vec<Errs>>>() else {
@@ -64,17 +66,21 @@ pub fn too_many(input: &Input) -> bool {
 struct Errs {
     /// Beyond the noise, on the baseline runs.
     before: f64,
-    /// What the same has grown by on the runs to explain; or what the noise has, where that is more.
+    /// What the same has grown by on the runs to explain; or what the noise has, where that is more. All of it where the
+    /// sim has seen the effect.
     grown: f64,
 }
 
 impl Errs {
-    /// `None` where the sim does not say.
+    /// `None` where the sim does not say, or not too many responses have repeats that do not tell the noise.
     fn of(input: &Input, response: usize) -> Option<Self> {
-        let noise = noise(input, response)?;
+        let noise = noise(input, response).or(too_many(input).then_some(0.0))?;
         let now = Left::of(&input.runs, response)?;
-        let was = Left::of(&input.baseline, response)?;
         let beyond = |left: &Left| (left.error - noise).max(0.0) / left.size;
+        if input.mode == Mode::InSitu {
+            return Some(Self { before: 0.0, grown: beyond(&now) });
+        }
+        let was = Left::of(&input.baseline, response)?;
         let before = beyond(&was);
         Some(Self { before, grown: (beyond(&now) - before).max((noise - was.error) / now.size) })
     }
@@ -92,11 +98,10 @@ impl Left {
     fn of(runs: &[Run], response: usize) -> Option<Self> {
         let (mut error, mut size, mut count) = (0.0, 0.0, 0);
         for run in runs {
-            let y = settled(run.response.channel(response));
-            let sim = settled(run.simulated.as_ref()?.channel(response));
-            error += y.iter().zip(sim).map(|(y, sim)| (y - sim) * (y - sim)).sum::<f64>();
-            size += squares_about_mean(y);
-            count += y.len();
+            let y = run.response.channel(response);
+            error += settled::differ(y, run.simulated.as_ref()?.channel(response));
+            size += settled::size(y);
+            count += settled(y).len();
         }
         let mean = |sum: f64| sum / count.max(1) as f64;
         (size > 0.0).then(|| Self { error: mean(error), size: mean(size) })
@@ -116,10 +121,6 @@ fn noise(input: &Input, response: usize) -> Option<f64> {
         count += difference.len();
     }
     (count > 0).then(|| squares / count as f64)
-}
-
-fn settled(signal: &[f64]) -> &[f64] {
-    &signal[(SETTLING * signal.len() as f64) as usize..]
 }
 
 #[cfg(test)]
@@ -158,6 +159,18 @@ mod tests {
         let found = concerned(&input);
         assert_eq!(found.len(), MANY, "{found:?}");
         assert!([2, 3, 4].iter().all(|r| found.contains(r)), "{found:?}");
+    }
+
+    #[test]
+    fn of_too_many_responses_the_foremost_are_looked_at_in_every_mode() {
+        let input = many::request(TOO_MANY + 1, 3, 0.05);
+        let in_situ = Input { mode: Mode::InSitu, ..input.clone() };
+        assert_eq!(concerned(&in_situ), [2, 3, 4]);
+        let alone = Input { repeats: Vec::new(), ..input.clone() };
+        assert_eq!(concerned(&alone), [2, 3, 4]);
+        let mut unsaid = input;
+        unsaid.runs[0].simulated = None;
+        assert_eq!(concerned(&unsaid).len(), TOO_MANY + 1, "no sim says where it errs");
     }
 
     #[test]

@@ -9,5 +9,6 @@ pub mod overview;
 pub mod prepare;
 pub mod problem;
 pub mod seldom;
+pub mod settled;
 pub mod split;
 pub mod tolerance;

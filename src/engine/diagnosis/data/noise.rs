@@ -4,9 +4,11 @@
 //! is the noise floor. What of it the drive predicts is time variance, not noise, and is taken out
 //! first.
 
+use super::settled::{settled, size};
 use crate::diagnosis::core::Core;
+use crate::diagnosis::input::Run;
 use crate::diagnosis::numerics::ar::Ar;
-use crate::diagnosis::numerics::linear::{dot, least_squares};
+use crate::diagnosis::numerics::linear::{dot, least_squares, mean};
 use crate::diagnosis::numerics::rows::Rows;
 
 /// Largest order of the noise's autoregression.
@@ -76,6 +78,35 @@ pub fn from_repeats(pairs: &[Pair<'_>], core: &Core, band: [f64; 2]) -> Option<N
         .collect();
     let stretches: Vec<&[f64]> = halves.iter().map(Vec::as_slice).collect();
     Some(Noise { ar: Ar::fit(&stretches, MAX_ORDER), drive_coherence })
+}
+
+/// Noise with what the sim of a response erred by on the baseline runs beyond it, which is no change: grown with the
+/// response, as far as the sim leaves so much of the runs to explain. The noise where the sim erred by less than that, or does
+/// not say.
+pub fn with_own_error(noise: &Ar, baseline: &[Run], runs: &[Run], response: usize, band: [f64; 2]) -> Ar {
+    let left = |runs: &[Run]| -> Option<(Ar, f64)> {
+        let (mut errors, mut all, mut samples) = (Vec::new(), 0.0, 0);
+        for run in runs {
+            let y = run.response.channel(response);
+            let sim = run.simulated.as_ref()?.channel(response);
+            let mut error: Vec<f64> = settled(y).iter().zip(settled(sim)).map(|(y, sim)| y - sim).collect();
+            let centre = mean(&error);
+            error.iter_mut().for_each(|e| *e -= centre);
+            samples += error.len();
+            all += size(y);
+            errors.push(error);
+        }
+        let errors: Vec<&[f64]> = errors.iter().map(Vec::as_slice).collect();
+        Some((Ar::fit(&errors, MAX_ORDER), all / samples.max(1) as f64))
+    };
+    let (Some((was, small)), Some((now, large))) = (left(baseline), left(runs)) else { return noise.clone() };
+    let floor = noise.mean_power(band);
+    let [was_power, now_power] = [&was, &now].map(|ar| ar.mean_power(band));
+    let own = ((was_power - floor) * large / small.max(f64::MIN_POSITIVE)).min(now_power - floor);
+    if own < floor {
+        return noise.clone();
+    }
+    Ar { variance: was.variance * (floor + own) / was_power, ..was }
 }
 
 /// What a slow change of the rig would add between two repeats: the drives and the response

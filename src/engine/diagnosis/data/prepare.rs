@@ -8,6 +8,7 @@ use super::noise::{self, Noise, Pair};
 use super::overview::NOISE_ONLY;
 use super::problem::{Problem, Stretch, share};
 use super::seldom::{self, PLAIN_GAP};
+use super::settled::{differ, size};
 use super::split::{Piece, Split, in_quarters, quarter, split};
 use super::tolerance::Tolerance;
 use crate::diagnosis::core::{self, Core, CoreFit};
@@ -27,6 +28,8 @@ use crate::{EngineError, Signal};
 const CORE_SAMPLES: usize = 300_000;
 /// Least share of its average power that each drive has in them.
 const LEAST_MOVED: f64 = 0.5;
+/// Share of what a core leaves of the runs to explain, by power, below which a sim that errs on the baseline bends with the rig.
+const BENDS_WITH_RIG: f64 = 0.25;
 /// The stage of a diagnosis.
 const STAGE: &str = "linear core";
 /// Samples that a run keeps at least.
@@ -47,8 +50,8 @@ pub struct Prepared {
     pub band: [f64; 2],
     /// Whether the core stands for the sim, by response.
     pub stands: Vec<bool>,
-    /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not and stands
-    /// for it: relative to the response, by response.
+    /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not: relative to the
+    /// response, by response. The core stands for it, unless the sim leaves far less of the runs.
     pub sim_errs: Vec<Option<f64>>,
     /// What a sim differs by on the runs from the core that stands for it, where that matters: relative to the
     /// response, by response.
@@ -147,9 +150,15 @@ fn above_noise(
     // One lead-in for all: an effect at one response is carried to the others sample by sample.
     let memory = fitted.iter().map(|f| f.core.settling(usize::MAX)).max().unwrap_or(0);
     let sim_errs: Vec<Option<f64>> =
-        fitted.iter().enumerate().map(|(r, fit)| own_error(input, &fit.core, r)).collect();
-    let stands: Vec<bool> =
-        sim_errs.iter().enumerate().map(|(r, errs)| errs.is_some() || input.core_stands(r)).collect();
+        fitted.par_iter().enumerate().map(|(r, fit)| own_error(input, &fit.core, r)).collect();
+    let stands: Vec<bool> = fitted
+        .par_iter()
+        .enumerate()
+        .map(|(r, fit)| match sim_errs[r] {
+            Some(_) => !bends_with_rig(input, &fit.core, r),
+            None => input.core_stands(r),
+        })
+        .collect();
     let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
     let sim_differs = other_sim(input, &cut.simulated, &stands);
     let differs = input.responses.iter().zip(&sim_differs).filter(|(_, by)| by.is_some());
@@ -168,9 +177,10 @@ fn above_noise(
         });
         noises.push(noise.unwrap_or_else(|| Noise { ar: assumed(&fit.noise, band), drive_coherence: 0.0 }));
     }
+    let floors: Vec<Noise> = noises.par_iter().enumerate().map(|(r, noise)| cut.floor(noise, r)).collect();
     // Quarters too short to be scored by themselves keep the usual roles.
     let of_quarter =
-        |groups: &[Vec<usize>], q| cut.largest_gap(&quarter(input, groups, q), &fitted, &noises).ok();
+        |groups: &[Vec<usize>], q| cut.largest_gap(&quarter(input, groups, q), &fitted, &floors).ok();
     if let Some(groups) = by_drive
         && let [Some(a), Some(b), Some(c), Some(d)] = [0, 1, 2, 3].map(|q| of_quarter(&groups, q))
         && let Some(roles) = seldom::roles([a, b, c, d])
@@ -180,7 +190,7 @@ fn above_noise(
     let problem = |(r, (fit, noise)): (usize, (&CoreFit, &Noise))| cut.problem(&pieces, &fit.core, r, noise);
     let mut problems: Vec<Problem> = fitted
         .par_iter()
-        .zip(&noises)
+        .zip(&floors)
         .enumerate()
         .map(problem)
         .collect::<Vec<Result<_, EngineError>>>()
@@ -252,22 +262,39 @@ fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
     if input.mode == Mode::InSitu || input.sim_is_linear || input.has_adopted() {
         return None;
     }
-    let (mut of_sim, mut of_core, mut size) = (0.0, 0.0, 0.0);
-    for run in &input.baseline {
-        let sim = run.simulated.as_ref()?.channel(response);
-        let (y, core) = (run.response.channel(response), core.simulate(run.drive.channels()));
-        // The beginning is the core's ring-in from rest.
-        let from = y.len() / 5;
-        let power = |other: &[f64]| -> f64 {
-            y[from..].iter().zip(&other[from..]).map(|(y, o)| (y - o) * (y - o)).sum()
-        };
-        let centre = mean(&y[from..]);
-        of_sim += power(sim);
-        of_core += power(&core);
-        size += y[from..].iter().map(|y| (y - centre) * (y - centre)).sum::<f64>();
-    }
+    let Squares { of_sim, of_core, size } = Squares::of(&input.baseline, core, response)?;
     let own = ((of_sim - of_core).max(0.0) / size.max(f64::MIN_POSITIVE)).sqrt();
     (own > 0.5 * input.material_gap).then_some(own)
+}
+
+/// Whether a sim leaves so much less of the runs to explain than the core that the rig bends by itself at their level, and
+/// the sim with it: whatever has changed, both lack.
+fn bends_with_rig(input: &Input, core: &Core, response: usize) -> bool {
+    Squares::of(&input.runs, core, response).is_some_and(|s| s.of_sim < BENDS_WITH_RIG * s.of_core)
+}
+
+/// Sums of squares over runs.
+struct Squares {
+    /// What the sim leaves of a response,
+    of_sim: f64,
+    /// what its core does,
+    of_core: f64,
+    /// and the response itself.
+    size: f64,
+}
+
+impl Squares {
+    /// `None` where the sim does not say.
+    fn of(runs: &[Run], core: &Core, response: usize) -> Option<Self> {
+        let mut sums = Self { of_sim: 0.0, of_core: 0.0, size: 0.0 };
+        for run in runs {
+            let y = run.response.channel(response);
+            sums.of_sim += differ(y, run.simulated.as_ref()?.channel(response));
+            sums.of_core += differ(y, &core.simulate(run.drive.channels()));
+            sums.size += size(y);
+        }
+        Some(sums)
+    }
 }
 
 /// What the sim says of every run, `[run][response][sample]`.
@@ -298,17 +325,13 @@ fn free_run(core: &Core, run: &Run, response: usize) -> Vec<f64> {
 /// less than `material_gap`.
 fn other_sim(input: &Input, simulated: &[Arc<Vec<Vec<f64>>>], stands: &[bool]) -> Vec<Option<f64>> {
     let differs = |r: usize| {
-        let (mut difference, mut size) = (0.0, 0.0);
+        let (mut difference, mut all) = (0.0, 0.0);
         for (run, core) in input.runs.iter().zip(simulated) {
             let Some(sim) = run.simulated.as_ref().filter(|_| stands[r]) else { continue };
-            let (sim, core) = (sim.channel(r), &core[r]);
-            // The beginning is the core's ring-in from rest.
-            let from = sim.len() / 5;
-            let centre = mean(&core[from..]);
-            difference += sim[from..].iter().zip(&core[from..]).map(|(s, c)| (s - c) * (s - c)).sum::<f64>();
-            size += core[from..].iter().map(|c| (c - centre) * (c - centre)).sum::<f64>();
+            difference += differ(sim.channel(r), &core[r]);
+            all += size(&core[r]);
         }
-        let by = (difference / size.max(f64::MIN_POSITIVE)).sqrt();
+        let by = (difference / all.max(f64::MIN_POSITIVE)).sqrt();
         (by > input.material_gap).then_some(by)
     };
     (0..input.responses.len()).map(differs).collect()
@@ -330,6 +353,16 @@ impl<'a> Cut<'a> {
     /// Samples at the start of a run that its unknown state before may still colour.
     fn lead(&self, samples: usize) -> usize {
         self.memory.min(samples / 5)
+    }
+
+    /// What errors of a response are counted in: its noise, with that of a sim from before the change that bends by itself.
+    fn floor(&self, noise: &Noise, response: usize) -> Noise {
+        let Input { baseline, runs, .. } = self.input;
+        let stays = !self.stands[response] && !self.input.sim_is_linear && !self.input.has_adopted();
+        if self.input.mode == Mode::InSitu || !stays {
+            return noise.clone();
+        }
+        Noise { ar: noise::with_own_error(&noise.ar, baseline, runs, response, self.band), ..*noise }
     }
 
     fn repeats(&self, pieces: &[Piece], core: &Core, response: usize) -> Option<Noise> {

@@ -72,7 +72,7 @@ pub fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, roles[run]));
             }
         }
-        trim(input, &mut pieces);
+        trim(input.drives.len(), &mut pieces);
         return Split { pieces, warnings, cut: None };
     }
     if groups.len() >= ENOUGH_GROUPS {
@@ -85,7 +85,7 @@ pub fn split(input: &Input) -> Split {
                 pieces.push(whole(input, run, g, cycle[place % cycle.len()]));
             }
         }
-        trim(input, &mut pieces);
+        trim(input.drives.len(), &mut pieces);
         return Split { pieces, warnings, cut: None };
     }
     Split { pieces: in_quarters(input, &groups, USUAL), warnings, cut: Some(groups) }
@@ -105,7 +105,7 @@ pub fn in_quarters(input: &Input, groups: &[Vec<usize>], roles: [Role; QUARTERS]
             }
         }
     }
-    trim(input, &mut pieces);
+    trim(input.drives.len(), &mut pieces);
     pieces
 }
 
@@ -120,8 +120,8 @@ pub fn quarter(input: &Input, groups: &[Vec<usize>], which: usize) -> Vec<Piece>
 
 /// Cuts the end off pieces of a role that has too many samples; what is kept starts where it did, so
 /// that repeats stay repeats.
-fn trim(input: &Input, pieces: &mut [Piece]) {
-    let fitted = samples_for(input.drives.len(), FITTED);
+fn trim(drives: usize, pieces: &mut [Piece]) {
+    let fitted = samples_for(drives, FITTED);
     for (role, most) in [(Role::Fit, fitted), (Role::Select, fitted / 2), (Role::Test, fitted / 2)] {
         let mut of_role: Vec<&mut Piece> = pieces.iter_mut().filter(|p| p.role == role).collect();
         let total: usize = of_role.iter().map(|p| p.to - p.from).sum();
@@ -150,4 +150,23 @@ pub(super) fn same_drive(input: &Input, a: usize, b: usize) -> bool {
             let difference: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
             rms(&difference) <= SAME_DRIVE * rms(a)
         })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_many_drives_fewer_samples_are_looked_at() {
+        let samples = |drives| {
+            let piece = |k: usize, role| Piece { run: k, from: 1000, to: 1000 + FITTED, group: k, role };
+            let mut pieces =
+                [piece(0, Role::Fit), piece(1, Role::Fit), piece(2, Role::Select), piece(3, Role::Test)];
+            trim(drives, &mut pieces);
+            assert!(pieces.iter().all(|p| p.from == 1000));
+            pieces.map(|p| p.to - p.from)
+        };
+        assert_eq!(samples(8), [60_000; 4]);
+        assert_eq!(samples(32), [15_000; 4]);
+    }
 }

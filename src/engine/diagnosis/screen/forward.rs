@@ -57,6 +57,17 @@ impl Source {
         }
     }
 
+    /// The same where the outputs stand elsewhere.
+    fn moved(self, to: impl Fn(usize) -> usize) -> Self {
+        match self {
+            Self::Drive { .. } => self,
+            Self::Linear(o) => Self::Linear(to(o)),
+            Self::Output(o) => Self::Output(to(o)),
+            Self::LinearRate(o) => Self::LinearRate(to(o)),
+            Self::OutputRate(o) => Self::OutputRate(to(o)),
+        }
+    }
+
     fn is_a_drive(self) -> bool {
         self.output().is_none()
     }
@@ -82,6 +93,18 @@ pub(super) struct Output {
 }
 
 impl Output {
+    /// That of a response which neither drives nor the law reach.
+    fn silent(drives: usize, signals: usize) -> Self {
+        let none = |count| vec![Kernel::default(); count];
+        Self {
+            offset: 0.0,
+            offset_before: 0.0,
+            linear: none(drives),
+            before: none(drives),
+            kernels: none(signals),
+        }
+    }
+
     /// All of its impulse responses.
     fn all(&self) -> impl Iterator<Item = &Kernel> {
         self.linear.iter().chain(&self.before).chain(&self.kernels)
@@ -210,6 +233,28 @@ impl Forward {
             lists.into_iter().flatten().for_each(Kernel::trim);
         }
         self
+    }
+
+    /// A law on some responses of a rig as one on all `count` of them, the others of which it leaves silent; `kept` says
+    /// which they were.
+    pub(in crate::diagnosis) fn among(self, kept: &[usize], count: usize) -> Self {
+        let (few, signals) = (self.responses, self.signals());
+        let place = |output: usize| kept.get(output).copied().unwrap_or_else(|| output - few + count);
+        let moved = |(source, scale): (Source, Scale)| (source.moved(place), scale);
+        let mut outputs = vec![Output::silent(self.drive_mean.len(), signals); count];
+        let mut own = self.outputs.into_iter();
+        kept.iter().zip(&mut own).for_each(|(&r, output)| outputs[r] = output);
+        outputs.extend(own);
+        Self {
+            place: self.place.among(kept),
+            other: self.other.map(|place| place.among(kept)),
+            argument: moved(self.argument),
+            second: self.second.map(moved),
+            responses: count,
+            outputs,
+            seen: self.seen.into_iter().map(|seen| seen.among(kept)).collect(),
+            ..self
+        }
     }
 
     /// Number of drives and of responses.

@@ -68,6 +68,18 @@ impl Place {
             Self::Error(d, r) | Self::OnTable(d, r) => d < drives && r < responses,
         }
     }
+
+    /// The same of a rig of which the responses were `kept`.
+    pub(super) fn among(self, kept: &[usize]) -> Self {
+        match self {
+            Self::Drive(_) => self,
+            Self::Response(r) => Self::Response(kept[r]),
+            Self::Output(r) => Self::Output(kept[r]),
+            Self::Between(a, b) => Self::Between(kept[a], kept[b]),
+            Self::Error(d, r) => Self::Error(d, kept[r]),
+            Self::OnTable(d, r) => Self::OnTable(d, kept[r]),
+        }
+    }
 }
 
 /// What responses add to the displacement at a place.
@@ -100,6 +112,11 @@ impl Seen {
             Place::Between(a, b) => of(a).iter().zip(of(b)).map(|(x, y)| x - self.factor * y).collect(),
             Place::Error(_, r) | Place::OnTable(_, r) => of(r).iter().map(|x| -x).collect(),
         }
+    }
+
+    /// The same of a rig of which the responses were `kept`.
+    pub fn among(self, kept: &[usize]) -> Self {
+        Self { place: self.place.among(kept), ..self }
     }
 
     /// Whether it is a place among so many channels.

@@ -109,6 +109,9 @@ const SURE: f64 = 0.5;
 /// nothing tells apart.
 const NAMED: f64 = 0.45;
 
+/// Share of the probability that is stated of a set, which its members have at least.
+const COVERED: f64 = 0.8;
+
 /// A scored candidate with its probability.
 #[derive(Debug, Clone)]
 pub struct Ranked {
@@ -348,11 +351,27 @@ fn ruling(ranked: &[Ranked], chi2_none: f64, rows: f64, seed: u64) -> (Ruling, f
     if of_effect >= NAMED.max(SURE * catalogue_probability) && !set[0].nameless() {
         let all = left <= PARTIAL && best.scored.chi2 - margin <= NOISE_LEFT;
         (if all { Ruling::Identified } else { Ruling::Partial }, of_effect, set)
-    } else if of_family >= NAMED.max(0.8 * catalogue_probability) {
+    } else if of_family >= NAMED.max(COVERED * catalogue_probability) {
         (Ruling::FamilyOnly, of_family, set)
     } else {
-        (Ruling::NotDistinguishable, catalogue_probability, set)
+        (Ruling::NotDistinguishable, catalogue_probability, covering(set, ranked, catalogue_probability))
     }
+}
+
+/// Effects that are not told apart, with the next until the probability of all that is stated is theirs.
+fn covering(mut set: Vec<Effect>, ranked: &[Ranked], all: f64) -> Vec<Effect> {
+    let of = |set: &[Effect]| -> f64 {
+        ranked.iter().filter(|r| set.contains(&r.scored.effect())).map(|r| r.probability).sum()
+    };
+    for next in ranked {
+        if of(&set) >= COVERED * all {
+            break;
+        }
+        if !set.contains(&next.scored.effect()) {
+            set.push(next.scored.effect());
+        }
+    }
+    set
 }
 
 #[cfg(test)]
@@ -403,6 +422,24 @@ mod tests {
             scored(Effect::BumpStop, Law::BumpStop, 0.98),
         ];
         assert_eq!(rank(two, GAP, ROWS, PLAIN)[0].scored.effect(), Effect::BumpStop);
+    }
+
+    #[test]
+    fn a_set_holds_most_of_the_probability_that_is_stated_of_it() {
+        let of = |effect, probability| Ranked {
+            scored: scored(effect, Law::Cubic, 1.0),
+            probability,
+            charged: 0.0,
+        };
+        let ranked = [
+            of(Effect::BumpStop, 0.3),
+            of(Effect::BumpStop, 0.05),
+            of(Effect::OneSidedStop, 0.15),
+            of(Effect::CubicStiffness, 0.05),
+        ];
+        let set = |members: &[Effect]| covering(members.to_vec(), &ranked, 0.55);
+        assert_eq!(set(&[Effect::BumpStop]), [Effect::BumpStop, Effect::OneSidedStop]);
+        assert_eq!(set(&[Effect::BumpStop, Effect::OneSidedStop]).len(), 2);
     }
 
     #[test]

@@ -175,6 +175,53 @@ fn taps_go_apart_from_the_rest_of_a_law_and_come_back() {
     }
 }
 
+/// The same rig with so many sensors, of which one is where the spring stiffens; the others feel a linear one, as the sim does.
+fn of_many_sensors(input: Input, count: usize, at: usize) -> Input {
+    let more = |run: Run, seed: u64| {
+        let drive = run.drive.channel(0).to_vec();
+        let bare = respond(&drive, none);
+        let sensor = |r: usize| match r == at {
+            true => run.response.channel(0).to_vec(),
+            false => {
+                self::run("", drive.clone(), none, 0.003, 100 * seed + r as u64).response.channel(0).to_vec()
+            }
+        };
+        let signal = |channels| Signal::new(super::rig::RATE, channels).unwrap();
+        let response = signal((0..count).map(sensor).collect());
+        Run { response, simulated: Some(signal(vec![bare; count])), ..run }
+    };
+    let channel = |r: usize| {
+        let [own] = &input.responses[..] else { panic!("one sensor") };
+        crate::diagnosis::Channel { name: format!("disp_{r}"), axis: None, ..own.clone() }
+    };
+    let responses = (0..count).map(channel).collect();
+    let runs: Vec<Run> = (1..).zip(input.runs).map(|(seed, run)| more(run, seed)).collect();
+    Input { baseline: runs.clone(), runs, responses, ..input }
+}
+
+#[test]
+fn of_too_many_responses_without_repeats_the_foremost_are_screened_and_their_law_runs_on_all() {
+    let input = of_many_sensors(at_level(0.5, stiffening_a_little, 0.003), 18, 5);
+    let found = diagnose(&input, &unwatched).unwrap();
+    let (verdict, warnings) = (&found.report.verdict, &found.report.warnings);
+    assert!(warnings.contains(&"responses_left_out: 16".to_owned()), "{warnings:?}");
+    let of_spring = |e: &Effect| e.family() == Family::Stiffness;
+    assert!(verdict.kind.blames() && of_spring(&verdict.equivalence_set[0]), "{verdict:?}");
+    assert_eq!(verdict.at.as_deref(), Some("disp_5"));
+    let law = &found.augmented[0];
+    assert_eq!(law.response(), 5);
+    law.check(1, 18, super::rig::RATE).unwrap();
+    let run = &input.runs[0];
+    let sim = run.simulated.as_ref().unwrap();
+    let made = law.apply(&run.drive, sim, None).unwrap();
+    let left = |of: &Signal| {
+        let errors = of.channel(5).iter().zip(run.response.channel(5)).skip(1000).map(|(a, b)| a - b);
+        rms(&errors.collect::<Vec<f64>>())
+    };
+    assert!(left(&made) < 0.5 * left(sim), "{} of {}", left(&made), left(sim));
+    assert_eq!((0..18).filter(|&r| made.channel(r) == sim.channel(r)).count(), 16, "those left out");
+}
+
 /// A run whose actuator does nothing with a command of less than 0.6.
 fn through_a_dead_zone(name: &str, command: Vec<f64>, seed: u64) -> Run {
     let moved = command.iter().map(|u| u - u.clamp(-0.6, 0.6)).collect();
