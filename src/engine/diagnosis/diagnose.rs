@@ -163,8 +163,10 @@ fn explained(input: &Input, prepared: &Prepared, watch: Watch<'_>) -> Result<Dia
             return from_transfer(input, prepared, &overview, found, watch);
         }
     }
-    let verdict =
-        verdict.of_a_sim_that_errs(input, prepared, &overview).of_a_sim_that_lacked_more(input, prepared);
+    let verdict = verdict
+        .of_a_sim_that_errs(input, prepared, &overview)
+        .of_a_sim_that_left_much(input, prepared, &overview)
+        .of_a_sim_that_lacked_more(input, prepared);
     finish(input, prepared, &overview, verdict, outcome, watch)
 }
 

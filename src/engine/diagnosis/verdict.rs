@@ -133,6 +133,29 @@ impl Verdict {
         self
     }
 
+    /// Where nothing explains what a sim leaves that left most of it before the change already: that the catalogue lacks the
+    /// cause is not sure, since a change of its own size may hide in what the sim has always left.
+    pub(super) fn of_a_sim_that_left_much(
+        mut self,
+        input: &Input,
+        prepared: &Prepared,
+        overview: &Overview,
+    ) -> Self {
+        let r = overview.worst();
+        let much =
+            |left: &f64| *left >= input.material_gap && left * left > OWN * overview.systematic(r).powi(2);
+        let Some(left) = prepared.sim_left[r].filter(much) else { return self };
+        if self.kind == VerdictKind::NoneOfCatalogue && self.probability > LACKED_MORE {
+            self.probability = LACKED_MORE;
+            self.because.push(format!(
+                "the model left {:.1} % of {} on the baseline runs already, before any change: fit a better model first",
+                100.0 * left,
+                input.responses[r].name
+            ));
+        }
+        self
+    }
+
     /// The same with nothing blamed.
     fn withdrawn(mut self, because: String) -> Self {
         self.because.push(because);

@@ -72,7 +72,7 @@ struct Errs {
 }
 
 impl Errs {
-    /// `None` where the sim does not say, or not too many responses have repeats that do not tell the noise.
+    /// `None` where the sim does not say; also, of a rig of not too many responses, where no repeats tell the noise.
     fn of(input: &Input, response: usize) -> Option<Self> {
         let noise = noise(input, response).or(too_many(input).then_some(0.0))?;
         let now = Left::of(&input.runs, response)?;

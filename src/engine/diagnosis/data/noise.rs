@@ -125,3 +125,38 @@ fn signals(pair: &Pair<'_>, core: &Core) -> Vec<Vec<f64>> {
     out.push((0..n).map(|k| k as f64 / n as f64 - 0.5).collect());
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Signal;
+    use crate::diagnosis::tests::rig::{RATE, noise_drive, none, respond, run};
+
+    #[test]
+    fn what_a_sim_erred_by_before_counts_with_the_noise_and_grows_with_the_response() {
+        let band = [0.0, 0.1];
+        let of = |level: f64, gain: f64, change: f64, seed: u64| -> Run {
+            let run = run("", noise_drive(60.0, level, seed), none, 0.01, seed);
+            let linear = respond(run.drive.channel(0), none);
+            let sim = linear.iter().map(|y| gain * y - change * y * y).collect();
+            Run { simulated: Some(Signal::new(RATE, vec![sim]).unwrap()), ..run }
+        };
+        let noise = Ar::white(1e-4);
+        let power = |gain: f64, change: f64| {
+            let (baseline, runs) = ([of(0.5, gain, 0.0, 1)], [of(1.0, gain, change, 2)]);
+            with_own_error(&noise, &baseline, &runs, 0, band).mean_power(band)
+        };
+        let floor = noise.mean_power(band);
+        assert!((power(1.0, 0.0) / floor - 1.0).abs() < 1e-12, "an exact sim");
+        let response = of(1.0, 1.0, 0.0, 2).response;
+        let all = Ar::fit(&[response.channel(0)], MAX_ORDER).mean_power(band);
+        let own = 0.05 * 0.05 * all;
+        let erring = power(1.05, 0.0);
+        assert!((erring / (own + floor) - 1.0).abs() < 0.15, "{erring} {own} {floor}");
+        let changed = power(1.05, 0.3);
+        assert!(
+            (changed / (own + floor) - 1.0).abs() < 0.15,
+            "a change is no error of before: {changed} {own}"
+        );
+    }
+}

@@ -53,6 +53,9 @@ pub struct Prepared {
     /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not: relative to the
     /// response, by response. The core stands for it, unless the sim leaves far less of the runs.
     pub sim_errs: Vec<Option<f64>>,
+    /// What a sim that stays leaves of the baseline runs, relative to the response, by response: of a change it tells little
+    /// where that is much. `None` where the core stands, or is the sim.
+    pub sim_left: Vec<Option<f64>>,
     /// What a sim differs by on the runs from the core that stands for it, where that matters: relative to the
     /// response, by response.
     pub sim_differs: Vec<Option<f64>>,
@@ -159,6 +162,7 @@ fn above_noise(
             None => input.core_stands(r),
         })
         .collect();
+    let sim_left = (0..responses).map(|r| left_of_baseline(input, r).filter(|_| !stands[r])).collect();
     let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
     let sim_differs = other_sim(input, &cut.simulated, &stands);
     let differs = input.responses.iter().zip(&sim_differs).filter(|(_, by)| by.is_some());
@@ -211,6 +215,7 @@ fn above_noise(
         band,
         stands,
         sim_errs,
+        sim_left,
         sim_differs,
         baseline_noise,
     })
@@ -265,6 +270,20 @@ fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
     let Squares { of_sim, of_core, size } = Squares::of(&input.baseline, core, response)?;
     let own = ((of_sim - of_core).max(0.0) / size.max(f64::MIN_POSITIVE)).sqrt();
     (own > 0.5 * input.material_gap).then_some(own)
+}
+
+/// What a sim from before the change leaves of the baseline runs, relative to the response; `None` where it does not say.
+fn left_of_baseline(input: &Input, response: usize) -> Option<f64> {
+    if input.mode == Mode::InSitu {
+        return None;
+    }
+    let (mut left, mut all) = (0.0, 0.0);
+    for run in &input.baseline {
+        let y = run.response.channel(response);
+        left += differ(y, run.simulated.as_ref()?.channel(response));
+        all += size(y);
+    }
+    (all > 0.0).then(|| (left / all).sqrt())
 }
 
 /// Whether a sim leaves so much less of the runs to explain than the core that the rig bends by itself at their level, and
