@@ -164,7 +164,8 @@ fn explained(input: &Input, prepared: &Prepared, watch: Watch<'_>) -> Result<Dia
         }
     }
     let verdict = verdict
-        .of_a_sim_that_errs(input, prepared, &overview)
+        .of_a_sim_stood_for(input, prepared)
+        .of_a_sim_that_stays(input, prepared, &overview)
         .of_a_sim_that_left_much(input, prepared, &overview)
         .of_a_sim_that_lacked_more(input, prepared);
     finish(input, prepared, &overview, verdict, outcome, watch)

@@ -4,6 +4,7 @@ use super::input::{Input, Mode};
 use super::report::{HeldOut, Hypothesis, Verdict, VerdictKind};
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
+use crate::diagnosis::data::settled::Left;
 use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::findings::hypothesis::{Held, axis, closed_most, closes_most, place};
 use crate::diagnosis::findings::second::Two;
@@ -23,6 +24,8 @@ const CLOSES: f64 = 0.95;
 const NOTHING_CARRIED: f64 = 0.5;
 /// Share of the gap, by power, that a model's own error makes up where nothing else is blamed for it.
 const OWN: f64 = 0.5;
+/// Why a model errs alone that a change adds nothing to.
+const NOTHING_BEYOND: &str = "nothing beyond that error is left: fit the model again";
 
 impl Verdict {
     /// Where nothing of the catalogue alone is the answer, or several effects together say that the first is another:
@@ -85,52 +88,48 @@ impl Verdict {
         Some(self)
     }
 
-    /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs. The same where
-    /// such a sim bends with the rig and stays, and most of what it leaves is what it erred by before.
-    pub(super) fn of_a_sim_that_errs(
+    /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
+    pub(super) fn of_a_sim_stood_for(mut self, input: &Input, prepared: &Prepared) -> Self {
+        let Some((r, errs)) = worst(own_errors(prepared).filter(|(r, _)| prepared.stands[*r])) else {
+            return self;
+        };
+        let hence = ", where a linear part fitted to them does not: that part stands for it here";
+        self.because.push(of_baseline(input, r, errs, hence));
+        let alone = self.kind == VerdictKind::NoMaterialGap && errs >= input.material_gap;
+        if alone { self.errs_alone(NOTHING_BEYOND) } else { self }
+    }
+
+    /// Where a sim that errs by itself bends with the rig and stays, and most of what it leaves is what it erred by before:
+    /// that the sim errs.
+    pub(super) fn of_a_sim_that_stays(
         mut self,
         input: &Input,
         prepared: &Prepared,
         overview: &Overview,
     ) -> Self {
-        let errs = prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)));
-        let (stood_for, stays): (Vec<_>, Vec<_>) = errs.partition(|(r, _)| prepared.stands[*r]);
-        let worst = |errs: Vec<(usize, f64)>| errs.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
-        let said = |r: usize, errs: f64, hence: &str| {
-            let name = &input.responses[r].name;
-            format!("the model itself errs by {:.1} % of {name} on the baseline runs{hence}", 100.0 * errs)
-        };
-        let errs_alone =
-            |this: Self| Self { kind: VerdictKind::NoneOfCatalogue, in_words: MODEL_ERRS.into(), ..this };
-        let nothing = self.kind == VerdictKind::NoMaterialGap;
-        if let Some((r, errs)) = worst(stood_for) {
-            let hence = ", where a linear part fitted to them does not: that part stands for it here";
-            self.because.push(said(r, errs, hence));
-            if nothing && errs >= input.material_gap {
-                self.because.push("nothing beyond that error is left: fit the model again".into());
-                self = errs_alone(self);
-            }
+        let errs = || own_errors(prepared).filter(|(r, _)| !prepared.stands[*r]);
+        let of_most = errs().find(|(r, _)| *r == overview.worst());
+        let Some((r, errs)) = of_most.or_else(|| worst(errs())) else { return self };
+        let hence = "; it follows these runs far better than their linear part, so it stays, and what it leaves of them holds \
+                     that error";
+        self.because.push(of_baseline(input, r, errs, hence));
+        let gap = overview.systematic(r);
+        if self.kind == VerdictKind::NoMaterialGap {
+            return if gap >= input.material_gap { self.errs_alone(NOTHING_BEYOND) } else { self };
         }
-        let of_most = |&(r, _): &(usize, f64)| r == overview.worst();
-        if let Some((r, errs)) = stays.iter().copied().find(of_most).or(worst(stays)) {
-            let hence = "; it follows these runs far better than their linear part, so it stays, and what it leaves of them holds \
-                         that error";
-            self.because.push(said(r, errs, hence));
-            let gap = overview.systematic(r);
-            if nothing && gap >= input.material_gap {
-                self.because.push("nothing beyond that error is left: fit the model again".into());
-                self = errs_alone(self);
-            } else if of_most(&(r, errs)) && errs * errs > OWN * gap * gap {
-                let because = "that error is most of it: fit the model again".to_owned();
-                if self.kind.blames() {
-                    self = errs_alone(self.withdrawn(because));
-                } else if self.kind == VerdictKind::NoneOfCatalogue {
-                    self.because.push(because);
-                    self = errs_alone(self);
-                }
-            }
+        let most = of_most.is_some() && errs * errs > OWN * gap * gap;
+        let told = self.kind.blames() || self.kind == VerdictKind::NoneOfCatalogue;
+        if !(most && told) {
+            return self;
         }
-        self
+        let this = if self.kind.blames() { self.withdrawn() } else { self };
+        this.errs_alone("that error is most of it: fit the model again")
+    }
+
+    /// The same, as a lack of the sim that no change of the rig has part in.
+    fn errs_alone(mut self, because: &str) -> Self {
+        self.because.push(because.into());
+        Self { kind: VerdictKind::NoneOfCatalogue, in_words: MODEL_ERRS.into(), ..self }
     }
 
     /// Where nothing explains what a sim leaves that left most of it before the change already: that the catalogue lacks the
@@ -142,10 +141,13 @@ impl Verdict {
         overview: &Overview,
     ) -> Self {
         let r = overview.worst();
-        let much =
-            |left: &f64| *left >= input.material_gap && left * left > OWN * overview.systematic(r).powi(2);
-        let Some(left) = prepared.sim_left[r].filter(much) else { return self };
-        if self.kind == VerdictKind::NoneOfCatalogue && self.probability > LACKED_MORE {
+        let lacked = self.kind == VerdictKind::NoneOfCatalogue && self.probability > LACKED_MORE;
+        // In situ the baseline holds what is sought.
+        if !lacked || input.mode == Mode::InSitu || prepared.stands[r] {
+            return self;
+        }
+        let much = |left: &f64| *left >= input.material_gap && *left > OWN.sqrt() * overview.systematic(r);
+        if let Some(left) = Left::of(&input.baseline, r).map(|sim| sim.relative()).filter(much) {
             self.probability = LACKED_MORE;
             self.because.push(format!(
                 "the model left {:.1} % of {} on the baseline runs already, before any change: fit a better model first",
@@ -157,8 +159,7 @@ impl Verdict {
     }
 
     /// The same with nothing blamed.
-    fn withdrawn(mut self, because: String) -> Self {
-        self.because.push(because);
+    fn withdrawn(self) -> Self {
         let probability = (1.0 - self.probability).max(NOTHING_CARRIED);
         let kind = VerdictKind::NoneOfCatalogue;
         Self { kind, effect: None, family: None, axis: None, at: None, probability, ..self }
@@ -168,9 +169,9 @@ impl Verdict {
     /// the sim was estimated poorly, or at another level of a rig that bends by itself. The gap then holds what the sim
     /// lacked before the change too, which may be any effects of the catalogue together.
     pub(super) fn of_a_sim_that_lacked_more(mut self, input: &Input, prepared: &Prepared) -> Self {
-        let worst = prepared.sim_differs.iter().enumerate().filter_map(|(r, by)| Some((r, (*by)?)));
-        let worst = worst.max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((r, by)) = worst.filter(|_| self.kind == VerdictKind::NoneOfCatalogue) else { return self };
+        let differs = prepared.sim_differs.iter().enumerate().filter_map(|(r, by)| Some((r, (*by)?)));
+        let lacked = self.kind == VerdictKind::NoneOfCatalogue;
+        let Some((r, by)) = worst(differs).filter(|_| lacked) else { return self };
         self.probability = self.probability.min(LACKED_MORE);
         self.because.push(format!(
             "on these runs the model differs by {:.1} % of {} from the linear part of the baseline runs: the rig bends by \
@@ -207,7 +208,8 @@ impl Verdict {
             return self;
         }
         if closure <= 0.0 {
-            return self.withdrawn(format!("on the test runs {} closes nothing", chosen.effect.name()));
+            self.because.push(format!("on the test runs {} closes nothing", chosen.effect.name()));
+            return self.withdrawn();
         }
         if closure < CLOSES && self.kind == VerdictKind::Identified {
             self.kind = VerdictKind::Partial;
@@ -215,6 +217,21 @@ impl Verdict {
         }
         self
     }
+}
+
+/// What sims err by of themselves on the baseline runs, relative to the response, with the index of the response.
+fn own_errors(prepared: &Prepared) -> impl Iterator<Item = (usize, f64)> {
+    prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)))
+}
+
+fn worst(errs: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
+    errs.max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+/// That a model errs by `errs` of a response on the baseline runs, and what follows.
+fn of_baseline(input: &Input, response: usize, errs: f64, hence: &str) -> String {
+    let name = &input.responses[response].name;
+    format!("the model itself errs by {:.1} % of {name} on the baseline runs{hence}", 100.0 * errs)
 }
 
 /// Rules on the outcome and says why.

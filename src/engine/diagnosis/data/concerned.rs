@@ -3,9 +3,9 @@
 //! A response costs a linear core, candidates of its own, and a path for every effect elsewhere: the time of a diagnosis
 //! grows with the square of their number. A cause shows where the sim errs by more than it did before the change.
 
-use super::settled::{self, settled};
+use super::settled::{Left, settled};
 use super::split::same_drive;
-use crate::diagnosis::input::{Input, Mode, Run};
+use crate::diagnosis::input::{Input, Mode};
 use crate::diagnosis::numerics::linear::squares_about_mean;
 
 /// Responses that are all looked at, whatever they show.
@@ -75,37 +75,21 @@ impl Errs {
     /// `None` where the sim does not say; also, of a rig of not too many responses, where no repeats tell the noise.
     fn of(input: &Input, response: usize) -> Option<Self> {
         let noise = noise(input, response).or(too_many(input).then_some(0.0))?;
+        let error = |left: &Left| left.by_sim / left.samples as f64;
+        let beyond = |left: &Left| (error(left) - noise).max(0.0) / variance(left);
         let now = Left::of(&input.runs, response)?;
-        let beyond = |left: &Left| (left.error - noise).max(0.0) / left.size;
         if input.mode == Mode::InSitu {
             return Some(Self { before: 0.0, grown: beyond(&now) });
         }
         let was = Left::of(&input.baseline, response)?;
         let before = beyond(&was);
-        Some(Self { before, grown: (beyond(&now) - before).max((noise - was.error) / now.size) })
+        Some(Self { before, grown: (beyond(&now) - before).max((noise - error(&was)) / variance(&now)) })
     }
 }
 
-/// What the sim leaves of a response.
-struct Left {
-    /// Mean square.
-    error: f64,
-    /// Variance of the response.
-    size: f64,
-}
-
-impl Left {
-    fn of(runs: &[Run], response: usize) -> Option<Self> {
-        let (mut error, mut size, mut count) = (0.0, 0.0, 0);
-        for run in runs {
-            let y = run.response.channel(response);
-            error += settled::differ(y, run.simulated.as_ref()?.channel(response));
-            size += settled::size(y);
-            count += settled(y).len();
-        }
-        let mean = |sum: f64| sum / count.max(1) as f64;
-        (size > 0.0).then(|| Self { error: mean(error), size: mean(size) })
-    }
+/// Variance of the response.
+fn variance(left: &Left) -> f64 {
+    left.size / left.samples as f64
 }
 
 /// Mean square of a response's noise, by what repeats differ in, a drift of its offset left aside; `None` without any.

@@ -8,7 +8,7 @@ use super::noise::{self, Noise, Pair};
 use super::overview::NOISE_ONLY;
 use super::problem::{Problem, Stretch, share};
 use super::seldom::{self, PLAIN_GAP};
-use super::settled::{differ, size};
+use super::settled::{Left, differ, size};
 use super::split::{Piece, Split, in_quarters, quarter, split};
 use super::tolerance::Tolerance;
 use crate::diagnosis::core::{self, Core, CoreFit};
@@ -53,9 +53,6 @@ pub struct Prepared {
     /// What a sim that is no linear part of the rig errs by on the baseline runs, where the core does not: relative to the
     /// response, by response. The core stands for it, unless the sim leaves far less of the runs.
     pub sim_errs: Vec<Option<f64>>,
-    /// What a sim that stays leaves of the baseline runs, relative to the response, by response: of a change it tells little
-    /// where that is much. `None` where the core stands, or is the sim.
-    pub sim_left: Vec<Option<f64>>,
     /// What a sim differs by on the runs from the core that stands for it, where that matters: relative to the
     /// response, by response.
     pub sim_differs: Vec<Option<f64>>,
@@ -162,7 +159,6 @@ fn above_noise(
             None => input.core_stands(r),
         })
         .collect();
-    let sim_left = (0..responses).map(|r| left_of_baseline(input, r).filter(|_| !stands[r])).collect();
     let cut = Cut { input, simulated: simulate_all(input, &fitted, &stands), stands: &stands, band, memory };
     let sim_differs = other_sim(input, &cut.simulated, &stands);
     let differs = input.responses.iter().zip(&sim_differs).filter(|(_, by)| by.is_some());
@@ -215,7 +211,6 @@ fn above_noise(
         band,
         stands,
         sim_errs,
-        sim_left,
         sim_differs,
         baseline_noise,
     })
@@ -267,53 +262,22 @@ fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
     if input.mode == Mode::InSitu || input.sim_is_linear || input.has_adopted() {
         return None;
     }
-    let Squares { of_sim, of_core, size } = Squares::of(&input.baseline, core, response)?;
-    let own = ((of_sim - of_core).max(0.0) / size.max(f64::MIN_POSITIVE)).sqrt();
+    let sim = Left::of(&input.baseline, response)?;
+    let own = ((sim.by_sim - left_by_core(&input.baseline, core, response)).max(0.0) / sim.size).sqrt();
     (own > 0.5 * input.material_gap).then_some(own)
-}
-
-/// What a sim from before the change leaves of the baseline runs, relative to the response; `None` where it does not say.
-fn left_of_baseline(input: &Input, response: usize) -> Option<f64> {
-    if input.mode == Mode::InSitu {
-        return None;
-    }
-    let (mut left, mut all) = (0.0, 0.0);
-    for run in &input.baseline {
-        let y = run.response.channel(response);
-        left += differ(y, run.simulated.as_ref()?.channel(response));
-        all += size(y);
-    }
-    (all > 0.0).then(|| (left / all).sqrt())
 }
 
 /// Whether a sim leaves so much less of the runs to explain than the core that the rig bends by itself at their level, and
 /// the sim with it: whatever has changed, both lack.
 fn bends_with_rig(input: &Input, core: &Core, response: usize) -> bool {
-    Squares::of(&input.runs, core, response).is_some_and(|s| s.of_sim < BENDS_WITH_RIG * s.of_core)
+    Left::of(&input.runs, response)
+        .is_some_and(|sim| sim.by_sim < BENDS_WITH_RIG * left_by_core(&input.runs, core, response))
 }
 
-/// Sums of squares over runs.
-struct Squares {
-    /// What the sim leaves of a response,
-    of_sim: f64,
-    /// what its core does,
-    of_core: f64,
-    /// and the response itself.
-    size: f64,
-}
-
-impl Squares {
-    /// `None` where the sim does not say.
-    fn of(runs: &[Run], core: &Core, response: usize) -> Option<Self> {
-        let mut sums = Self { of_sim: 0.0, of_core: 0.0, size: 0.0 };
-        for run in runs {
-            let y = run.response.channel(response);
-            sums.of_sim += differ(y, run.simulated.as_ref()?.channel(response));
-            sums.of_core += differ(y, &core.simulate(run.drive.channels()));
-            sums.size += size(y);
-        }
-        Some(sums)
-    }
+/// Sum of the squares of what a core leaves of a response, over runs.
+fn left_by_core(runs: &[Run], core: &Core, response: usize) -> f64 {
+    let left = |run: &Run| differ(run.response.channel(response), &core.simulate(run.drive.channels()));
+    runs.iter().map(left).sum()
 }
 
 /// What the sim says of every run, `[run][response][sample]`.
