@@ -3,7 +3,7 @@
 //!
 //! `peak_fma` comes first and again after each group of measurements. The other figures are best read as
 //! shares of it, since the speed of a shared machine varies. `--against examples/speed/last.jsonl` compares them so with
-//! the run that was committed last, and ends with 1 where a row has lost more than 15 % of its share.
+//! the committed run of the machine most like this one, and ends with 1 where a row has lost more than 15 % of its share.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
