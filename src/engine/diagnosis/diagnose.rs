@@ -129,7 +129,7 @@ fn explained(input: &Input, prepared: &Prepared, watch: Watch<'_>) -> Result<Dia
             let outcome = contest(input, &input.catalogue, prepared, &overview, &first)?;
             let verdict = judge(input, prepared, &overview, &outcome);
             // Whatever transfer says, that stands.
-            if verdict.kind == VerdictKind::Identified {
+            if verdict.kind == VerdictKind::Identified && !verdict.bends() {
                 return finish(input, prepared, &overview, verdict, Some(outcome), &second);
             }
             by_repeats = Some((verdict, outcome));

@@ -66,26 +66,32 @@ impl Verdict {
     /// What free runs fitted down to the noise of repeats say beside a verdict by transfer between runs; `None` where
     /// that stands. An equation that leaves no more than repeats differ by is the law, or so near to it that nothing
     /// measured tells them apart; one that leaves more is believed only where transfer names nothing, or names its
-    /// family and leaves more still. `left` are the shares of the gap that both leave, that by transfer last.
+    /// family and leaves more still. What [bends](Self::bends) is no equation: it gives way to a law that transfer identifies.
+    /// `left` are the shares of the gap that both leave, that by transfer last.
     pub(super) fn beside(mut self, transfer: &Self, left: [f64; 2]) -> Option<Self> {
-        let of_family = matches!(self.kind, VerdictKind::Partial | VerdictKind::FamilyOnly);
+        let identified = self.kind == VerdictKind::Identified;
+        let of_family = identified || matches!(self.kind, VerdictKind::Partial | VerdictKind::FamilyOnly);
         let one = of_family && self.family == transfer.family && left[0] < left[1];
-        if self.kind == VerdictKind::Identified || one {
-            return Some(self);
-        }
         let family = |effect: &Effect| Some(effect.family()) == self.family;
         let open = match transfer.kind {
             VerdictKind::NotDistinguishable => transfer.equivalence_set.iter().any(family),
             kind => !kind.blames(),
         };
-        // What bends to whatever it meets leaves little of any law.
-        let flexible = |effect: Effect| effect == Effect::Sandwich || effect.tier() == Tier::Free;
-        if self.kind != VerdictKind::Partial || !open || self.effect.is_none_or(flexible) {
+        if one || identified && !(self.bends() && transfer.kind == VerdictKind::Identified) {
+            return Some(self);
+        }
+        if self.kind != VerdictKind::Partial || !open || self.bends() {
             return None;
         }
         self.probability = self.probability.min(BESIDE_TRANSFER);
         self.because.extend(transfer.because.iter().cloned());
         Some(self)
+    }
+
+    /// Whether it names what bends to whatever it meets, and leaves little of any law: a nonlinearity between two filters, a
+    /// free shape, or nothing.
+    pub(super) fn bends(&self) -> bool {
+        self.effect.is_none_or(|effect| effect == Effect::Sandwich || effect.tier() == Tier::Free)
     }
 
     /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
@@ -400,6 +406,16 @@ mod tests {
         let beside = stated(VerdictKind::Partial, friction).beside(&open, [0.1, 0.2]).unwrap();
         assert_eq!(beside.probability, BESIDE_TRANSFER);
         assert_eq!(stated(VerdictKind::Partial, Some(Effect::Sandwich)).beside(&open, [0.1, 0.2]), None);
+        let sandwich = stated(VerdictKind::Identified, Some(Effect::Sandwich));
+        assert_eq!(sandwich.clone().beside(&open, [0.1, 0.2]), Some(sandwich.clone()));
+        assert_eq!(
+            sandwich.clone().beside(&named, [0.01, 0.1]),
+            Some(sandwich.clone()),
+            "the law is a part only"
+        );
+        let law = stated(VerdictKind::Identified, Some(Effect::QuadraticDamping));
+        assert_eq!(sandwich.beside(&law, [0.01, 0.05]), None, "it bends to whatever it meets");
+        assert!(stated(VerdictKind::Identified, friction).beside(&law, [0.01, 0.05]).is_some());
         assert_eq!(stated(VerdictKind::NoneOfCatalogue, None).beside(&open, [0.1, 0.2]), None);
         let several = |set: &[Effect]| of(VerdictKind::NotDistinguishable, None, set);
         let partial = || stated(VerdictKind::Partial, friction);
