@@ -70,7 +70,8 @@ class Lab:
         self.inputs = len(self.model["inputs"])
         load = lambda name: np.ascontiguousarray(np.load(folder / f"{name}.npy").T)
         self.noise = [load(f"noise-{run}") for run in range(len(self.kept["runs"]))]
-        self.load = load("load")
+        parts = sorted(path.stem for path in folder.glob("load-*.npy"))
+        self.load = np.concatenate([load(part) for part in parts], axis=1)
 
     def spans(self, use):
         """(run, from, to) of each span of the lineage."""

@@ -205,9 +205,6 @@ impl<'a> Lab<'a> {
     async fn upload_load(&mut self) -> Outcome {
         let drive = self.rig.drive(Drive::Service, 60.0 * self.args.minutes, self.seed(100))?;
         let channels = self.rig.record(&drive, State::Fitted, self.seed(101))?;
-        if self.args.kept.is_some() {
-            self.keep("load.npy", &write(&channels, Dtype::F4, Order::C)?)?;
-        }
         let query = [("kind", "service"), ("split", "test"), ("tag", "load")];
         let mut calls_s = 0.0;
         for run in 0..LOAD_RUNS {

@@ -183,6 +183,11 @@ impl Input {
         self.sim_is_linear && !self.runs.iter().filter_map(|run| run.added.as_ref()).any(acts)
     }
 
+    /// Whether the sim is from before the change and may bend by itself: it is no linear part, and has no adopted effects.
+    pub(super) fn sim_may_bend(&self) -> bool {
+        self.mode == Mode::External && !self.sim_is_linear && !self.has_adopted()
+    }
+
     /// Whether the sim has adopted effects.
     pub(super) fn has_adopted(&self) -> bool {
         self.runs.iter().any(|run| run.added.is_some())

@@ -96,9 +96,8 @@ impl Verdict {
 
     /// Where the linear core stands for a sim that errs by itself and nothing else is left: that the sim errs.
     pub(super) fn of_a_sim_stood_for(mut self, input: &Input, prepared: &Prepared) -> Self {
-        let Some((r, errs)) = worst(own_errors(prepared).filter(|(r, _)| prepared.stands[*r])) else {
-            return self;
-        };
+        let stood_for = told(&prepared.sim_errs).filter(|(r, _)| prepared.stands[*r]);
+        let Some((r, errs)) = worst(stood_for) else { return self };
         let hence = ", where a linear part fitted to them does not: that part stands for it here";
         self.because.push(of_baseline(input, r, errs, hence));
         let alone = self.kind == VerdictKind::NoMaterialGap && errs >= input.material_gap;
@@ -113,7 +112,7 @@ impl Verdict {
         prepared: &Prepared,
         overview: &Overview,
     ) -> Self {
-        let errs = || own_errors(prepared).filter(|(r, _)| !prepared.stands[*r]);
+        let errs = || told(&prepared.sim_errs).filter(|(r, _)| !prepared.stands[*r]);
         let of_most = errs().find(|(r, _)| *r == overview.worst());
         let Some((r, errs)) = of_most.or_else(|| worst(errs())) else { return self };
         let hence = "; it follows these runs far better than their linear part, so it stays, and what it leaves of them holds \
@@ -175,9 +174,8 @@ impl Verdict {
     /// the sim was estimated poorly, or at another level of a rig that bends by itself. The gap then holds what the sim
     /// lacked before the change too, which may be any effects of the catalogue together.
     pub(super) fn of_a_sim_that_lacked_more(mut self, input: &Input, prepared: &Prepared) -> Self {
-        let differs = prepared.sim_differs.iter().enumerate().filter_map(|(r, by)| Some((r, (*by)?)));
         let lacked = self.kind == VerdictKind::NoneOfCatalogue;
-        let Some((r, by)) = worst(differs).filter(|_| lacked) else { return self };
+        let Some((r, by)) = worst(told(&prepared.sim_differs)).filter(|_| lacked) else { return self };
         self.probability = self.probability.min(LACKED_MORE);
         self.because.push(format!(
             "on these runs the model differs by {:.1} % of {} from the linear part of the baseline runs: the rig bends by \
@@ -225,9 +223,9 @@ impl Verdict {
     }
 }
 
-/// What sims err by of themselves on the baseline runs, relative to the response, with the index of the response.
-fn own_errors(prepared: &Prepared) -> impl Iterator<Item = (usize, f64)> {
-    prepared.sim_errs.iter().enumerate().filter_map(|(r, errs)| Some((r, (*errs)?)))
+/// What is told of some responses, with their indices.
+fn told(of: &[Option<f64>]) -> impl Iterator<Item = (usize, f64)> {
+    of.iter().enumerate().filter_map(|(r, of)| Some((r, (*of)?)))
 }
 
 fn worst(errs: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {

@@ -75,21 +75,18 @@ impl Errs {
     /// `None` where the sim does not say; also, of a rig of not too many responses, where no repeats tell the noise.
     fn of(input: &Input, response: usize) -> Option<Self> {
         let noise = noise(input, response).or(too_many(input).then_some(0.0))?;
-        let error = |left: &Left| left.by_sim / left.samples as f64;
-        let beyond = |left: &Left| (error(left) - noise).max(0.0) / variance(left);
+        let beyond = |left: &Left| (left.mean_square() - noise).max(0.0) / left.variance();
         let now = Left::of(&input.runs, response)?;
         if input.mode == Mode::InSitu {
             return Some(Self { before: 0.0, grown: beyond(&now) });
         }
         let was = Left::of(&input.baseline, response)?;
         let before = beyond(&was);
-        Some(Self { before, grown: (beyond(&now) - before).max((noise - error(&was)) / variance(&now)) })
+        Some(Self {
+            before,
+            grown: (beyond(&now) - before).max((noise - was.mean_square()) / now.variance()),
+        })
     }
-}
-
-/// Variance of the response.
-fn variance(left: &Left) -> f64 {
-    left.size / left.samples as f64
 }
 
 /// Mean square of a response's noise, by what repeats differ in, a drift of its offset left aside; `None` without any.

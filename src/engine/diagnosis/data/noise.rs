@@ -4,7 +4,7 @@
 //! is the noise floor. What of it the drive predicts is time variance, not noise, and is taken out
 //! first.
 
-use super::settled::{settled, size};
+use super::settled::{Left, settled};
 use crate::diagnosis::core::Core;
 use crate::diagnosis::input::Run;
 use crate::diagnosis::numerics::ar::Ar;
@@ -84,25 +84,22 @@ pub fn from_repeats(pairs: &[Pair<'_>], core: &Core, band: [f64; 2]) -> Option<N
 /// response, as far as the sim leaves so much of the runs to explain. The noise where the sim erred by less than that, or does
 /// not say.
 pub fn with_own_error(noise: &Ar, baseline: &[Run], runs: &[Run], response: usize, band: [f64; 2]) -> Ar {
+    let error = |run: &Run| -> Option<Vec<f64>> {
+        let [y, sim] = [&run.response, run.simulated.as_ref()?].map(|of| settled(of.channel(response)));
+        let mut error: Vec<f64> = y.iter().zip(sim).map(|(y, sim)| y - sim).collect();
+        let centre = mean(&error);
+        error.iter_mut().for_each(|e| *e -= centre);
+        Some(error)
+    };
     let left = |runs: &[Run]| -> Option<(Ar, f64)> {
-        let (mut errors, mut all, mut samples) = (Vec::new(), 0.0, 0);
-        for run in runs {
-            let y = run.response.channel(response);
-            let sim = run.simulated.as_ref()?.channel(response);
-            let mut error: Vec<f64> = settled(y).iter().zip(settled(sim)).map(|(y, sim)| y - sim).collect();
-            let centre = mean(&error);
-            error.iter_mut().for_each(|e| *e -= centre);
-            samples += error.len();
-            all += size(y);
-            errors.push(error);
-        }
+        let errors: Vec<Vec<f64>> = runs.iter().map(error).collect::<Option<_>>()?;
         let errors: Vec<&[f64]> = errors.iter().map(Vec::as_slice).collect();
-        Some((Ar::fit(&errors, MAX_ORDER), all / samples.max(1) as f64))
+        Some((Ar::fit(&errors, MAX_ORDER), Left::of(runs, response)?.variance()))
     };
     let (Some((was, small)), Some((now, large))) = (left(baseline), left(runs)) else { return noise.clone() };
     let floor = noise.mean_power(band);
     let [was_power, now_power] = [&was, &now].map(|ar| ar.mean_power(band));
-    let own = ((was_power - floor) * large / small.max(f64::MIN_POSITIVE)).min(now_power - floor);
+    let own = ((was_power - floor) * large / small).min(now_power - floor);
     if own < floor {
         return noise.clone();
     }

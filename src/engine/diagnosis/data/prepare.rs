@@ -259,7 +259,7 @@ fn fit_core(
 /// response, where that is half of what matters or more. What such a sim leaves of later runs is its own error and the
 /// change's together, which no law of the rig can tell apart.
 fn own_error(input: &Input, core: &Core, response: usize) -> Option<f64> {
-    if input.mode == Mode::InSitu || input.sim_is_linear || input.has_adopted() {
+    if !input.sim_may_bend() {
         return None;
     }
     let sim = Left::of(&input.baseline, response)?;
@@ -341,8 +341,7 @@ impl<'a> Cut<'a> {
     /// What errors of a response are counted in: its noise, with that of a sim from before the change that bends by itself.
     fn floor(&self, noise: &Noise, response: usize) -> Noise {
         let Input { baseline, runs, .. } = self.input;
-        let stays = !self.stands[response] && !self.input.sim_is_linear && !self.input.has_adopted();
-        if self.input.mode == Mode::InSitu || !stays {
+        if self.stands[response] || !self.input.sim_may_bend() {
             return noise.clone();
         }
         Noise { ar: noise::with_own_error(&noise.ar, baseline, runs, response, self.band), ..*noise }

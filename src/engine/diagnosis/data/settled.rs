@@ -44,6 +44,16 @@ impl Left {
         (sums.size > 0.0).then_some(sums)
     }
 
+    /// Mean square.
+    pub fn mean_square(&self) -> f64 {
+        self.by_sim / self.samples as f64
+    }
+
+    /// Variance of the response.
+    pub fn variance(&self) -> f64 {
+        self.size / self.samples as f64
+    }
+
     /// RMS, relative to the response.
     pub fn relative(&self) -> f64 {
         (self.by_sim / self.size).sqrt()
