@@ -10,7 +10,7 @@ use crate::diagnosis::core::FEW_DRIVES;
 use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::data::prepare::Prepared;
 use crate::diagnosis::data::problem::{Problem, Stretch};
-use crate::diagnosis::effects::effect::Tier;
+use crate::diagnosis::effects::effect::{Effect, Tier};
 use crate::diagnosis::effects::plant::Course;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::search::contest::contest;
@@ -47,7 +47,9 @@ pub fn further(
     }
     let sought = Sought { input, prepared, overview, watch };
     let of_likeliest = sought.beside(ranked, 0)?;
-    let laws = ranked.iter().enumerate().filter(|(_, ranked)| may_be_named(&ranked.scored));
+    // A linear change of every response takes part of whatever acts on any of them.
+    let law = |scored: &Scored| may_be_named(scored) && scored.effect() != Effect::LinearChange;
+    let laws = ranked.iter().enumerate().filter(|(_, ranked)| law(&ranked.scored));
     let most = laws.min_by(|(_, a), (_, b)| a.scored.chi2.total_cmp(&b.scored.chi2));
     let answers = of_likeliest.as_ref().is_some_and(Two::answers);
     let Some((first, _)) = most.filter(|&(first, _)| first > 0 && !named && !answers) else {

@@ -132,7 +132,9 @@ impl Found {
         let held = vec![held(&members[0], 1.0 - alone.remaining), held(&members[members.len() - 1], gained)];
         let explanation =
             Explanation { layers: vec![both.places(prepared)], held, remaining: both.remaining };
-        Two { first: self.first, second: self.second, probability: self.probability, explanation }
+        // What they leave at other responses is not explained either.
+        let probability = self.probability.min(of_several(both.remaining, baseline.chi2, baseline.rows, true));
+        Two { first: self.first, second: self.second, probability, explanation }
     }
 }
 
