@@ -34,20 +34,25 @@ pub const CLOSES: f64 = 0.5;
 /// Below this probability two effects together are no answer.
 const SURE: f64 = 0.7;
 
-/// The response with the largest rest, with what the first effect does there; `None` where it leaves only noise.
+/// The response with the largest rest, with what the first effect does there: of those that move, else, where it leaves only
+/// noise of these, of all with a gap, as of a force sensor that drifts by itself. `None` where it leaves only noise.
 fn rest(prepared: &Prepared, overview: &Overview, placement: &Placement, first: &Scored) -> Option<Place> {
     let mut places = first.places(prepared);
-    places.retain(|p| p.problem.response == first.problem || placement.motion.contains(&p.problem.response));
-    let untouched = placement.motion.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
+    let untouched = overview.seen.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
     let bare = |&r: &usize| {
         let candidate = Candidate { parts: Vec::new(), retune: false };
         let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: f64::NAN };
         Place { problem: prepared.problems[r].clone(), fitted, chi2: overview.chi2_select[r] }
     };
     let untouched: Vec<Place> = untouched.map(bare).collect();
+    places.extend(untouched);
+    let moves =
+        |p: &Place| p.problem.response == first.problem || placement.motion.contains(&p.problem.response);
+    let (moving, others): (Vec<Place>, Vec<Place>) = places.into_iter().partition(moves);
+    let largest = |of: Vec<Place>| of.into_iter().max_by(|a, b| a.chi2.total_cmp(&b.chi2));
     let bends = first.effect().tier() == Tier::Free;
-    let all = places.into_iter().chain(untouched);
-    all.max_by(|a, b| a.chi2.total_cmp(&b.chi2)).filter(|p| bends || p.chi2 > SECOND)
+    let remains = |p: &Place| p.chi2 > SECOND;
+    largest(moving).filter(|p| bends || remains(p)).or_else(|| largest(others).filter(remains))
 }
 
 /// Effects that together close what one alone does not.
@@ -133,7 +138,8 @@ impl Found {
         let explanation =
             Explanation { layers: vec![both.places(prepared)], held, remaining: both.remaining };
         // What they leave at other responses is not explained either.
-        let probability = self.probability.min(of_several(both.remaining, baseline.chi2, baseline.rows, true));
+        let probability =
+            self.probability.min(of_several(both.remaining, baseline.chi2, baseline.rows, true));
         Two { first: self.first, second: self.second, probability, explanation }
     }
 }
