@@ -47,16 +47,19 @@ pub fn further(
     }
     let sought = Sought { input, prepared, overview, watch };
     let of_likeliest = sought.beside(ranked, 0)?;
-    // A linear change of every response takes part of whatever acts on any of them.
-    let law = |scored: &Scored| may_be_named(scored) && scored.effect() != Effect::LinearChange;
-    let laws = ranked.iter().enumerate().filter(|(_, ranked)| law(&ranked.scored));
-    let most = laws.min_by(|(_, a), (_, b)| a.scored.chi2.total_cmp(&b.scored.chi2));
     let answers = of_likeliest.as_ref().is_some_and(Two::answers);
-    let Some((first, _)) = most.filter(|&(first, _)| first > 0 && !named && !answers) else {
+    let Some(first) = closes_most(ranked).filter(|&first| first > 0 && !named && !answers) else {
         return Ok(of_likeliest);
     };
     let of_most = sought.beside(ranked, first)?;
     Ok([of_most, of_likeliest].into_iter().flatten().max_by(|a, b| a.probability.total_cmp(&b.probability)))
+}
+
+/// The law that closes most alone. A linear change is none: that of every response takes part of whatever acts on any of them.
+fn closes_most(ranked: &[Ranked]) -> Option<usize> {
+    let law = |scored: &Scored| may_be_named(scored) && scored.effect() != Effect::LinearChange;
+    let laws = ranked.iter().enumerate().filter(|(_, ranked)| law(&ranked.scored));
+    laws.min_by(|(_, a), (_, b)| a.scored.chi2.total_cmp(&b.scored.chi2)).map(|(first, _)| first)
 }
 
 /// Where further effects are sought.

@@ -205,3 +205,33 @@ fn effects_on_two_axes_are_one_hypothesis_and_are_simulated_together() {
     );
     assert!(found.augmented[0].check(3, 6, RATE).is_ok());
 }
+
+#[test]
+fn a_clip_and_friction_on_two_axes_are_both_named() {
+    let mut catalogue = few();
+    catalogue.extend([Effect::DriveSaturation, Effect::CrossAxisKinematic, Effect::BoucWenHysteresis]);
+    let clip = [f64::INFINITY, f64::INFINITY, 1.4];
+    let found = diagnose(&request(&[(1, friction)], clip, catalogue), &unwatched).unwrap();
+    let named: Vec<_> =
+        found.report.verdict.effects.iter().map(|e| (e.family, e.axis.as_deref().unwrap())).collect();
+    assert_eq!(named.len(), 2, "{:?}", found.report.verdict);
+    for of in [(Family::FrictionHysteresis, "y"), (Family::Actuator, "z")] {
+        assert!(named.contains(&of), "{:?}", found.report.verdict);
+    }
+}
+
+#[test]
+fn a_force_sensor_that_drifts_is_found_beside_a_law_of_another_axis() {
+    let mut catalogue = few();
+    catalogue.push(Effect::OffsetDrift);
+    let mut input = request(&[(0, hardening)], NO_CLIP, catalogue);
+    for run in &mut input.runs {
+        let mut channels = run.response.channels().to_vec();
+        channels[5].iter_mut().for_each(|y| *y += 0.002 * (run.started_s - 1000.0));
+        run.response = Signal::new(RATE, channels).unwrap();
+    }
+    let verdict = diagnose(&input, &unwatched).unwrap().report.verdict;
+    let of = |k: usize| verdict.effects.get(k).map(|e| (e.family, e.at.as_deref().unwrap_or("")));
+    assert_eq!(of(0), Some((Family::Stiffness, "disp_x")), "{verdict:?}");
+    assert_eq!(of(1), Some((Family::TimeVariance, "force_z")), "{verdict:?}");
+}

@@ -371,6 +371,43 @@ fn a_baseline_of_before_a_change_is_left_out_of_what_laws_have_to_explain() {
     assert!(!report(&input).warnings.contains(&"rig_changed".to_owned()));
 }
 
+/// A stiffer rig.
+fn stiffer(x: f64, _: f64) -> f64 {
+    60.0 * x
+}
+
+#[test]
+fn a_rig_that_was_changed_since_its_model_was_fitted_is_blamed_on_no_drift() {
+    let mut input = unrepeated(stiffer, 0.01);
+    input.baseline = vec![run("before", noise_drive(32.0, 1.0, 5), none, 0.01, 15)];
+    input.baseline[0].started_s = -1e5;
+    let found = report(&input);
+    assert!(!found.verdict.kind.blames(), "{:?}", found.verdict);
+    assert!(found.warnings.contains(&"rig_changed".to_owned()), "{:?}", found.warnings);
+}
+
+#[test]
+fn what_repeats_differ_by_because_a_spring_drifts_is_no_noise() {
+    // Each run a little stiffer than the one before; both drives twice.
+    let springs: [Force; 4] = [none, |x, _| 25.0 * x, |x, _| 50.0 * x, |x, _| 75.0 * x];
+    let drives = [(1.0, 1), (0.6, 2), (1.0, 1), (0.6, 2)];
+    let runs: Vec<Run> = springs
+        .into_iter()
+        .zip(drives)
+        .enumerate()
+        .map(|(k, (spring, (level, seed)))| {
+            let name = format!("run {k}");
+            run(&name, noise_drive(16.0, level, seed), spring, 0.003, 11 + k as u64)
+        })
+        .collect();
+    let input = Input { baseline: runs.clone(), runs, ..unrepeated(none, 0.003) };
+    let found = report(&input);
+    assert_eq!(found.noise_floor_source, NoiseSource::FoundRepeats);
+    assert_ne!(found.verdict.kind, VerdictKind::NoMaterialGap, "{:?}", found.verdict);
+    assert_eq!(found.verdict.effect, Some(Effect::StiffnessDrift), "{:?}", found.verdict);
+    assert!(found.gap.systematic_at_most > 2.0 * found.gap.noise_rms_rel, "{:?}", found.gap);
+}
+
 /// A spring and dry friction at the same place.
 fn stiffening_and_sliding(x: f64, v: f64) -> f64 {
     stiffening_a_little(x, v) + 60.0 * (2.0 * v).tanh()

@@ -28,7 +28,7 @@ use super::input::Input;
 use super::report::{Gap, Hypothesis, NextExperiment, NoiseSource, Verdict};
 use crate::EngineError;
 use crate::diagnosis::data::overview::Overview;
-use crate::diagnosis::effects::effect::{Effect, Tier};
+use crate::diagnosis::effects::effect::{Effect, Family, Tier};
 use crate::progress::{Progress, Watch, report};
 
 /// What follows from transfer between runs.
@@ -58,13 +58,19 @@ pub(super) fn by_transfer(
     watch: Watch<'_>,
 ) -> Result<Found, EngineError> {
     let of_screen = |p: Progress<'_>| watch(p.within(&(0.15..0.6)));
-    let Screened { runs, screening, changed } = screened(input, &of_screen)?;
+    let Screened { mut runs, screening, changed } = screened(input, &of_screen)?;
     let of_refits = |p: Progress<'_>| watch(p.within(&(0.6..0.75)));
     let refits = refits(&runs.recording, &runs.grouping, &screening, &input.catalogue, &of_refits)?;
-    let levels = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt());
+    let levels: Vec<f64> = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
     let relative: Option<Vec<f64>> =
-        runs.noise.as_ref().map(|noise| noise.iter().zip(levels).map(|(n, level)| n / level).collect());
+        runs.noise.as_ref().map(|noise| noise.iter().zip(&levels).map(|(n, level)| n / level).collect());
     let ranked = decide::ranked(&screening, &refits, relative.as_deref());
+    // What repeats differ by because the rig drifts is predicted, and no noise.
+    if let Some(drift) =
+        decide::singled_out(&ranked).filter(|best| best.standing.family == Family::TimeVariance)
+    {
+        runs.noise_is_no_more_than(&drift.free.errors, &levels);
+    }
     let mut listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
     if let Some(family) = decide::singled_out(&ranked).map(|best| best.standing.family)
         && let Some(best) = listed.iter_mut().find(|l| l.hypothesis.family == family)

@@ -1,7 +1,7 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
 use crate::diagnosis::input::{self, Input, Mode, Run, level};
-use crate::diagnosis::numerics::linear::{mean, squares_about_mean};
+use crate::diagnosis::numerics::linear::{mean, rms, squares_about_mean};
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
 
 /// Samples of the baseline that are screened beside fewer of the runs to explain.
@@ -68,6 +68,13 @@ impl Runs {
             apart.then_some((a > b) == (t > s))
         });
         grow.next().is_some_and(|first| grow.all(|other| other == first))
+    }
+
+    /// Bounds the noise of repeats by what a law leaves of each response's groups, relative to its level.
+    pub fn noise_is_no_more_than(&mut self, errors: &[Vec<f64>], levels: &[f64]) {
+        for (r, noise) in self.noise.iter_mut().flatten().enumerate() {
+            *noise = noise.min(levels[r] * self.shares[r] * rms(&errors[r]));
+        }
     }
 
     /// Runs, of each its first samples.

@@ -5,6 +5,7 @@
 
 use super::recording::Runs;
 use crate::EngineError;
+use crate::diagnosis::effects::effect::Family;
 use crate::diagnosis::input::Input;
 use crate::diagnosis::screen::{Screening, Transfer, screen};
 use crate::metrics::geometric_mean;
@@ -14,6 +15,9 @@ use crate::progress::{Progress, Watch};
 const EXPLAINED: f64 = 0.3;
 /// What it leaves at most of the runs to explain alone, relative to what it leaves of the mixture, where they are two.
 const CLEARLY: f64 = 0.6;
+
+/// What a drift leaves at least of the linear part's error of runs among which nothing drifts.
+const STILL: f64 = 0.9;
 
 /// Runs of one state of the rig with their screening.
 pub(super) struct Screened {
@@ -33,8 +37,8 @@ pub(super) fn screened(input: &Input, watch: Watch<'_>) -> Result<Screened, Engi
     let first = |p: Progress<'_>| watch(p.within(&(0.0..if several { 0.6 } else { 1.0 })));
     let screening = catalogued(input, &runs, &first)?;
     let together = Screened { runs, screening, changed: false };
-    let (linear, best) = errors(&together.screening);
-    if !several || best < EXPLAINED * linear {
+    let Left { linear, law, any, .. } = Left::of(&together.screening);
+    if !several || law < EXPLAINED * linear {
         return Ok(together);
     }
     let runs = Runs::without_baseline(input);
@@ -47,7 +51,14 @@ pub(super) fn screened(input: &Input, watch: Watch<'_>) -> Result<Screened, Engi
     };
     let alone = Screened { runs, screening, changed: true };
     let tells = alone.screening.transfer != Transfer::OneDrive;
-    Ok(if tells && errors(&alone.screening).1 < CLEARLY * best { alone } else { together })
+    let of_alone = Left::of(&alone.screening);
+    let other = if any < EXPLAINED * linear {
+        // A change between the two looks like a drift; a drift shows among the runs to explain as well.
+        of_alone.drift > STILL
+    } else {
+        of_alone.any < CLEARLY * any
+    };
+    Ok(if tells && other { alone } else { together })
 }
 
 fn catalogued(input: &Input, runs: &Runs, watch: Watch<'_>) -> Result<Screening, EngineError> {
@@ -56,14 +67,38 @@ fn catalogued(input: &Input, runs: &Runs, watch: Watch<'_>) -> Result<Screening,
     Ok(screening)
 }
 
-/// Held-out errors, relative to the responses, of the linear part and of the best of it and all free runs: geometric
-/// means, since one loud group would outweigh all others.
-fn errors(screening: &Screening) -> (f64, f64) {
-    let of = |errors: &[Vec<f64>]| {
-        let moving: Vec<f64> = errors.concat().into_iter().filter(|e| *e > 0.0).collect();
-        geometric_mean(&moving).unwrap_or(1.0)
-    };
-    let linear = of(&screening.linear.errors);
-    let free = screening.standings.iter().filter_map(|s| s.free.as_ref());
-    (linear, free.map(|run| of(&run.errors)).fold(linear, f64::min))
+/// Held-out errors, relative to the responses: geometric means, since one loud group would outweigh all others.
+struct Left {
+    /// Of the linear part.
+    linear: f64,
+    /// Of the best of it and the free runs of all laws that are no drift.
+    law: f64,
+    /// Of the best of it and all free runs.
+    any: f64,
+    /// Of the best drift by regression, relative to that of the linear part.
+    drift: f64,
+}
+
+impl Left {
+    fn of(screening: &Screening) -> Self {
+        let of = |errors: &[Vec<f64>]| {
+            let moving: Vec<f64> = errors.concat().into_iter().filter(|e| *e > 0.0).collect();
+            geometric_mean(&moving).unwrap_or(1.0)
+        };
+        let linear = of(&screening.linear.errors);
+        let mut left = Self { linear, law: linear, any: linear, drift: 1.0 };
+        for standing in &screening.standings {
+            let drifts = standing.family == Family::TimeVariance;
+            if drifts {
+                left.drift = left.drift.min(standing.ratio);
+            }
+            let Some(free) = &standing.free else { continue };
+            let error = of(&free.errors);
+            left.any = left.any.min(error);
+            if !drifts {
+                left.law = left.law.min(error);
+            }
+        }
+        left
+    }
 }
