@@ -259,3 +259,58 @@ fn acted_on(prepared: &Prepared, places: &[Place]) -> Option<Prepared> {
     }
     Some(moved)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::effects::candidate::{Candidate, Part};
+    use crate::diagnosis::effects::input_map::InputMap;
+    use crate::diagnosis::fit::fitting::Fitted;
+    use crate::diagnosis::search::decide::rank;
+
+    const GAP: f64 = 1000.0;
+
+    fn scored(part: Part, chi2: f64) -> Scored {
+        let fitted = Fitted {
+            candidate: Candidate::of(part, false),
+            p: Vec::new(),
+            scale: Vec::new(),
+            chi2_fit: chi2,
+        };
+        Scored {
+            problem: 0,
+            fitted,
+            fit_rows: 1e4,
+            propagations: Vec::new(),
+            host_chi2: chi2,
+            chi2,
+            remaining: remaining(chi2, GAP),
+            beside: None,
+            blocks: vec![chi2; 20],
+            overflexible: false,
+            passivity: 1.0,
+            not_collocated: false,
+            alias_preferred: false,
+        }
+    }
+
+    #[test]
+    fn a_law_that_closes_one_axis_begins_and_not_a_linear_change_of_all() {
+        let map = |effect, drive| Part::input(effect, drive, InputMap::DeadZone);
+        let all = || {
+            vec![
+                scored(Part::linear_change(), 200.0),
+                scored(map(Effect::Gain, 1), 700.0),
+                scored(map(Effect::DeadZone, 1), 460.0),
+                scored(Part::sandwich(0), 300.0),
+            ]
+        };
+        let begins = |scored| {
+            let ranked = rank(scored, GAP, 1e4, 0.01);
+            closes_most(&ranked).map(|first| ranked[first].scored.effect())
+        };
+        assert_eq!(begins(all()), Some(Effect::DeadZone));
+        let only_the_change = all().into_iter().take(1).collect();
+        assert_eq!(begins(only_the_change), None);
+    }
+}
