@@ -263,35 +263,15 @@ fn acted_on(prepared: &Prepared, places: &[Place]) -> Option<Prepared> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::effects::candidate::{Candidate, Part};
+    use crate::diagnosis::effects::candidate::Part;
     use crate::diagnosis::effects::input_map::InputMap;
-    use crate::diagnosis::fit::fitting::Fitted;
     use crate::diagnosis::search::decide::rank;
 
     const GAP: f64 = 1000.0;
+    const ROWS: f64 = 10_000.0;
 
     fn scored(part: Part, chi2: f64) -> Scored {
-        let fitted = Fitted {
-            candidate: Candidate::of(part, false),
-            p: Vec::new(),
-            scale: Vec::new(),
-            chi2_fit: chi2,
-        };
-        Scored {
-            problem: 0,
-            fitted,
-            fit_rows: 1e4,
-            propagations: Vec::new(),
-            host_chi2: chi2,
-            chi2,
-            remaining: remaining(chi2, GAP),
-            beside: None,
-            blocks: vec![chi2; 20],
-            overflexible: false,
-            passivity: 1.0,
-            not_collocated: false,
-            alias_preferred: false,
-        }
+        Scored::leaving(part, chi2, GAP, ROWS)
     }
 
     #[test]
@@ -306,7 +286,7 @@ mod tests {
             ]
         };
         let begins = |scored| {
-            let ranked = rank(scored, GAP, 1e4, 0.01);
+            let ranked = rank(scored, GAP, ROWS, 0.01);
             closes_most(&ranked).map(|first| ranked[first].scored.effect())
         };
         assert_eq!(begins(all()), Some(Effect::DeadZone));

@@ -377,32 +377,13 @@ fn covering(mut set: Vec<Effect>, ranked: &[Ranked], all: f64) -> Vec<Effect> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::effects::candidate::Candidate;
     use crate::diagnosis::effects::law::Law;
-    use crate::diagnosis::fit::fitting::Fitted;
-    use crate::diagnosis::search::score::remaining;
 
     const GAP: f64 = 1000.0;
     const ROWS: f64 = 10_000.0;
 
     fn scored(effect: Effect, law: Law, chi2: f64) -> Scored {
-        let candidate = Candidate::of(Part::force(effect, vec![law], None), false);
-        let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: chi2 };
-        Scored {
-            problem: 0,
-            fitted,
-            fit_rows: ROWS,
-            propagations: Vec::new(),
-            host_chi2: chi2,
-            chi2,
-            remaining: remaining(chi2, GAP),
-            beside: None,
-            blocks: vec![chi2; 20],
-            overflexible: false,
-            passivity: 1.0,
-            not_collocated: false,
-            alias_preferred: false,
-        }
+        Scored::leaving(Part::force(effect, vec![law], None), chi2, GAP, ROWS)
     }
 
     #[test]

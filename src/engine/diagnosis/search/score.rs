@@ -12,6 +12,8 @@ use super::naming::{
 };
 use super::propagation::Propagation;
 use crate::diagnosis::data::problem::{Problem, Stretch, scored_rows};
+#[cfg(test)]
+use crate::diagnosis::effects::candidate::{Candidate, Part};
 use crate::diagnosis::fit::fitting::Fitted;
 
 /// Draws of the block bootstrap.
@@ -213,6 +215,30 @@ pub fn may_be_equal(a: &[f64], b: &[f64], seed: u64) -> bool {
         .collect();
     differences.sort_by(f64::total_cmp);
     differences[DRAWS / 20] <= 0.0 && differences[DRAWS - 1 - DRAWS / 20] >= 0.0
+}
+
+#[cfg(test)]
+impl Scored {
+    /// A candidate of one part at the only response, which leaves `chi2` of `chi2_none` in so many rows.
+    pub fn leaving(part: Part, chi2: f64, chi2_none: f64, rows: f64) -> Self {
+        let candidate = Candidate::of(part, false);
+        let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: chi2 };
+        Self {
+            problem: 0,
+            fitted,
+            fit_rows: rows,
+            propagations: Vec::new(),
+            host_chi2: chi2,
+            chi2,
+            remaining: remaining(chi2, chi2_none),
+            beside: None,
+            blocks: vec![chi2; 20],
+            overflexible: false,
+            passivity: 1.0,
+            not_collocated: false,
+            alias_preferred: false,
+        }
+    }
 }
 
 #[cfg(test)]

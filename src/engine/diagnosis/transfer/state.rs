@@ -1,7 +1,7 @@
 //! Whether the runs that the model was fitted to show the rig as the runs to explain do.
 //!
 //! In situ they are runs of the same rig and help to tell a law. But a rig may have changed since: then a mixture of
-//! both states has no law, and the runs to explain are screened by themselves.
+//! both states has no law, or only a drift that the runs to explain do not show, and these are screened by themselves.
 
 use super::recording::Runs;
 use crate::EngineError;
