@@ -38,6 +38,13 @@ pub struct Power {
     pub rms_error: f64,
 }
 
+impl Power {
+    /// RMS of the measured response in band, never 0: errors are relative to it.
+    pub fn level(&self) -> f64 {
+        self.response.max(f64::MIN_POSITIVE).sqrt()
+    }
+}
+
 /// Errors of a prediction on each stretch, paired with those of its repeat.
 fn pairs<'a>(stretches: &'a [Stretch], errors: &[Vec<f64>]) -> Vec<Pair<'a>> {
     let mut used = vec![false; stretches.len()];

@@ -113,18 +113,17 @@ impl Overview {
     /// Systematic RMS relative to the response's.
     pub fn systematic(&self, r: usize) -> f64 {
         let p = &self.power[r];
-        (p.systematic.max(0.0) / p.response.max(f64::MIN_POSITIVE)).sqrt()
+        p.systematic.max(0.0).sqrt() / p.level()
     }
 
     pub fn noise(&self, r: usize) -> f64 {
         let p = &self.power[r];
-        (p.noise / p.response.max(f64::MIN_POSITIVE)).sqrt()
+        p.noise.sqrt() / p.level()
     }
 
     /// The largest error of a response relative to it, noise included.
     pub fn whole(&self) -> f64 {
-        let of = |p: &Power| p.rms_error / p.response.max(f64::MIN_POSITIVE).sqrt();
-        self.power.iter().map(of).fold(0.0, f64::max)
+        self.power.iter().map(|p| p.rms_error / p.level()).fold(0.0, f64::max)
     }
 
     pub fn worst(&self) -> usize {

@@ -38,21 +38,25 @@ const SURE: f64 = 0.7;
 /// noise of these, of all with a gap, as of a force sensor that drifts by itself. `None` where it leaves only noise.
 fn rest(prepared: &Prepared, overview: &Overview, placement: &Placement, first: &Scored) -> Option<Place> {
     let mut places = first.places(prepared);
-    let untouched = overview.seen.iter().filter(|&&r| places.iter().all(|p| p.problem.response != r));
-    let bare = |&r: &usize| {
-        let candidate = Candidate { parts: Vec::new(), retune: false };
-        let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: f64::NAN };
-        Place { problem: prepared.problems[r].clone(), fitted, chi2: overview.chi2_select[r] }
+    let mut left: Vec<(usize, f64)> = places.iter().map(|p| (p.problem.response, p.chi2)).collect();
+    let untouched = overview.seen.iter().filter(|&&r| left.iter().all(|(touched, _)| *touched != r));
+    let untouched: Vec<(usize, f64)> = untouched.map(|&r| (r, overview.chi2_select[r])).collect();
+    left.extend(untouched);
+    let moves = |r: usize| r == first.problem || placement.motion.contains(&r);
+    let largest = |moving: bool| {
+        let of = left.iter().filter(|(r, _)| moves(*r) == moving);
+        of.max_by(|a, b| a.1.total_cmp(&b.1)).copied()
     };
-    let untouched: Vec<Place> = untouched.map(bare).collect();
-    places.extend(untouched);
-    let moves =
-        |p: &Place| p.problem.response == first.problem || placement.motion.contains(&p.problem.response);
-    let (moving, others): (Vec<Place>, Vec<Place>) = places.into_iter().partition(moves);
-    let largest = |of: Vec<Place>| of.into_iter().max_by(|a, b| a.chi2.total_cmp(&b.chi2));
     let bends = first.effect().tier() == Tier::Free;
-    let remains = |p: &Place| p.chi2 > SECOND;
-    largest(moving).filter(|p| bends || remains(p)).or_else(|| largest(others).filter(remains))
+    let remains = |(_, chi2): &(usize, f64)| *chi2 > SECOND;
+    let (r, chi2) =
+        largest(true).filter(|l| bends || remains(l)).or_else(|| largest(false).filter(remains))?;
+    if let Some(at) = places.iter().position(|place| place.problem.response == r) {
+        return Some(places.swap_remove(at));
+    }
+    let candidate = Candidate { parts: Vec::new(), retune: false };
+    let fitted = Fitted { candidate, p: Vec::new(), scale: Vec::new(), chi2_fit: f64::NAN };
+    Some(Place { problem: prepared.problems[r].clone(), fitted, chi2 })
 }
 
 /// Effects that together close what one alone does not.

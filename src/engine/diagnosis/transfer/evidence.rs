@@ -3,7 +3,6 @@
 use super::hypotheses::Listed;
 use super::recording::Runs;
 use crate::diagnosis::data::overview::Overview;
-use crate::diagnosis::numerics::linear::rms;
 use crate::diagnosis::report::Gap;
 use crate::diagnosis::screen::Screening;
 
@@ -23,24 +22,18 @@ pub(super) struct Evidence {
 
 impl Evidence {
     pub fn of(overview: &Overview, screening: &Screening, runs: &Runs, listed: &[Listed]) -> Self {
-        let level: Vec<f64> =
-            overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
-        let whole: Vec<f64> =
-            overview.power.iter().zip(&level).map(|(p, level)| p.rms_error / level).collect();
-        let relative = |errors: &[f64], r: usize| runs.shares[r] * rms(errors);
+        let whole: Vec<f64> = overview.power.iter().map(|p| p.rms_error / p.level()).collect();
         let linear: Vec<f64> =
-            screening.linear.errors.iter().enumerate().map(|(r, errors)| relative(errors, r)).collect();
+            screening.linear.errors.iter().enumerate().map(|(r, errors)| runs.left(r, errors)).collect();
         let best = (0..whole.len())
             .map(|r| {
-                let of_laws =
-                    listed.iter().map(|l| l.errors.get(r).map_or(f64::INFINITY, |e| relative(e, r)));
+                let of_laws = listed.iter().filter_map(|l| Some(runs.left(r, l.errors.get(r)?)));
                 of_laws.fold(linear[r].min(whole[r]), f64::min)
             })
             .collect();
         let noise = runs
-            .noise
-            .as_ref()
-            .map(|n| n.iter().zip(&level).zip(&whole).map(|((n, l), w)| (n / l).min(*w)).collect());
+            .relative_noise(overview)
+            .map(|noise| noise.into_iter().zip(&whole).map(|(noise, whole)| noise.min(*whole)).collect());
         Self { whole, best, noise, linear, level_follows_time: runs.level_follows_time() }
     }
 

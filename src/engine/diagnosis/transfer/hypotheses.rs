@@ -155,10 +155,9 @@ impl Of<'_> {
         self.rms_of(r, &self.free.errors[r])
     }
 
-    /// RMS of errors of a response's groups that are relative to it.
+    /// RMS of errors of a response's groups, see [`Runs::left`].
     fn rms_of(&self, r: usize, errors: &[f64]) -> f64 {
-        let level = self.overview.power[r].response.max(f64::MIN_POSITIVE).sqrt();
-        level * self.runs.shares[r] * rms(errors)
+        self.overview.power[r].level() * self.runs.left(r, errors)
     }
 
     /// RMS of what a sim with the law leaves of each response over all runs, after their first sixth; `None` where

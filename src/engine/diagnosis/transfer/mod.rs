@@ -61,19 +61,15 @@ pub(super) fn by_transfer(
     let Screened { mut runs, screening, changed } = screened(input, &of_screen)?;
     let of_refits = |p: Progress<'_>| watch(p.within(&(0.6..0.75)));
     let refits = refits(&runs.recording, &runs.grouping, &screening, &input.catalogue, &of_refits)?;
-    let levels: Vec<f64> = overview.power.iter().map(|p| p.response.max(f64::MIN_POSITIVE).sqrt()).collect();
-    let relative: Option<Vec<f64>> =
-        runs.noise.as_ref().map(|noise| noise.iter().zip(&levels).map(|(n, level)| n / level).collect());
-    let ranked = decide::ranked(&screening, &refits, relative.as_deref());
+    let ranked = decide::ranked(&screening, &refits, runs.relative_noise(overview).as_deref());
+    let alone = decide::singled_out(&ranked);
     // What repeats differ by because the rig drifts is predicted, and no noise.
-    if let Some(drift) =
-        decide::singled_out(&ranked).filter(|best| best.standing.family == Family::TimeVariance)
-    {
-        runs.noise_is_no_more_than(&drift.free.errors, &levels);
+    if let Some(drift) = alone.filter(|best| best.standing.family == Family::TimeVariance) {
+        runs.noise_is_no_more_than(&drift.free.errors, overview);
     }
     let mut listed = hypotheses::all(input, overview, &runs, &screening, &ranked);
-    if let Some(family) = decide::singled_out(&ranked).map(|best| best.standing.family)
-        && let Some(best) = listed.iter_mut().find(|l| l.hypothesis.family == family)
+    if let Some(law) = alone
+        && let Some(best) = listed.iter_mut().find(|l| l.hypothesis.family == law.standing.family)
     {
         best.again = again(&best.hypothesis, &|p| watch(p.within(&(0.75..0.85))))?;
     }

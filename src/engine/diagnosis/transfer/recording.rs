@@ -1,5 +1,6 @@
 //! The runs of a request as the screen reads them, and the noise that their repeats tell.
 
+use crate::diagnosis::data::overview::Overview;
 use crate::diagnosis::input::{self, Input, Mode, Run, level};
 use crate::diagnosis::numerics::linear::{mean, rms, squares_about_mean};
 use crate::diagnosis::screen::{Channel, Grouping, Record, Recording, group};
@@ -70,11 +71,22 @@ impl Runs {
         grow.next().is_some_and(|first| grow.all(|other| other == first))
     }
 
-    /// Bounds the noise of repeats by what a law leaves of each response's groups, relative to its level.
-    pub fn noise_is_no_more_than(&mut self, errors: &[Vec<f64>], levels: &[f64]) {
-        for (r, noise) in self.noise.iter_mut().flatten().enumerate() {
-            *noise = noise.min(levels[r] * self.shares[r] * rms(&errors[r]));
-        }
+    /// RMS of errors of a response's groups, as the screen gives them, relative to the whole response.
+    pub fn left(&self, r: usize, errors: &[f64]) -> f64 {
+        self.shares[r] * rms(errors)
+    }
+
+    /// RMS of each response's noise relative to the response, where repeats tell it.
+    pub fn relative_noise(&self, overview: &Overview) -> Option<Vec<f64>> {
+        let noise = self.noise.as_ref()?;
+        Some(noise.iter().zip(&overview.power).map(|(noise, power)| noise / power.level()).collect())
+    }
+
+    /// Bounds the noise of repeats by what a law leaves of each response's groups.
+    pub fn noise_is_no_more_than(&mut self, errors: &[Vec<f64>], overview: &Overview) {
+        let left = |r: usize| overview.power[r].level() * self.left(r, &errors[r]);
+        let left: Vec<f64> = (0..errors.len()).map(left).collect();
+        self.noise.iter_mut().flatten().zip(left).for_each(|(noise, left)| *noise = noise.min(left));
     }
 
     /// Runs, of each its first samples.
