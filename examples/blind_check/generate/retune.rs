@@ -60,9 +60,13 @@ impl Moves {
     }
 }
 
-/// Weights of the columns that sum to the target best: normal equations with a trace of a ridge, by
-/// elimination.
+/// Weights of the columns that sum to the target best, with a trace of a ridge.
 pub fn least_squares(columns: &[Vec<f64>], target: &[f64]) -> Vec<f64> {
+    ridged(columns, target, 1e-9)
+}
+
+/// The same with a ridge, relative to each column's square: normal equations, by elimination.
+pub fn ridged(columns: &[Vec<f64>], target: &[f64], ridge: f64) -> Vec<f64> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let n = columns.len();
     let norms: Vec<f64> = columns.iter().map(|c| dot(c, c).sqrt().max(f64::MIN_POSITIVE)).collect();
@@ -70,7 +74,7 @@ pub fn least_squares(columns: &[Vec<f64>], target: &[f64]) -> Vec<f64> {
         .map(|i| {
             let mut row: Vec<f64> =
                 (0..n).map(|j| dot(&columns[i], &columns[j]) / (norms[i] * norms[j])).collect();
-            row[i] += 1e-9;
+            row[i] += ridge;
             row.push(dot(&columns[i], target) / norms[i]);
             row
         })
