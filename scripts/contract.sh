@@ -28,7 +28,7 @@ fi
 st=$tools/bin/st
 
 secret=$("$program" token create --role admin --name contract --data-dir "$work/data" 2>/dev/null)
-# The program makes it only once it runs.
+# The program starts beside this: its log has to be there before it is read.
 : >"$work/log"
 "$program" serve --listen 127.0.0.1:0 --data-dir "$work/data" --log warn,rigcast=info >"$work/out.log" 2>"$work/log" &
 server=$!
